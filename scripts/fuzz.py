@@ -37,7 +37,7 @@ from hypothesis import strategies as st
 import navbake
 from navbake.arena import map_descriptor
 from navbake.baker.scene.mesh_scene import read_mesh_parts
-from navbake.batch.manifest import list_jobs
+from navbake.batch.scenes import list_jobs
 from navbake.config.settings import load_config
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox

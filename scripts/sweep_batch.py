@@ -39,7 +39,7 @@ from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the t
 from batch_scenes import write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
-from navbake.batch.work import prepare  # noqa: E402
+from navbake.batch.job import prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.files import without_waiting  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402

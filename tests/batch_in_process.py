@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pickle
 
-from navbake.batch import batch as module
-from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.crew import DONE, Ended
-from navbake.batch.manifest import list_jobs
-from navbake.batch.stores.urls import as_folder
+from navbake.batch import run as module
+from navbake.batch.run import Batch, Means, run_batch
+from navbake.batch.scenes import list_jobs
+from navbake.batch.store import as_folder
+from navbake.batch.workers import DONE, Ended
 
 ONE = Means()
 
@@ -22,10 +22,10 @@ class Told:
     def begin(self, total, skipped):
         pass
 
-    def hear(self, event, scene):
+    def note(self, event, scene, ended):
         pass
 
-    def end_scene(self, row):
+    def end_scene(self, row, worker):
         self.rows.append(row)
 
 
@@ -50,7 +50,7 @@ def stay_in_process(monkeypatch, after=lambda: None):
 
     def do_jobs(jobs, work, count, **options):
         for number, job in enumerate(jobs):
-            yield Ended(number, DONE, work(pickle.loads(pickle.dumps(job))), 0.0)
+            yield Ended(number, DONE, work(pickle.loads(pickle.dumps(job))))
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)

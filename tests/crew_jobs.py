@@ -24,7 +24,7 @@ def work(job: tuple[str, Any]) -> Any:
         os.kill(os.getpid(), value)
     elif what == "exit":
         os.write(2, b"first line\nno such thing: qh6154\n\n")
-        raise SystemExit(value)
+        os._exit(value)
     elif what == "raise":
         raise ValueError(value)
     elif what == "take":
@@ -35,20 +35,13 @@ def work(job: tuple[str, Any]) -> Any:
     elif what == "once":  # crashes the first time
         if not os.path.exists(value):
             with open(value, "x"):
-                raise SystemExit(3)
+                os._exit(3)
     elif what == "lose":  # ends whoever watches this process, each time or once
         if value is None or not os.path.exists(value):
             if value is not None:
                 open(value, "x").close()
             os.kill(os.getppid(), signal.SIGKILL)
             time.sleep(60)
-    elif what == "garble":  # answers with some bytes, and ends
-        import gc
-        from multiprocessing.connection import Connection
-
-        (connection,) = (each for each in gc.get_objects() if isinstance(each, Connection))
-        os.write(connection.fileno(), value)
-        os.kill(os.getpid(), signal.SIGKILL)
     elif what == "meet":  # there are so many workers at such a job at once
         folder, count = value
         open(os.path.join(folder, str(os.getpid())), "x").close()
@@ -57,12 +50,6 @@ def work(job: tuple[str, Any]) -> Any:
             if time.monotonic() > end:
                 raise TimeoutError("nobody else came")
             time.sleep(0.005)
-    elif what == "both":
-        return [work(each) for each in value]
-    elif what == "touch":
-        open(value, "x").close()
-    elif what == "size":
-        return len(value)
     elif what == "print":
         print("hello")
         os.write(1, b"hello")
@@ -78,16 +65,3 @@ def refuse() -> None:
 def end() -> None:
     """End the worker before it is ready."""
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def end_when_ready() -> None:
-    """End the worker as soon as it has said that it is ready."""
-    from multiprocessing.connection import Connection
-
-    send = Connection.send
-
-    def send_and_end(connection: Any, message: Any) -> None:
-        send(connection, message)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    Connection.send = send_and_end  # type: ignore[method-assign]

@@ -1,7 +1,9 @@
 """Bakes many scenes: a scene that fails costs itself alone.
 
-`manifest.py` lists the scenes, `done.py` says which are done already, `work.py` makes what is asked
-for of one, `crew.py` does so in worker processes that may crash, `index.py` notes what became of
-each, and `batch.py` puts these together. `remote.py` does for scenes and grids on stores what the
-others do for local ones.
+`scenes.py` lists the scenes and `settings.py` merges their settings. `job.py` does one scene: it
+fetches the scene's files, bakes, makes the products (`products.py`), puts them into the output
+folder, and computes the key by which the next run knows that the scene is done. `run.py` does all
+of them in worker processes (`workers.py`) or on a Ray cluster (`cluster.py`), and writes what
+became of each into the index (`index.py`) and the log (`log.py`). `store.py` reads and writes files
+here and on stores.
 """

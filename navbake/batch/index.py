@@ -1,17 +1,19 @@
-"""What became of each scene of a batch: a line of JSON each, written as it goes."""
+"""What became of each scene of a batch: a line of JSON each, and the same as Parquet."""
 
 from __future__ import annotations
 
+import io
 import json
-import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from navbake.batch.full import refused
-from navbake.errors import NavbakeError
-from navbake.files import wait_for_disk, write_all, write_whole
+from navbake.batch.store import INSTALL, Folder, join, read_file, refused, remove_files, write_file
+from navbake.errors import MissingDependencyError, NavbakeError
+from navbake.files import wait_for_disk, write_all
 from navbake.types import Json
 
 try:
@@ -20,9 +22,8 @@ except ImportError:  # Windows has no such locks: there, two batches in one fold
     fcntl = None  # type: ignore[assignment]
 
 NAME = "index.jsonl"
+TABLE = "index.parquet"
 LOCK = ".navbake-batch.lock"
-WAS = "was"  # of the row of a scene that is left: the one of when it was made last
-CHUNK = 1 << 20  # bytes that are read at once
 
 
 @contextmanager
@@ -34,9 +35,11 @@ def only_batch(folder: Path) -> Iterator[None]:
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
-    with _naming(folder):
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise refused(f"into {folder}", error) from error
     try:
         if fcntl is not None:
             try:
@@ -52,123 +55,75 @@ def only_batch(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def read_index(folder: Path) -> dict[str, Json]:
-    """The last line of each scene, by its id; {} where there is no index.
-
-    A line that was cut off, as when a batch was killed, counts as none.
-    """
-    try:
-        return parse_rows((folder / NAME).read_bytes())
-    except FileNotFoundError:
-        return {}
-
-
 class Index:
-    """The index of a folder, to which one batch adds lines.
+    """The index of a folder, to which one batch adds rows.
 
-    All that it does raises a NavbakeError where the folder can't be written, a FullError where that
-    is for want of space.
+    On this machine each row is a line of the file at once; a store gets the file at the end. What
+    is done is known by the scenes' records, so a line that is lost costs nothing.
 
     Attributes:
-        known: the rows that were there before, by id.
-        rows: all rows, once it is finished: those of the batch's scenes, then others.
+        rows: by id, those that were there before included.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / NAME
-        self.rows: list[Json] = []
-        with _naming(folder):
-            self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
-            content = self._read()
-            self.known = parse_rows(content)
-            if content and not content.endswith(b"\n"):
-                os.write(self._file, b"\n")  # ends a line that was cut off
-            self._begin = os.fstat(self._file).st_size
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self.rows = read_index(folder)
+        self._has_new = False
+        self._file: int | None = None
+        if isinstance(folder, Path):
+            try:
+                flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+                self._file = os.open(folder / NAME, flags, 0o666)
+                os.write(self._file, b"\n" * bool(self.rows))  # ends a line that was cut off
+            except OSError as error:
+                raise refused(f"into {folder}", error) from error
 
     def add(self, row: Json) -> None:
-        """Add a scene's line, in one write."""
-        with _naming(self._path.parent):
-            write_all(self._file, line_of(row))
+        """Add a scene's row."""
+        self.rows[row["id"]] = row
+        self._has_new = True
+        if self._file is not None:
+            try:
+                write_all(self._file, line_of(row))
+            except OSError as error:
+                raise refused(f"into {self._folder}", error) from error
 
-    def finish(
-        self, ids: Iterable[str], skipped: Collection[str], left: Callable[[str], Json]
-    ) -> None:
-        """Replace the lines by one for each scene in the batch's order, then those of other scenes.
-
-        Args:
-            ids: of the batch's scenes.
-            skipped: those whose rows stay as they were.
-            left: makes the row of one that neither was skipped nor got a line.
-
-        Where they can't be written, `rows` has them, and the lines stay as they were.
-        """
-        with _naming(self._path.parent):
-            # from the file: Ctrl-C may come between any two statements of Python
-            added = parse_rows(self._read()[self._begin :])
-            own, others = order_rows(ids, self.known, added, skipped, left)
-            self.rows = [*own, *others]
-            write_whole(join_rows(self.rows), self._path)
-
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file beside the index."""
-        with _naming(self._path.parent):
-            write_whole(content, self._path.with_name(name))
-
-    def remove(self, name: str) -> None:
-        """Remove a file beside the index, if it is there."""
-        with _naming(self._path.parent):
-            self._path.with_name(name).unlink(missing_ok=True)
-
-    def wait_for_disk(self) -> None:
-        """Wait until the folder's disk has all that was made: scenes don't wait for it."""
-        with _naming(self._path.parent):
-            wait_for_disk(self._path.parent)
-
-    def _read(self) -> bytes:
-        """All lines; also where somebody removed the file, of which this batch still has them."""
-        os.lseek(self._file, 0, os.SEEK_SET)  # what is added goes to the end all the same
-        pieces = iter(lambda: os.read(self._file, CHUNK), b"")
-        return b"".join(pieces)
+    def finish(self, rows: Iterable[Json], has_table: bool) -> None:
+        """Write a batch's rows in its order, then those of other scenes."""
+        own = {row["id"]: row for row in rows}
+        self.rows = own | {id: row for id, row in self.rows.items() if id not in own}
+        if isinstance(self._folder, Path) and self._has_new:
+            try:
+                wait_for_disk(self._folder)  # once: the scenes don't wait for it
+            except OSError as error:
+                raise refused(f"into {self._folder}", error) from error
+        write_file(self._folder, NAME, b"".join(map(line_of, self.rows.values())))
+        if has_table:
+            write_file(self._folder, TABLE, encode_rows(self.rows.values()))
+        else:
+            remove_files(self._folder, [TABLE])  # it would say other than the index
 
     def close(self) -> None:
         """Give the file back; its lines stay."""
-        with suppress(OSError):
+        if self._file is not None:
             os.close(self._file)
 
 
-@contextmanager
-def _naming(folder: Path) -> Iterator[None]:
-    """Turn what the system refuses into an error that names the folder."""
-    try:
-        yield
-    except OSError as error:
-        raise refused(f"into {folder}", error) from error
+def read_index(folder: Folder) -> dict[str, Json]:
+    """The last row of each scene, by its id; {} where there is no index.
 
-
-def order_rows(
-    ids: Iterable[str],
-    known: Mapping[str, Json],
-    added: Mapping[str, Json],
-    skipped: Collection[str],
-    left: Callable[[str], Json],
-) -> tuple[list[Json], list[Json]]:
-    """The rows of a batch's scenes in its order, and those of other scenes; see `Index.finish`."""
-    own = {id: added.get(id) or (made_row(known[id]) if id in skipped else left(id)) for id in ids}
-    return [*own.values()], [row for id, row in known.items() if id not in own]
-
-
-def made_row(row: Json) -> Json:
-    """What is known of a scene's making: its row, or the one that it keeps as `WAS`."""
-    was = row.get(WAS)
-    return was if isinstance(was, dict) and was.get("id") == row.get("id") else row
-
-
-def parse_rows(content: bytes) -> dict[str, Json]:
-    """The last row of each scene in lines of JSON, by its id; what is no row counts as none."""
+    A line that was cut off, as when a batch was killed, counts as none.
+    """
     rows: dict[str, Json] = {}
+    try:
+        content = read_file(join(folder, NAME))
+    except NavbakeError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return rows
+        raise
     for line in content.split(b"\n"):
         try:
-            row = json.loads(line, parse_constant=_refuse, parse_float=_finite)
+            row = json.loads(line, parse_constant=_refuse)
         except (ValueError, RecursionError):
             continue
         if isinstance(row, dict) and isinstance(row.get("id"), str):
@@ -176,21 +131,73 @@ def parse_rows(content: bytes) -> dict[str, Json]:
     return rows
 
 
+def line_of(row: Json) -> bytes:
+    """A row as a line of JSON."""
+    return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
 def _refuse(word: str) -> float:
     """NaN and Infinity are no JSON, and could not be written again."""
     raise ValueError(word)
 
 
-def _finite(text: str) -> float:
-    number = float(text)
-    return number if math.isfinite(number) else _refuse(text)
+# ---------------------------------------------------------------- as Parquet
 
 
-def join_rows(rows: Iterable[Json]) -> bytes:
-    """Rows as `parse_rows` reads them."""
-    return b"".join(map(line_of, rows))
+def check_pyarrow() -> None:
+    """Raise a MissingDependencyError where Parquet can't be written."""
+    if find_spec("pyarrow") is None:
+        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}")
 
 
-def line_of(row: Json) -> bytes:
-    """A row as a line of JSON."""
-    return json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+def encode_rows(rows: Iterable[Json]) -> bytes:
+    """Rows of an index as a Parquet file; the same rows, the same bytes.
+
+    Its columns are those of `_schema`, whatever the rows hold: those of several batches can be
+    joined.
+
+    Raises:
+        NavbakeError: a row has a value of another type, as of an index that somebody changed.
+    """
+    import pyarrow  # the extra `batch`
+    from pyarrow import parquet  # the extra `batch`
+
+    try:
+        table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
+    except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise NavbakeError(f"a row of the index doesn't fit into {TABLE}: {reason}") from error
+    file = io.BytesIO()
+    parquet.write_table(table, file, compression="zstd")
+    return file.getvalue()
+
+
+def _schema(pyarrow: Any) -> Any:
+    """The columns: name and type, in the order of docs/batch.md."""
+    text, texts = pyarrow.string(), pyarrow.list_(pyarrow.string())
+    number, count, wide = pyarrow.float64(), pyarrow.int32(), pyarrow.int64()
+    file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
+    return pyarrow.schema(
+        [
+            *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),
+            *(("levels", count), ("cells", wide), ("free_area", number)),
+            *(("rooms", count), ("doors", count)),
+            *(("warnings", texts), ("audit", texts)),
+            *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
+            *(("scene_digest", text), ("settings_digest", text), ("version", text), ("key", text)),
+            *(("inputs", pyarrow.list_(file)), ("files", pyarrow.list_(file))),
+        ]
+    )
+
+
+def _cells(row: Json) -> Json:
+    cells = dict(row)
+    stages = row.get("stages")
+    if isinstance(stages, Mapping):
+        cells["stages"] = [*stages.items()]
+    elif stages is not None:  # pyarrow ends the process where such a list has nulls
+        raise TypeError("expected an object as `stages`")
+    for key in ("inputs", "files"):
+        if isinstance(row.get(key), Mapping):
+            cells[key] = [{"path": path, **(state or {})} for path, state in row[key].items()]
+    return cells

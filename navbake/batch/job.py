@@ -1,84 +1,376 @@
-"""One scene of a batch: what it is called, where it is, and its settings."""
+"""One scene of a batch: whether it is done, and how it is baked. This is what a worker does."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from typing import NamedTuple
+import hashlib
+import json
+import os
+import time
+import traceback
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from navbake.batch.products import OWN
-from navbake.errors import ConfigError, shorten
-from navbake.formats.scene_files import fold_name
+import numpy as np
+
+from navbake import samples
+from navbake._version import __version__
+from navbake.auditor.audit import audit
+from navbake.baker.pipeline import run_bake
+from navbake.batch.products import (
+    GRID,
+    OWN,
+    RECORD,
+    THUMBNAIL,
+    Product,
+    write_thumbnail,
+)
+from navbake.batch.settings import Job, settings_of, urls_in
+from navbake.batch.store import (
+    Folder,
+    Mirror,
+    as_folder,
+    describe_file,
+    is_url,
+    join,
+    read_file,
+    refused,
+    remove_files,
+    shown,
+    why_full,
+    write_file,
+)
+from navbake.config.settings import BakeConfig, load_config
+from navbake.errors import NavbakeError, printable
+from navbake.files import remove_leftovers, scratch_folder, without_waiting
+from navbake.formats.navgrid import write_navgrid
+from navbake.formats.scene_files import HERE, find_inputs
+from navbake.navgrid.grid import NavGrid
+from navbake.processes import lacked_memory
 from navbake.types import Json
 
-# what some file system takes for something else than a letter of a name
-SPECIAL = re.compile(r'[\\:*?"<>|]')
-RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
-MAX_BYTES = 200  # of a part of an id; file systems take 255
+OK, FAILED, LEFT = "ok", "failed", "left"
+ERROR = "error"  # how a scene fails where its process goes on
+DIGITS = 4  # of seconds
 
 
-class Job(NamedTuple):
-    """One scene of a batch.
+class Plan(NamedTuple):
+    """What a batch asks for of each scene.
 
     Attributes:
-        id: unique in the batch; the folder of what is made of it, parts between slashes.
-        source: the path of the scene or of its settings (YAML).
-        settings: what replaces the batch's settings for it, by key: ``{"agent.radius": 0.3}``.
-        place: where it stands in a list, for messages.
+        folder: where the folders of the scenes are, a Path or a URL.
+        settings: those that all scenes share, by section.
+        overrides: ``a.b=value``, which replace those of the batch and of the scene.
+        products: what to make besides the grid.
+        thumbnail: whether to make a small picture for the batch's page.
     """
 
-    id: str
-    source: str
+    folder: Folder
     settings: Json
-    place: str
+    overrides: tuple[str, ...] = ()
+    products: tuple[Product, ...] = ()
+    thumbnail: bool = False
+
+    def place(self, job: Job) -> Folder:
+        """The folder of what is made of a scene."""
+        return as_folder(join(self.folder, job.id))
+
+    def urls(self, job: Job) -> list[str]:
+        """What a scene needs from stores, as far as it is named outside of files."""
+        return urls_in(job.source, (self.settings, job.settings), self.overrides)
 
 
-def check_id(name: str, place: str) -> None:
-    r"""Refuse an id that could lead out of the output folder, or that some file system refuses.
+class Scene(NamedTuple):
+    """A scene as it is before its bake.
 
-    Raises:
-        ConfigError: it is empty or absolute; a part of it begins with a dot, ends with a dot or a
-            space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or what
-            can't be printed; or it is the name of a file that navbake writes of another scene.
+    Attributes:
+        config: its settings; all paths are of this machine.
+        inputs: size and digest of each file that it is made of, by its path from the output
+            folder, or by its URL.
+        key: is another when the grid or a product may be; see `open_scene`.
     """
-    for part in name.split("/"):
-        is_fine = (
-            part.isprintable()
-            and part == part.strip()
-            and not SPECIAL.search(part)
-            and not RESERVED.fullmatch(part)
-            and not part.startswith(".")
-            and not part.endswith(".")
-            and 0 < len(part.encode()) <= MAX_BYTES
+
+    config: BakeConfig
+    inputs: dict[str, Json]
+    key: str
+
+
+# ---------------------------------------------------------------- the key
+
+
+@contextmanager
+def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
+    """Find a scene's files and compute its key, inside of which copies from stores are there.
+
+    The key is a digest of the settings, the version of navbake, the products, and each file that
+    the scene is made of: name and content, or what its store says of the content. Textures and
+    skins change no cell and don't count.
+
+    Args:
+        plan: of the batch.
+        job: the scene.
+        whole: whether to copy all files from a store; else those that name others.
+    """
+    if not plan.urls(job):
+        yield _describe(plan, settings_of(job, plan.settings, plan.overrides), None)
+        return
+    with scratch_folder() as folder:
+        mirror = Mirror(folder)
+        try:
+            config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
+            scene = _describe(plan, config, mirror)
+            if whole and mirror.url_of(config.inputs[0]):
+                for path in find_inputs(config.inputs[0], mirror, looks=True):
+                    mirror.bring(path)
+            yield scene
+        except (NavbakeError, OSError) as error:
+            if why_full(error):
+                raise
+            raise NavbakeError(mirror.told(str(error))) from error
+
+
+def _describe(plan: Plan, config: BakeConfig, mirror: Mirror | None) -> Scene:
+    """The files and the key of a scene whose settings are known."""
+    home = config.inputs[0].parent
+    inputs: dict[str, Json] = {}
+    files: list[list[Any]] = []
+    for named in config.inputs:  # the scene is the first
+        own = mirror if mirror is not None and mirror.url_of(named) else None
+        for path in find_inputs(named, own or HERE):
+            if (own or HERE).has(path):
+                url = own.url_of(path) if own else None
+                state = own.describe(path) if own else describe_file(path)
+                inputs[_name(plan, url or path)] = state
+                files.append([shown(url) if url else _relative(path, home), *state.values()])
+    stated = {
+        "settings": config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}}),
+        "scene": config.inputs[0].name,  # which the grid states
+        "products": [str(product) for product in plan.products],
+        "version": __version__,
+        "files": sorted(files),
+    }
+    canonical = json.dumps(stated, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return Scene(config, inputs, hashlib.sha256(canonical.encode()).hexdigest())
+
+
+def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) -> Json | None:
+    """The row of a scene that is done: its key is the same, and what was made is there.
+
+    Its record has ``files`` that are part of this, and ``more`` that are not, as a thumbnail.
+
+    Args:
+        plan: of the batch.
+        job: the scene.
+        sizes: of a batch that writes into a store, the size of each file there.
+    """
+    place = plan.place(job)
+    if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
+        return None
+    try:
+        row = read_record(place)
+        if "key" not in row or row["id"] != job.id:
+            return None
+        for name, state in row["files"].items():
+            there = os.path.getsize(place / name) if isinstance(place, Path) else None
+            if (there if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
+                return None
+        with open_scene(plan, job, whole=False) as scene:
+            if scene.key != row["key"]:
+                return None
+    except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
+        return None
+    del row["more"]
+    return {**row, "source": _name(plan, job.source)}  # it may have moved
+
+
+def read_record(place: Folder) -> Json:
+    """What a scene's folder says of what was made there; {} where nothing was."""
+    with suppress(NavbakeError, ValueError):
+        record = json.loads(
+            read_file(place / RECORD if isinstance(place, Path) else f"{place}/{RECORD}")
         )
-        if not is_fine:
-            raise ConfigError(
-                f"expected an id that can be the name of a folder on any system, or several "
-                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
-            )
-        if OWN.fullmatch(part.casefold()):
-            raise ConfigError(
-                f"expected an id without names of files that navbake writes, got {part} in "
-                f"{shorten(repr(name))} at {place}: give it another `id`"
-            )
+        if isinstance(record, dict) and isinstance(record.get("files"), dict):
+            return record
+    return {}
 
 
-def check_unique(jobs: Sequence[Job]) -> None:
-    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_name`.
+def write_record(place: Folder, record: Json) -> None:
+    """Write what a scene's folder says of what was made there, see `remove_made`."""
+    write_file(place, RECORD, json.dumps(record, allow_nan=False).encode())
 
-    Raises:
-        ConfigError: two have the same id.
+
+def remove_made(place: Folder) -> None:
+    """Remove what was made of a scene, and what a writer that was killed left; nothing else.
+
+    A scene's folder may be the user's own, with a picture beside the scene. So the names of all
+    that is made besides the grid are in the record before they are made.
     """
-    seen: dict[str, Job] = {}
-    for job in jobs:
-        other = seen.setdefault(fold_name(job.id), job)
-        if other is not job and (other.id, other.source) == (job.id, job.source):
-            raise ConfigError(
-                f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
-                f"{job.place}: name it once, or give each an `id` of its own in a list"
-            )
-        if other is not job:
-            raise ConfigError(
-                f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
-                f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
-            )
+    record = read_record(place)
+    made = {
+        name for name in (*record.get("files", ()), *record.get("more", ())) if OWN.fullmatch(name)
+    }
+    # the grid first: where it is, all is there; the record last, as it names the others
+    remove_files(place, [GRID, *sorted(made - {GRID}), RECORD])
+    if isinstance(place, Path):
+        remove_leftovers(place)
+
+
+# ---------------------------------------------------------------- the bake
+
+
+def bake_scene(plan: Plan, job: Job) -> Json:
+    """Bake a scene and write all that is asked for; returns its row of the index.
+
+    Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
+    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, also for
+    what `lacked_memory` knows, because nobody knows what state it leaves the process in. A scene
+    for which the output has no room is ``left``, with the reason as ``error``.
+    """
+    begin = time.perf_counter()
+    try:
+        return _make(plan, job, begin)
+    except MemoryError:
+        raise
+    except Exception as error:
+        if lacked_memory(error):
+            raise MemoryError(str(error)) from error
+        full = why_full(error)
+        if full is None:
+            return fail(plan, job, ERROR, _told(error), time.perf_counter() - begin)
+        with suppress(NavbakeError):
+            remove_made(plan.place(job))
+        why = str(refused(f"into {shown(os.fspath(plan.place(job)))}", full))
+        return {**begin_row(plan, job, LEFT), "error": why}
+
+
+def begin_row(plan: Plan, job: Job, status: str) -> Json:
+    """How a scene's row in the index begins."""
+    return {"id": job.id, "status": status, "source": _name(plan, job.source)}
+
+
+def fail(plan: Plan, job: Job, how: str, why: str, seconds: float) -> Json:
+    """The row of a scene that failed, of which nothing stays."""
+    with suppress(NavbakeError):
+        remove_made(plan.place(job))
+    return {**begin_row(plan, job, FAILED), "how": how, "error": why, **_times(seconds)}
+
+
+def stamp() -> str:
+    """Now, as ISO 8601 has it: UTC, to a millisecond."""
+    now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    return now.replace("+00:00", "Z")
+
+
+def prepare(products: Iterable[Product], thumbnail: bool) -> None:
+    """Make all of a sample, so that no scene pays for loading what that needs."""
+    config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
+    grid = run_bake(config, threads=1).grid
+    with scratch_folder() as folder:
+        for product in products:
+            with suppress(NavbakeError):  # the scenes will say what is wrong
+                product.make(grid, config, folder)
+        if thumbnail:
+            write_thumbnail(grid, folder)
+        write_navgrid(grid, folder / GRID)
+    audit(grid)
+
+
+def _make(plan: Plan, job: Job, begin: float) -> Json:
+    place = plan.place(job)
+    with open_scene(plan, job, whole=True) as scene:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the row has those that matter
+            result = run_bake(scene.config, threads=1)
+        grid = result.grid
+        grid.timings = {}  # the same scene, the same bytes
+        row = {
+            **begin_row(plan, job, OK),
+            "version": __version__,
+            "key": scene.key,
+            "scene_digest": grid.navbake.get("sceneDigest"),
+            "settings_digest": grid.navbake.get("settingsDigest"),
+            **_measure(grid),
+            "warnings": list(grid.warnings),
+            "audit": [str(remark) for remark in audit(grid).remarks],
+            "inputs": scene.inputs,
+            "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
+        }
+        # without waiting for the disk: the batch does, once, when all is done
+        with without_waiting():
+            remove_made(place)
+            row["files"] = _write_products(plan, place, grid, scene.config)
+            row |= _times(time.perf_counter() - begin)
+            write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
+    return row
+
+
+def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig) -> Json:
+    """Write all that is asked for, the grid last; size and digest of each file by its name."""
+    names = [name for product in plan.products for name in product.names(grid)]
+    others = [*names, *[THUMBNAIL] * plan.thumbnail]
+    with ExitStack() as stack:
+        if isinstance(place, Path):
+            folder = place
+            # what is there already is the user's, until it is replaced
+            others = [name for name in others if not os.path.lexists(place / name)]
+        else:
+            folder = stack.enter_context(scratch_folder())
+        if others:
+            write_record(place, {"files": {}, "more": others})
+        folder.mkdir(parents=True, exist_ok=True)
+        for product in plan.products:
+            product.make(grid, config, folder)
+        if plan.thumbnail:
+            write_thumbnail(grid, folder)
+        write_navgrid(grid, folder / GRID)
+        if folder is not place:
+            for name in (*others, GRID):
+                write_file(place, name, (folder / name).read_bytes())
+        return {name: describe_file(folder / name) for name in (GRID, *names)}
+
+
+def _measure(grid: NavGrid) -> Json:
+    """What the index says of a grid; areas in m²."""
+    cell = (grid.cell_size * grid.unit) ** 2
+    free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
+    return {
+        "levels": len(grid.levels),
+        "cells": sum(level.width * level.height for level in grid.levels),
+        "free_area": round(free * cell, 6),
+        "rooms": len(grid.rooms),
+        "doors": len(grid.doors),
+    }
+
+
+def _times(seconds: float) -> Json:
+    return {"seconds": round(seconds, DIGITS), "ended": stamp()}
+
+
+def _told(error: Exception) -> str:
+    if isinstance(error, NavbakeError):
+        return str(error)
+    if isinstance(error, OSError):
+        return printable(str(error))
+    line = traceback.format_exception_only(error)[-1].strip()
+    return printable(f"{line} (navbake should have said what is wrong)")
+
+
+def _name(plan: Plan, path: str | Path) -> str:
+    """How the index calls a file: by its URL, or by its path from the output folder."""
+    if is_url(path):
+        return shown(str(path))
+    if isinstance(plan.folder, Path):
+        return _relative(path, os.path.realpath(plan.folder))
+    return Path(os.path.abspath(path)).as_posix()
+
+
+def _relative(path: str | Path, folder: str | Path) -> str:
+    if os.pardir in Path(path).parts:  # of a link, it leads elsewhere than its text does
+        path = os.path.realpath(path)
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # another drive on Windows
+        return Path(os.path.abspath(path)).as_posix()

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import re
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +12,6 @@ from typing import NamedTuple
 from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, MissingDependencyError
-from navbake.files import remove_leftovers
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.source import write_bytes
@@ -25,8 +22,7 @@ from navbake.views.layers import LAYERS
 GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
 PICTURE, REPORT = "picture.png", "report.html"
 THUMBNAIL = "thumbnail.png"  # no product: it can be made of the grid at any time
-NOTE = ".navbake-made"  # of a scene's folder, see `remove_products`
-MAX_NOTE = 1 << 20  # bytes that are read of it
+RECORD = ".navbake-made"  # of a scene's folder: what was made, and the key, see `job.py`
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
 OWN = re.compile(
@@ -46,9 +42,9 @@ class Product(NamedTuple):
     kind: str
     values: tuple[str, ...]
 
-    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> list[str]:
-        """Write its files, each whole or not at all, and return their names."""
-        return KINDS[self.kind].make(grid, config, self.values, folder)
+    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> None:
+        """Write its files, each whole or not at all."""
+        KINDS[self.kind].make(grid, config, self.values, folder)
 
     def names(self, grid: NavGrid) -> list[str]:
         """The names of the files that `make` writes."""
@@ -90,67 +86,6 @@ def write_thumbnail(grid: NavGrid, folder: Path) -> None:
     write_bytes(draw_thumbnail(grid), folder / THUMBNAIL)
 
 
-def remove_products(folder: Path) -> None:
-    """Remove what was made of a scene, and what a writer that was killed left; nothing else.
-
-    What a file is called doesn't tell who made it: a scene's folder may be the user's own, with a
-    picture beside the scene. So the names of all that is made besides the grid are noted there, in
-    `NOTE`, before it is made: whoever was killed meanwhile, and whatever became of the index, the
-    next one knows. `GRID` needs no note: it is what each scene of a batch is asked for.
-    """
-    # the grid first: where it is, all is there; the note last, as it tells of the others
-    for name in (GRID, *sorted(read_note(folder)), NOTE):
-        with suppress(OSError):
-            os.unlink(folder / name)
-    remove_leftovers(folder)
-
-
-def read_note(folder: Path) -> set[str]:
-    """The names of what was made of a scene besides its grid."""
-    with suppress(OSError):
-        if os.path.isfile(folder / NOTE):  # who reads a pipe may wait for ever
-            with open(folder / NOTE, "rb") as file:
-                return parse_note(file.read(MAX_NOTE))
-    return set()
-
-
-def parse_note(content: bytes) -> set[str]:
-    """The names in a note; one that no product has counts as none, whoever wrote it there."""
-    names = content.decode(errors="replace").split("\n")
-    return {name for name in names if OWN.fullmatch(name)}
-
-
-def write_note(folder: Path, names: Iterable[str]) -> None:
-    """Note the names of what is made of a scene besides its grid."""
-    write_bytes(encode_note(names), folder / NOTE)
-
-
-def encode_note(names: Iterable[str]) -> bytes:
-    """A note as `parse_note` reads it: a name a line."""
-    return "".join(f"{name}\n" for name in sorted(names)).encode()
-
-
-@contextmanager
-def noting(
-    names: Collection[str], there: Container[str], write: Callable[[set[str]], None]
-) -> Iterator[None]:
-    """Note files before they are made inside, so that `remove_products` knows them.
-
-    A file that is there already is the user's. It is noted only after it is replaced.
-
-    Args:
-        names: of the files that are made.
-        there: names of files that are there.
-        write: writes a note.
-    """
-    free = {name for name in names if name not in there}
-    if free:
-        write(free)
-    yield
-    if len(free) < len(names):
-        write({*names})
-
-
 def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
     numbers = []
     for value in values:
@@ -184,87 +119,71 @@ def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
     return tuple(values)
 
 
-def _make_inflated(
-    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
-) -> list[str]:
+def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     (name,) = _name_inflated(grid, values)
     clearance = float(values[1]) if len(values) > 1 else None
     write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
-    return [name]
 
 
 def _name_inflated(grid: NavGrid, values: Sequence[str]) -> list[str]:
     return [f"inflated-{'-'.join(values)}.json.gz"]
 
 
-def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> list[str]:
+def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.formats.nav2 import encode_nav2  # only who wants maps loads it
 
-    path = folder / _nav2_of_one_level(values)
-    files = encode_nav2(grid, path, radius=float(values[0]) if values else None)
-    for file, content in files.items():
+    path = folder / f"{'-'.join(('nav2', *values))}.yaml"
+    radius = float(values[0]) if values else None
+    for file, content in encode_nav2(grid, path, radius=radius).items():
         write_bytes(content, file)
-    return [file.name for file in files]
 
 
 def _name_nav2(grid: NavGrid, values: Sequence[str]) -> list[str]:
     from navbake.formats.images import level_paths  # as above
     from navbake.formats.nav2 import YAMLS  # only who wants maps loads it
 
-    paths = level_paths(grid, Path(_nav2_of_one_level(values)), None, YAMLS).values()
+    path = Path(f"{'-'.join(('nav2', *values))}.yaml")
+    paths = level_paths(grid, path, None, YAMLS).values()
     return [path.with_suffix(suffix).name for path in paths for suffix in (".pgm", ".yaml")]
 
 
-def _nav2_of_one_level(values: Sequence[str]) -> str:
-    return f"{'-'.join(('nav2', *values))}.yaml"
-
-
-def _make_voxels(
-    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
-) -> list[str]:
+def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
 
     edge, ending = values
     (name,) = _name_voxels(grid, values)
     voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
     write_voxels(voxels, folder / name)
-    return [name]
 
 
 def _name_voxels(grid: NavGrid, values: Sequence[str]) -> list[str]:
     return [f"voxels-{'.'.join(values)}"]
 
 
-def _make_picture(
-    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
-) -> list[str]:
+def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.views.plot import plot_grid  # loads Pillow
 
     plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
-    return [PICTURE]
 
 
-def _make_report(
-    grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path
-) -> list[str]:
+def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.views.report.report import write_report  # only who wants a report loads it
 
     write_report(grid, folder / REPORT, audits=[audit(grid)])
-    return [REPORT]
 
 
 class Kind(NamedTuple):
     """A kind of product.
 
     Attributes:
-        make: writes it and returns the names of its files.
-        names: the same names, for which nothing is written.
+        make: writes it.
+        names: the names of its files.
         check: checks the values and gives them their shortest form.
         least, most: how many values it takes.
         usage: how it is asked for.
     """
 
-    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], list[str]]
+    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], None]
     names: Callable[[NavGrid, Sequence[str]], list[str]]
     check: Callable[[Sequence[str], str], tuple[str, ...]]
     least: int
@@ -277,14 +196,7 @@ KINDS: dict[str, Kind] = {
     "nav2": Kind(_make_nav2, _name_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
     "voxels": Kind(_make_voxels, _name_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
     "picture": Kind(
-        _make_picture,
-        lambda grid, values: [PICTURE],
-        _check_picture,
-        0,
-        len(LAYERS),
-        "picture[:LAYER…]",
+        _make_picture, lambda *_: [PICTURE], _check_picture, 0, len(LAYERS), "picture[:LAYER…]"
     ),
-    "report": Kind(
-        _make_report, lambda grid, values: [REPORT], lambda values, text: (), 0, 0, "report"
-    ),
+    "report": Kind(_make_report, lambda *_: [REPORT], lambda *_: (), 0, 0, "report"),
 }

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from navbake._version import __version__
-from navbake.batch.job import Job
-from navbake.batch.stores.store import read_file
-from navbake.batch.stores.urls import Folder, is_url, join, parent, plain_path, shown
+from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_file, shown
 from navbake.config.errors import show_value
 from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
-from navbake.config.yaml_text import (
-    MAX_BYTES,
-    apply_overrides,
-    decode_yaml,
-    override_key,
-    read_yaml,
-)
+from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
 
 OF_EACH = ("path", "id")  # keys of `scene` that no two scenes can share
+
+
+class Job(NamedTuple):
+    """One scene of a batch.
+
+    Attributes:
+        id: unique in the batch; the folder of what is made of it, parts between slashes.
+        source: the path or URL of the scene, or of its settings (YAML).
+        settings: what replaces the batch's settings for it, by section.
+        place: where it stands in a list, for messages.
+    """
+
+    id: str
+    source: str
+    settings: Json
+    place: str
 
 
 def read_shared(path: str | os.PathLike[str]) -> Json:
@@ -33,17 +38,10 @@ def read_shared(path: str | os.PathLike[str]) -> Json:
 
     Raises:
         ConfigError: no such file, no YAML, no mapping, or one that names a scene.
-        NavbakeError: a store refuses it.
     """
     text = plain_path(os.fspath(path))
-    name = shown(text)
-    folder: Folder = parent(text) if is_url(text) else Path(text).parent
-    if is_url(text):
-        content = decode_yaml(read_file(text, MAX_BYTES), name)
-    else:
-        content = read_yaml(Path(text))
-    settings = nest(_mapping(content, name).items(), folder, name)
-    check_shared(settings, name)
+    settings = nest(_read_mapping(text).items(), parent(text), shown(text))
+    check_shared(settings, shown(text))
     return settings
 
 
@@ -64,15 +62,7 @@ def check_shared(settings: Mapping[str, Any], place: str) -> None:
             )
 
 
-def check_overrides(overrides: Sequence[str]) -> None:
-    """Refuse ``--set`` of what no two scenes can share."""
-    for override in overrides:
-        key = override_key(override)
-        if key[0] == "scene" and (len(key) == 1 or key[1] in OF_EACH):
-            raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
-
-
-def check_settings(jobs: Sequence[Job], shared: Json, overrides: Sequence[str]) -> None:
+def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
     """Find out what is wrong with what all scenes share before any scene fails.
 
     A file of outlines is looked for unless it is on a store, or is another one for each scene: in
@@ -81,39 +71,56 @@ def check_settings(jobs: Sequence[Job], shared: Json, overrides: Sequence[str]) 
     Raises:
         ConfigError: a setting is wrong, or a file isn't there.
     """
-    rooms = apply_overrides(shared, overrides).get("rooms")
-    outlines = rooms.get("polygons") if isinstance(rooms, Mapping) else None
-    if isinstance(outlines, str):
-        # paths of the shared settings are absolute
-        is_of_each = not os.path.isabs(outlines) and any(_is_yaml(job.source) for job in jobs)
-        if is_of_each or is_url(outlines):
-            overrides = [*overrides, "rooms.polygons=[]"]
+    for override in overrides:
+        key = override_key(override)
+        if key[0] == "scene" and (len(key) == 1 or key[1] in OF_EACH):
+            raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
+    outlines = _polygons_of(apply_overrides(shared, overrides))
+    is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_yaml, sources))
+    if is_of_each or is_url(outlines):
+        overrides = [*overrides, "rooms.polygons=[]"]
     settings_of(Job("scene", "scene.xml", {}, "the batch"), shared, overrides)
 
 
-def settings_of(job: Job, shared: Json, overrides: Sequence[str]) -> BakeConfig:
+def settings_of(
+    job: Job,
+    shared: Json,
+    overrides: Sequence[str],
+    fetch: Callable[[str], Path] | None = None,
+) -> BakeConfig:
     """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
 
     Its own are those of its YAML file, replaced by those of its row in a list. Files that overrides
     name are relative to the YAML file's folder, as in `load_config`.
 
+    Args:
+        job: the scene.
+        shared: those of the batch.
+        overrides: ``a.b=value``.
+        fetch: copies a file of a store and returns its path; None where nothing is on a store.
+
     Raises:
         ConfigError: they are wrong.
     """
-    source, folder = Path(job.source), Path()
+    place, folder = f"the settings of {job.place}", Path()
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
-    if _is_yaml(source):
-        own, folder = _mapping(read_yaml(source), source), source.parent
-        scene = own.get("scene")
-        if isinstance(scene, Mapping) and is_url(scene.get("path")):
-            raise ConfigError(
-                f"expected a path from the folder of {source} as `scene.path`, got "
-                f"{shown(scene['path'])}: name the scene in a list, with settings in its row"
-            )
-    place = f"the settings of {job.place}"
-    settings = of_id(job.id)
+    if is_yaml(job.source):
+        own, above = _read_mapping(job.source), parent(job.source)
+        if isinstance(above, Path):
+            folder = above
+        else:  # what it names is on the store
+            own = _with_files(own, lambda name: join(above, name))
+            overrides = _with_outlines(overrides, lambda name: join(above, name))
+    settings: Mapping[str, Any] = of_id(job.id)
     for part in (shared, own, job.settings):
         settings = merge(settings, part, place)
+    if fetch is not None:
+
+        def bring(name: str) -> str:
+            return str(fetch(name)) if is_url(name) else name
+
+        settings = _with_files(settings, bring)
+        overrides = _with_outlines(overrides, bring)
     return parse_config(settings, place, overrides, folder=folder)
 
 
@@ -122,24 +129,15 @@ def of_id(name: str) -> Json:
     return {"scene": {"id": name.replace("/", "_")}}
 
 
-def _is_yaml(source: str | os.PathLike[str]) -> bool:
+def is_yaml(source: str) -> bool:
+    """Whether a scene's source is settings (YAML)."""
     return Path(source).suffix.lower() in YAML_SUFFIXES
 
 
-def digest_settings(config: BakeConfig, products: Sequence[str]) -> str:
-    """Hash all that decides over what is made of a scene, but for its files.
-
-    That is each setting, the name of the scene's file (which the grid states), the products, and
-    the version of navbake. `settings_digest` is another: it leaves out what changes no cell.
-    """
-    stated = {
-        "settings": config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}}),
-        "file": Path(config.scene.path).name,
-        "products": list(products),
-        "version": __version__,
-    }
-    canonical = json.dumps(stated, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(canonical.encode()).hexdigest()
+def urls_in(source: str, settings: Sequence[Json], overrides: Sequence[str]) -> list[str]:
+    """The URLs that a scene's source, its settings and overrides name outside of any file."""
+    given = [source, *map(_polygons_of, settings), *map(_polygons_of, overrides)]
+    return [name for name in given if name is not None and is_url(name)]
 
 
 def merge(
@@ -175,7 +173,7 @@ def merge(
     return merged
 
 
-def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str = "") -> dict[str, Any]:
+def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:
     """Settings by section, from keys such as ``agent.radius``; files are relative to a folder.
 
     Args:
@@ -184,30 +182,24 @@ def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str = "") -
         place: where the settings stand, for messages.
 
     Raises:
-        ConfigError: a setting stands twice, a key is none, or settings on a store name a file
-            elsewhere.
+        ConfigError: a setting stands twice, or a key is none.
     """
     nested: dict[str, Any] = {}
     for key, value in settings:
-        *sections, last = _split_key(key, place)
-        part: dict[str, Any] = {last: value}
+        try:
+            sections = override_key(f"{key.replace('=', '..')}=")
+        except ConfigError as error:
+            message = f"expected a setting such as `agent.radius`, got `{shorten(key)}` at {place}"
+            raise ConfigError(message) from error
         for section in reversed(sections):
-            part = {section: part}
-        _add(nested, part, place)
-    rooms = nested.get("rooms")
-    if isinstance(rooms, Mapping) and isinstance(rooms.get("polygons"), str):
-        path = join(folder, rooms["polygons"], place)
-        nested["rooms"] = {**rooms, "polygons": path if is_url(path) else os.path.abspath(path)}
-    return nested
+            value = {section: value}
+        _add(nested, value, place)
 
+    def resolve(name: str) -> str:
+        path = join(folder, name)
+        return path if is_url(path) else os.path.abspath(path)
 
-def _split_key(key: str, place: str) -> tuple[str, ...]:
-    try:
-        if "=" not in key:
-            return override_key(f"{key}=")
-    except ConfigError:
-        pass
-    raise ConfigError(f"expected a setting such as `agent.radius`, got `{shorten(key)}` at {place}")
+    return _with_files(nested, resolve)
 
 
 def _add(settings: dict[str, Any], more: Mapping[str, Any], place: str, section: str = "") -> None:
@@ -223,9 +215,35 @@ def _add(settings: dict[str, Any], more: Mapping[str, Any], place: str, section:
             raise ConfigError(f"expected each setting once, got `{shorten(name)}` twice at {place}")
 
 
-def _mapping(value: Any, path: str | os.PathLike[str]) -> Mapping[str, Any]:
+def _read_mapping(path: str) -> Mapping[str, Any]:
+    value, name = decode_yaml(read_file(path), shown(path)), shown(path)
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise ConfigError(f"expected a mapping of settings in {path}")
+        raise ConfigError(f"expected a mapping of settings in {name}")
     return value
+
+
+def _polygons_of(settings: Mapping[str, Any] | str) -> str | None:
+    """The file of room outlines that settings, or an override, name; None where they name none."""
+    if isinstance(settings, str):
+        settings = apply_overrides({}, [settings])
+    rooms = settings.get("rooms")
+    name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
+    return name if isinstance(name, str) else None
+
+
+def _with_outlines(overrides: Sequence[str], change: Callable[[str], str]) -> list[str]:
+    """Overrides with another path of a file of room outlines; the last one for a key counts."""
+    names = [name for name in map(_polygons_of, overrides) if name is not None]
+    return [*overrides, *(f"rooms.polygons={change(name)}" for name in names)]
+
+
+def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """Settings with another path of their scene and of a file of room outlines."""
+    changed = dict(settings)
+    for section, key in (("scene", "path"), ("rooms", "polygons")):
+        inner = settings.get(section)
+        if isinstance(inner, Mapping) and isinstance(inner.get(key), str):
+            changed[section] = {**inner, key: change(inner[key])}
+    return changed

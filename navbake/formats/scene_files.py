@@ -1,30 +1,31 @@
-"""The files that a scene is made of."""
+"""The files that a scene is made of: what its MJCF, URDF or glTF names."""
 
 from __future__ import annotations
 
+import html
 import json
 import os
-import unicodedata
+import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 from urllib.parse import unquote
-from xml.etree import ElementTree
-
-from navbake.formats.mjcf.xml_tree import read_elements
 
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
-MOST_FILES = 10_000  # of XML, that a scene is followed to: links may make any number of one
-LOOKS = ("texture", "skin")  # what changes how a scene looks, and no cell
-# attributes of a compiler that say where files are; of looks as well
+LOOKS = ("texture", "skin")  # elements that change how a scene looks, and no cell
+# attributes of a compiler that name folders; of looks as well
 FOLDERS = ("meshdir", "assetdir")
 LOOK_FOLDERS = (*FOLDERS, "texturedir")
-# attributes that name a file, in MJCF and in URDF that it attaches; of looks as well, of which a
-# cube has one a side
+# attributes that name a file, in MJCF and in URDF that it attaches; of looks as well: a cube has
+# one a side
 NAMES = ("file", "filename")
 LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+# MuJoCo's XML parser (TinyXML-2) takes files that Python's refuses (`--` in a comment, bytes of
+# any encoding), so elements are found by these
+COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
+ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 class Files(Protocol):
@@ -34,7 +35,7 @@ class Files(Protocol):
         """Whether there is such a file."""
 
     def bring(self, path: Path) -> None:
-        """Make ready for reading what `has` found."""
+        """Make a file that is there ready for reading."""
 
 
 class FilesHere:
@@ -51,185 +52,44 @@ class FilesHere:
 HERE = FilesHere()
 
 
-class Search(NamedTuple):
-    """Where the files that MJCF names are looked for: each name in each folder.
-
-    Attributes:
-        folders: that come into question, the scene's own first; most have few of the names.
-        names: of files, as they are in the XML, with slashes.
-    """
-
-    folders: tuple[str, ...] = ()
-    names: tuple[str, ...] = ()
-
-    def places_of(self, name: str) -> Iterator[Path]:
-        """All paths at which a name would be found."""
-        for each in _variants(name):
-            for folder in self.folders:
-                yield from _meant(Path(folder, each))
-
-    def present(self, listed: Folders) -> Iterator[str]:
-        """The paths of all names that may be files, by the listings of the folders.
-
-        `os.path.isfile` says whether one is. Names and folders are many, and a folder has few of
-        the names. So the names are kept as a tree of their parts, and each folder's listing is
-        compared with the tree, part by part.
-        """
-        tree = _Branch()
-        for name in dict.fromkeys(each for whole in self.names for each in _variants(whole)):
-            if os.path.isabs(name) or os.path.splitdrive(name)[0]:
-                yield from map(str, _meant(Path(name)))  # whatever the folder
-            else:
-                tree.add(name)
-        for folder in self.folders if tree.parts else ():
-            left = [(folder, tree)]
-            while left:  # no recursion: a stranger's name may have any number of parts
-                place, branch = left.pop()
-                here = listed.content(place)
-                few, many = sorted((branch.parts, branch.parts if here is None else here), key=len)
-                for key in (key for key in few if key in many):
-                    for part, deeper in branch.parts[key].items():
-                        for path in listed.at(place, part):
-                            if deeper.is_end:
-                                yield path
-                            if deeper.parts:
-                                left.append((path, deeper))
-
-
-@dataclass(slots=True)
-class _Branch:
-    """Names of files that begin alike.
-
-    Attributes:
-        is_end: whether one of them ends here.
-        parts: how the others go on, up to the next slash: first by `fold_name`, then as it is
-            written.
-    """
-
-    is_end: bool = False
-    parts: dict[str, dict[str, _Branch]] = field(default_factory=dict)
-
-    def add(self, name: str) -> None:
-        branch = self
-        for part in name.split("/"):
-            if part not in ("", os.curdir):
-                branch = branch.parts.setdefault(fold_name(part), {}).setdefault(part, _Branch())
-        branch.is_end = True
-
-
-class Folders:
-    """What is in folders, each of which is listed once.
-
-    Args:
-        base: that relative paths of folders count from.
-    """
-
-    def __init__(self, base: str | os.PathLike[str] = "") -> None:
-        self._base = base
-        self._content: dict[str, frozenset[str] | None] = {}
-
-    def content(self, folder: str) -> frozenset[str] | None:
-        """The keys of the names in a folder; None if it can't be listed, but may have files."""
-        if folder not in self._content:
-            self._content[folder] = self._list(folder)
-        return self._content[folder]
-
-    def at(self, folder: str, part: str) -> tuple[str, ...]:
-        """What a part of a path may mean in a folder; ``..`` of a link has two, see `_meant`."""
-        if folder == os.curdir:
-            return (part,)
-        path = os.path.join(folder, part)
-        if part != os.pardir or os.path.basename(folder) == os.pardir:
-            return (path,)
-        above = os.path.dirname(folder) or os.curdir
-        return (path, above) if os.path.islink(os.path.join(self._base, folder)) else (above,)
-
-    def _list(self, folder: str) -> frozenset[str] | None:
-        try:
-            names = os.listdir(os.path.join(self._base, folder) or os.curdir)
-        except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: no path at all
-            return frozenset((os.pardir,))  # by which MuJoCo goes on, see `_meant`
-        except OSError:  # one that may be entered, but not read
-            return None
-        return frozenset((os.pardir, *map(fold_name, names)))
-
-
-def fold_name(name: str) -> str:
-    """A name without what some file systems ignore: capitals, and how accents are composed.
-
-    Names that differ in nothing else may be one file. This is Unicode's canonical caseless
-    matching.
-    """
-    if name.isascii():
-        return name.lower()
-    return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
-
-
-def _meant(*paths: Path) -> Iterator[Path]:
-    """Paths, each as MuJoCo reads it and as the system does, if that is not the same.
-
-    MuJoCo drops a folder before ``..``, even one that is missing, or a link. The system finds
-    nothing in a missing folder, and goes on from where a link leads to.
-    """
-    for path in paths:
-        if os.pardir in path.parts:
-            short = os.path.normpath(path)
-            if not os.path.exists(path) or os.path.realpath(short) != os.path.realpath(path):
-                yield Path(short)
-        yield path
-
-
-def _variants(name: str) -> Iterable[str]:
-    """What a name may mean: `strippath` of a compiler leaves out the folders of names.
-
-    MuJoCo drops those before ``..`` as well, see `_meant`.
-    """
-    short = os.path.normpath(name) if os.pardir in name.split("/") else name
-    return dict.fromkeys((name, short, os.path.basename(name)))
+class _Element(NamedTuple):
+    tag: str
+    attributes: dict[str, str]
 
 
 def find_inputs(
     scene: Path, files: Files = HERE, *, looks: bool = False, missing: bool = False
 ) -> list[Path]:
-    """The files that a scene is made of, as far as they are there: itself first, then sorted.
+    """List the files that a scene is made of, as far as they are there: itself, then sorted.
 
-    In MJCF these are all that an element names as its ``file``, in included files and attached
-    models as well, but for textures and skins. Which folder a name counts from depends on the
-    compiler's settings and on MuJoCo's version, so it is looked for in all that come into question:
-    one file too many costs a bake that was not needed, one too few a stale grid. Folders that these
-    count from are the scene's, the file's, and that of the attached model which includes it. XML
-    that MuJoCo's parser refuses names nothing after its error. Of URDF they are the meshes, of glTF
-    the files of numbers beside it.
+    In MJCF these are all files that an element names, in included files and attached models as
+    well. From which folder a name counts depends on the compiler's settings and on MuJoCo's
+    version, so files in all folders that come into question count: one too many costs a bake that
+    was not needed, one too few leaves a stale grid. In URDF they are the meshes, in glTF the
+    buffers.
 
     Args:
         scene: its file.
         files: where to look for the others.
-        looks: whether textures and skins are asked for as well.
-        missing: whether to list, of a file that is nowhere, all places where it is looked for.
+        looks: whether textures and skins count as well.
+        missing: whether to list, of a file that is nowhere, all places where it may be.
     """
-    return look_for_inputs(scene, files, looks=looks, missing=missing)[0]
-
-
-def look_for_inputs(
-    scene: Path, files: Files = HERE, *, looks: bool = False, missing: bool = False
-) -> tuple[list[Path], Search]:
-    """`find_inputs`, and where the files were looked for, which is told of MJCF only."""
-    search = Search()
-    suffix = scene.suffix.lower()
-    root = _root(scene, files) if suffix in XML_SUFFIXES else None
-    if root is None:
-        found = {*_buffers((scene,), files, missing)}
-    elif root.tag == "robot":
-        meshes = {*_meshes_of_urdf(scene, root, files, missing)}
-        found = {*meshes, *_buffers(meshes, files, missing)}
+    elements = _read_elements(scene, files) if scene.suffix.lower() in XML_SUFFIXES else []
+    if elements and elements[0].tag == "robot":
+        names = [e.attributes.get("filename", "") for e in elements if e.tag == "mesh"]
+        found = {
+            path
+            for name in names
+            for path in _choose(mesh_places(scene, name), files, missing, first=True)
+        }
     else:
-        search = _search(scene, root, files, looks)
-        if files is HERE and not missing:  # the same, and quick
-            found = {Path(place) for place in search.present(Folders()) if os.path.isfile(place)}
-        else:
-            places = ([*search.places_of(name)] for name in search.names)
-            found = {path for each in places for path in _found(each, files, missing)}
-    return [scene, *sorted(found - {scene})], search
+        named = _places_in_mjcf(scene, elements, files, looks)
+        found = {path for places in named for path in _choose(places, files, missing)}
+    for mesh in [scene, *found]:
+        if mesh.suffix.lower() == ".gltf" and files.has(mesh):
+            for places in _buffer_places(mesh, files):
+                found.update(_choose(places, files, missing))
+    return [scene, *sorted(found - {scene})]
 
 
 def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
@@ -245,79 +105,85 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
             yield folder.joinpath(*bare.parts[first:])
 
 
-def _meshes_of_urdf(
-    scene: Path, root: ElementTree.Element, files: Files, missing: bool
-) -> Iterator[Path]:
-    for mesh in root.iter("mesh"):
-        places = [*mesh_places(scene, mesh.get("filename", ""))]
-        found = next((place for place in places if files.has(place)), None)
-        yield from (places if missing else ()) if found is None else (found,)
+def _choose(
+    places: Iterable[Path], files: Files, missing: bool, *, first: bool = False
+) -> list[Path]:
+    """Those places, or the first, where a file is; all of them if `missing` and there is none."""
+    places = list(places)
+    found = [place for place in places if files.has(place)]
+    return (found[:1] if first else found) or (places if missing else [])
 
 
-def _buffers(meshes: Iterable[Path], files: Files, missing: bool) -> Iterator[Path]:
-    """The files that glTF files keep their numbers in."""
-    for mesh in meshes:
-        if mesh.suffix.lower() != ".gltf" or not files.has(mesh):
-            continue
-        files.bring(mesh)
-        try:
-            header = json.loads(mesh.read_bytes())
-            uris = [str(buffer["uri"]) for buffer in header["buffers"] if "uri" in buffer]
-        except (OSError, ValueError, RecursionError, LookupError, TypeError):
-            continue
-        for uri in uris:
-            names = () if uri.startswith("data:") else {uri, uri.strip(), unquote(uri)}
-            places = [mesh.parent / name for name in names if "\0" not in name]
-            yield from _found(places, files, missing)
-
-
-def _search(scene: Path, root: ElementTree.Element | None, files: Files, looks: bool) -> Search:
-    names: dict[str, None] = {}
-    folders = {scene.parent: None}
-    left_out = () if looks else LOOKS
-    left, seen = [(scene, root, scene.parent)], {_place(scene, scene.parent)}
+def _places_in_mjcf(
+    scene: Path, elements: list[_Element], files: Files, looks: bool
+) -> list[list[Path]]:
+    """For each file that MJCF names, all places where it may be."""
+    named: list[tuple[list[Path], str]] = []  # folders that the name may count from, and the name
+    folders = {""}
+    left = [(scene, elements, scene.parent)]
+    seen = {_identity(scene, scene.parent)}
     while left:
-        file, top, home = left.pop()
-        bases = dict.fromkeys((scene.parent, home, file.parent))
-        for element in () if top is None else top.iter():
-            for key in LOOK_FOLDERS if looks else FOLDERS:
-                if key in element.attrib:
-                    folders |= dict.fromkeys(places_from(bases, element.attrib[key]))
-            if element.tag in left_out:
+        file, content, home = left.pop()
+        bases = [*dict.fromkeys((scene.parent, home, file.parent))]
+        for tag, attributes in content:
+            keys = LOOK_FOLDERS if looks else FOLDERS
+            folders.update(_slashed(attributes[key]) for key in keys if key in attributes)
+            if tag in LOOKS and not looks:
                 continue
-            for name in _names_of(element, looks):
-                names[name] = None
-                for path in places_from(bases, name):
-                    is_xml = path.suffix.lower() in XML_SUFFIXES or element.tag in MODELS
-                    if not is_xml or len(seen) == MOST_FILES or not files.has(path):
-                        continue
-                    folders[path.parent] = None
-                    base = home if element.tag == "include" else path.parent
-                    place = _place(path, base)
-                    if place not in seen:
-                        seen.add(place)
-                        left.append((path, _root(path, files), base))
-    return Search(tuple(map(str, folders)), tuple(names))
+            for key in LOOK_NAMES if looks else NAMES:
+                name = _slashed(attributes.get(key, ""))
+                if not name or "\0" in name:
+                    continue
+                named.append((bases, name))
+                if tag not in MODELS and Path(name).suffix.lower() not in XML_SUFFIXES:
+                    continue
+                for path in _places(bases, [""], name):
+                    inner_home = home if tag == "include" else path.parent
+                    identity = _identity(path, inner_home)
+                    if identity not in seen and files.has(path):
+                        seen.add(identity)
+                        left.append((path, _read_elements(path, files), inner_home))
+    return [_places(bases, sorted(folders), name) for bases, name in named]
 
 
-def _place(path: Path, home: Path) -> tuple[str, ...]:
-    """What makes XML another one: names in it count from where it is reached, even by a link."""
-    return os.path.normpath(path), os.path.realpath(path), os.path.normpath(home)
+def _identity(file: Path, home: Path) -> tuple[str, str, str]:
+    """What makes XML another one: its file, and the folders that its names count from."""
+    return os.path.realpath(file), os.path.realpath(file.parent), os.path.realpath(home)
 
 
-def places_from(folders: Iterable[Path], name: str) -> Iterator[Path]:
+def places_from(folders: Iterable[Path], name: str) -> list[Path]:
     """The paths that a name in MJCF may mean, as it counts from any of some folders."""
-    return _meant(*(folder / _slashed(name) for folder in folders))
+    return _places(folders, [""], _slashed(name))
 
 
-def _found(places: list[Path], files: Files, missing: bool) -> list[Path]:
-    """Those places where a file is; all of them where it is nowhere and that is asked for."""
-    return [place for place in places if files.has(place)] or (places if missing else [])
+def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
+    """The paths that a name in MJCF may mean; `strippath` of a compiler drops its folders.
+
+    MuJoCo drops a folder before ``..``, even a link or one that is missing; the system follows it.
+    """
+    paths: dict[Path, None] = {}
+    for folder in folders:
+        for each in dict.fromkeys((name, os.path.basename(name))):
+            for base in bases:
+                path = base / folder / each
+                paths[path] = None
+                if os.pardir in path.parts:
+                    paths[Path(os.path.normpath(path))] = None
+    return list(paths)
 
 
-def _names_of(element: ElementTree.Element, looks: bool) -> list[str]:
-    names = (element.get(key) for key in (LOOK_NAMES if looks else NAMES))
-    return [_slashed(name) for name in names if name]
+def _buffer_places(mesh: Path, files: Files) -> Iterator[list[Path]]:
+    """For each buffer of a glTF file that is a file, the paths that it may mean."""
+    files.bring(mesh)
+    try:
+        uris = [
+            str(each["uri"]) for each in json.loads(mesh.read_bytes())["buffers"] if "uri" in each
+        ]
+    except (OSError, ValueError, RecursionError, LookupError, TypeError):
+        return
+    for uri in uris:
+        if not uri.startswith("data:") and "\0" not in unquote(uri):
+            yield [mesh.parent / name for name in {uri, uri.strip(), unquote(uri)}]
 
 
 def _slashed(name: str) -> str:
@@ -325,13 +191,24 @@ def _slashed(name: str) -> str:
     return name.replace("\\", "/")
 
 
-def _root(path: Path, files: Files) -> ElementTree.Element | None:
-    """The root element of an XML file; None where it is broken or missing."""
+def _read_elements(path: Path, files: Files) -> list[_Element]:
+    """The elements of an XML file, in its order; none where it can't be read."""
     if not files.has(path):
-        return None
+        return []
     files.bring(path)
     try:
-        # who reads a pipe may wait for ever
-        return read_elements(path.read_bytes()) if os.path.isfile(path) else None
+        content = COMMENT.sub(b"", path.read_bytes())
     except OSError:
-        return None
+        return []
+    return [
+        _Element(
+            _text(tag),
+            {_text(key): _text(one or two) for key, one, two in ATTRIBUTE.findall(attributes)},
+        )
+        for tag, attributes in ELEMENT.findall(content)
+    ]
+
+
+def _text(value: bytes) -> str:
+    """A name as the system's calls give it, also where it is no UTF-8."""
+    return html.unescape(value.decode(errors="surrogateescape"))

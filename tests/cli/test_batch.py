@@ -21,8 +21,7 @@ from batch_in_process import stay_in_process
 from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes
 from navbake import files
-from navbake.batch import index, journal
-from navbake.batch.stores.index import TakenOverError
+from navbake.batch import index, log, store
 from navbake.cli.commands import batch as command
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
@@ -305,16 +304,6 @@ def test_a_log_overwrites_neither_scenes_nor_the_index(folder, run, log):
     assert Path("room.xml").read_bytes() == before
 
 
-def test_the_page_of_a_folder_that_another_batch_took_over_is_left_alone(folder, run, monkeypatch):
-    def take_over():
-        raise TakenOverError("another batch took out over")
-
-    stay_in_process(monkeypatch, take_over)
-    status, _, err = run("batch", "room.xml", "-o", "out", "--page", *COARSE)
-    assert (status, err) == (1, "navbake: another batch took out over\n")
-    assert not Path("out/index.html").exists()
-
-
 def test_a_full_disk_ends_the_batch_with_one_line(folder, run, here, monkeypatch):
     def refuse(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -337,51 +326,16 @@ def refuse_room(*arguments, **options):
 
 
 def test_a_disk_that_is_full_before_the_batch_begins(folder, run, here, monkeypatch):
-    options = ("batch", "room.xml", "-o", "out", "--parquet", *COARSE)
+    options = ("batch", "room.xml", "-o", "out", *COARSE)
     with monkeypatch.context() as patch:
         patch.setattr(index.os, "open", refuse_room)
         assert run(*options) == (1, "", f"navbake: cannot write into out: {NO_ROOM}\n")
-    pytest.importorskip("pyarrow")
     assert run(*options)[0] == 0
-    table = Path("out/index.parquet").read_bytes()
     with monkeypatch.context() as patch:  # no file can be made, and no line be added
-        patch.setattr(index, "write_whole", refuse_room)
-        patch.setattr(files, "create_temporary", refuse_room)
+        patch.setattr(store, "write_whole", refuse_room)
         status, out, err = run(*options)
         assert (status, err) == (1, f"navbake: stopped: cannot write into out: {NO_ROOM}\n")
-        assert out.startswith("1 skipped") and out.endswith(f": {Path('out/index.jsonl')}\n")
-        assert Path("out/index.parquet").read_bytes() == table  # which is as true as before
-        shutil.copy("room.xml", "second.xml")
-        status, out, _ = run(*options, "second.xml")
-        assert status == 1 and out.startswith("1 skipped, 1 left, ")
-        assert Path("out/index.parquet").read_bytes() == table
-    assert run(*options)[1].endswith(f", {Path('out/index.parquet')}\n")
-
-
-def test_a_table_that_can_not_be_written_anew_is_not_there(folder, run, here, monkeypatch):
-    pytest.importorskip("pyarrow")
-    shutil.copy("room.xml", "second.xml")
-    real = index.write_whole
-
-    def write(content, path):
-        if path.name == command.TABLE:
-            refuse_room()
-        real(content, path)
-
-    options = ("-o", "out", "--parquet", *COARSE)
-    assert run("batch", "room.xml", *options)[0] == 0
-    with monkeypatch.context() as patch:
-        patch.setattr(index, "write_whole", write)
-        status, out, err = run("batch", "room.xml", "second.xml", *options)
-    assert (status, err) == (1, f"navbake: stopped: cannot write into out: {NO_ROOM}\n")
-    assert out.startswith("1 baked, 1 skipped") and command.TABLE not in out
-    assert not Path("out/index.parquet").exists()
-    status, out, _ = run("batch", "second.xml", "room.xml", *options)  # only the order is another
-    assert status == 0 and Path("out/index.parquet").exists()
-    with monkeypatch.context() as patch:
-        patch.setattr(index, "write_whole", write)
-        assert run("batch", "room.xml", "second.xml", *options)[0] == 1
-    assert not Path("out/index.parquet").exists()
+        assert out.startswith("1 skipped")
 
 
 def test_a_batch_without_a_table_removes_that_of_another(folder, run, here):
@@ -420,13 +374,13 @@ def test_a_log_without_room_does_not_hide_what_the_batch_came_to(
 
     options = ("batch", "room.xml", "-o", "out", "--log", "log.jsonl", *COARSE)
     with monkeypatch.context() as patch:
-        patch.setattr(journal, "write_all", write)
+        patch.setattr(log, "write_all", write)
         status, out, err = run(*options)
     assert (status, err) == (1, f"navbake: stopped: cannot write the log log.jsonl: {NO_ROOM}\n")
     assert out.startswith("1 baked" if lines else "1 left in ")
     count = iter(())
     with monkeypatch.context() as patch:
-        patch.setattr(journal, "write_all", write)
+        patch.setattr(log, "write_all", write)
         status, out, err = run(*options, "--json", "--set", "grid.cell_size=0.2")
     assert (status, err) == (1, f"navbake: cannot write the log log.jsonl: {NO_ROOM}\n")
     assert json.loads(out.splitlines()[-1])["event"] == "end"

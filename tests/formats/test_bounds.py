@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 import navbake
-from navbake.batch.manifest import list_jobs
 from navbake.errors import FormatError, NavbakeError
 from navbake.formats import allowance
 from navbake.formats.allowance import BYTES_PER_BYTE, FREE_BYTES, MAX_VOXELS
@@ -188,8 +187,6 @@ def sparse(path, size, begin=b"#binvox 1\n"):
         ("a.npz", b"PK", 4 << 30, read_voxels),
         ("a.png", b"\x89PNG", 4 << 30, read_procthor),
         ("a.npy", b"\x93NUMPY", 4 << 30, read_npy),
-        ("a.jsonl", b"{", 1 << 30, lambda path: list_jobs([str(path)])),
-        ("a.csv", b"id", 1 << 30, lambda path: list_jobs([str(path)])),
     ],
 )
 def test_files_that_are_too_large_are_refused_unread(tmp_path, name, begin, size, read):

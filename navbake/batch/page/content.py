@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.batch.job import check_id
 from navbake.batch.products import OWN
+from navbake.batch.scenes import check_id
 from navbake.errors import ConfigError, printable
 from navbake.types import Json
 from navbake.views.color_scale import nice_step

@@ -11,27 +11,31 @@ from urllib.parse import quote
 
 import orjson
 
-from navbake.batch.full import no_room, why_full
-from navbake.batch.index import NAME as INDEX
-from navbake.batch.index import parse_rows, read_index
-from navbake.batch.journal import stamp
+from navbake.batch.index import read_index
+from navbake.batch.job import read_record, stamp, write_record
 from navbake.batch.page.content import Progress, describe_batch, is_row, is_safe
-from navbake.batch.products import GRID, NOTE, THUMBNAIL, read_note, write_note
-from navbake.batch.stores.notes import read_note_at, write_note_at
-from navbake.batch.stores.store import list_tree, read_file, write_file
-from navbake.batch.stores.urls import Folder, shown, split_url
+from navbake.batch.products import GRID, RECORD, THUMBNAIL
+from navbake.batch.store import (
+    Folder,
+    as_folder,
+    join,
+    read_file,
+    refused,
+    shown,
+    sizes_below,
+    why_full,
+    write_file,
+)
 from navbake.errors import FormatError, NavbakeError, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
 from navbake.navgrid.grid import NavGrid
-from navbake.types import Json
 from navbake.views.notebook import draw_thumbnail
 from navbake.views.page.page import make_page, to_text
 
 NAME = "index.html"
 PACKAGE = "navbake.batch.page"  # where the page's script is
 PICTURES = "'self' file: data:"  # thumbnails are beside the page
-MAX_BYTES = 4 << 30  # of an index, and of a grid
 EVERY = 15.0  # how often the page of a batch that runs is written anew [s]
 SHARE = 0.01  # of the time that this may take
 
@@ -47,10 +51,8 @@ def write_page(folder: Folder, *, progress: Progress | None = None) -> None:
         NavbakeError: the index can't be read, or the page can't be written.
     """
     content = _render(folder, ".", progress)
-    if isinstance(folder, Path):
-        write_bytes(content, _own(folder, NAME))
-    else:
-        write_file(f"{folder}/{NAME}", content)
+    _check_own(folder, NAME)
+    write_file(folder, NAME, content)
 
 
 def write_page_beside(folder: Path, path: Path) -> None:
@@ -70,27 +72,18 @@ def write_page_beside(folder: Path, path: Path) -> None:
 
 def _render(folder: Folder, base: str, progress: Progress | None) -> bytes:
     """The page; `base` is the link that leads to the folder."""
-    if isinstance(folder, Path):
-        name = folder.resolve().name
-    else:  # a password has no part in it
-        name = "".join(split_url(folder).path[-1:])
-    content = describe_batch(_read_rows(folder).values(), _find_thumbnails(folder), progress)
+    name = (folder.resolve() if isinstance(folder, Path) else Path(shown(folder))).name
+    content = describe_batch(read_index(folder).values(), _find_thumbnails(folder), progress)
     content |= {"title": printable(name) or "batch", "made": stamp(), "base": base}
     packed = {"title": f"{content['title']}: batch", "packed": to_text(orjson.dumps(content))}
     return make_page(packed, PACKAGE, "batch.js", PICTURES)
-
-
-def _read_rows(folder: Folder) -> dict[str, Json]:
-    if isinstance(folder, Path):
-        return read_index(folder)
-    return parse_rows(read_file(f"{folder}/{INDEX}", MAX_BYTES))
 
 
 def _find_thumbnails(folder: Folder) -> Callable[[str], bool]:
     """Returns what says whether a scene has a thumbnail; of a store, from one listing."""
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL)
-    found = list_tree(folder, is_own=True)
+    found = sizes_below(folder)
     return lambda id: f"{id}/{THUMBNAIL}" in found
 
 
@@ -104,7 +97,7 @@ def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
         FullError: the folder has no room for one; the others are not tried.
     """
     has_thumbnail, num_failed = _find_thumbnails(folder), 0
-    rows = {id: row for id, row in _read_rows(folder).items() if is_row(row) and is_safe(id)}
+    rows = {id: row for id, row in read_index(folder).items() if is_row(row) and is_safe(id)}
     missing = [id for id, row in rows.items() if row["status"] == "ok" and not has_thumbnail(id)]
     for number, id in enumerate(missing):
         show(number / len(missing))
@@ -113,41 +106,37 @@ def draw_thumbnails(folder: Folder, show: Callable[[float], None]) -> int:
         except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
             why = why_full(error)
             if why is not None:
-                raise no_room(f"thumbnails into {shown(os.fspath(folder))}", why) from error
+                raise refused(f"thumbnails into {shown(os.fspath(folder))}", why) from error
             num_failed += 1
     return num_failed
 
 
 def _draw_thumbnail(folder: Folder, id: str) -> None:
-    grid: NavGrid
-    if isinstance(folder, Path):
-        place, note = _own(folder, f"{id}/{THUMBNAIL}"), _own(folder, f"{id}/{NOTE}")
-        grid = read_navgrid(folder / id / GRID)
-        write_note(note.parent, {*read_note(note.parent), THUMBNAIL})
-        write_bytes(draw_thumbnail(grid), place)
+    place = as_folder(join(folder, id))
+    _check_own(folder, f"{id}/{THUMBNAIL}")
+    _check_own(folder, f"{id}/{RECORD}")
+    grid: NavGrid = read_navgrid(read_file(join(place, GRID)))
+    record = read_record(place)
+    if record:  # so that it is removed with the grid
+        write_record(place, {**record, "more": [THUMBNAIL]})
+    write_file(place, THUMBNAIL, draw_thumbnail(grid))
+
+
+def _check_own(folder: Folder, name: str) -> None:
+    """Refuse to write through a link that leads out of a folder, which may come from a stranger."""
+    if not isinstance(folder, Path):
         return
-    grid = read_navgrid(read_file(f"{folder}/{id}/{GRID}", MAX_BYTES))
-    write_note_at(f"{folder}/{id}", {*read_note_at(f"{folder}/{id}"), THUMBNAIL})
-    write_file(f"{folder}/{id}/{THUMBNAIL}", draw_thumbnail(grid))
-
-
-def _own(folder: Path, name: str) -> Path:
-    """The path of a file that is to be written.
-
-    The folder may come from a stranger: nothing is written through a link that leads out of it.
-    """
     path, real = folder / name, Path(os.path.realpath(folder / name))
     if not real.is_relative_to(os.path.realpath(folder)):
         raise FormatError(
             f"expected a file in {folder}, got {path}, which leads to {real}: remove the link"
         )
-    return path
 
 
 class LivePage:
     """The page of a batch that runs: it is written now and then, for a small share of the time.
 
-    On a store, where the index is in parts until the batch ends, it is written then only.
+    On a store, which gets the index when the batch ends, it is written then only.
     """
 
     def __init__(self, folder: Folder, total: int) -> None:

@@ -24,16 +24,15 @@ from navbake.cli.printing import (
 from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
-    from navbake.batch.batch import BatchResult
-    from navbake.batch.cluster.executor import RayExecutor
-    from navbake.batch.crew import Event
     from navbake.batch.page.page import LivePage
-    from navbake.batch.stores.urls import Folder
+    from navbake.batch.run import BatchResult
+    from navbake.batch.store import Folder
+    from navbake.batch.workers import Ended
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
-INDEX, PAGE, TABLE = "index.jsonl", "index.html", "index.parquet"
+INDEX = "index.jsonl"
 
 
 class PerScene(NamedTuple):
@@ -139,12 +138,14 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    from navbake.batch.batch import Batch, Means, run_batch
-    from navbake.batch.cluster.executor import ALL
-    from navbake.batch.crew import JobLimits
-    from navbake.batch.manifest import list_jobs
+    from navbake.batch.cluster import RayExecutor
+    from navbake.batch.index import LOCK, NAME, TABLE
+    from navbake.batch.page.page import NAME as PAGE
+    from navbake.batch.run import Batch, Means, run_batch
+    from navbake.batch.scenes import list_jobs
     from navbake.batch.settings import read_shared
-    from navbake.batch.stores.urls import as_folder
+    from navbake.batch.store import as_folder
+    from navbake.batch.workers import JobLimits
 
     is_ray = machines.executor == "ray"
     refuse_unused(
@@ -156,51 +157,41 @@ def batch(
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     jobs = list_jobs(sources)
     if wholly.log is not None:
-        own = (os.path.join(output, name) for name in (INDEX, PAGE, TABLE))
+        own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
         given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
         check_output(wholly.log, inputs=map(Path, given), may_make_folder=True, option="--log")
     settings = {} if config is None else read_shared(config)
-    limits = JobLimits(per_scene.time_limit, per_scene.memory_limit)
+    limits = JobLimits(per_scene.time_limit, per_scene.memory_limit, per_scene.retries)
     folder = as_folder(output)
-    executor = _on_ray(machines.ray_address, folder) if is_ray else None
-    count = wholly.jobs or (ALL if is_ray else 1)
-    means = Means(count, limits, per_scene.retries, wholly.max_failures, executor)
+    witness = folder / LOCK if isinstance(folder, Path) else None
+    executor = RayExecutor(machines.ray_address, witness) if is_ray else None
+    means = Means(wholly.jobs, limits, wholly.max_failures, executor)
     todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet, wholly.page)
     with ExitStack() as stack:
-        teller = _Teller(stack, wholly, folder)
+        watch = _Watch(stack, wholly, folder)
         try:
-            result = run_batch(todo, means, teller)
+            result = run_batch(todo, means, watch)
         except BaseException as error:
-            teller.interrupt(error)
+            watch.interrupt(error)
             raise
-        teller.end(result)
+        watch.end(result)
     if result.count("failed") or result.stopped:
         raise Exit(1)
 
 
-def _on_ray(address: str | None, folder: Folder) -> RayExecutor:
-    """What bakes on a Ray cluster, whose nodes must see an output folder that is on no store."""
-    from navbake.batch.cluster.executor import RayExecutor
-    from navbake.batch.index import LOCK
-
-    witness = folder / LOCK if isinstance(folder, Path) else None
-    return RayExecutor(address, lambda line: print_warnings([line]), None, witness)
-
-
-class _Teller:
-    """Tells how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
+class _Watch:
+    """Says how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
 
     def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
-        from navbake.batch.journal import Journal, LogFile
+        from navbake.batch.log import Log, LogFile
 
-        self._stack, self._as_json, self._folder = stack, wholly.as_json, folder
-        self._has_page = wholly.page
+        self._stack, self._wholly, self._folder = stack, wholly, folder
         takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
         if wholly.log is not None:
             log = LogFile(wholly.log)
             stack.callback(log.close)
             takers.append(log.add)
-        self._journal = Journal(takers)
+        self._log = Log(takers)
         self._begin = time.perf_counter()
         self._done, self._failed, self._total, self._skipped = 0, 0, 0, 0
         self._show: Callable[[int, int, int], None]
@@ -212,28 +203,28 @@ class _Teller:
 
         _warm_up()
         self._total, self._skipped = total - skipped, skipped
-        self._journal.begin(total, skipped)
-        if self._has_page:
+        self._log.begin(total, skipped)
+        if self._wholly.page:
             from navbake.batch.page.page import LivePage  # not every batch has a page
 
             self._page = LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would run into each other
-        hidden = VOLUME.quiet or (self._as_json and is_terminal(sys.stdout))
+        hidden = VOLUME.quiet or (self._wholly.as_json and is_terminal(sys.stdout))
         self._show = self._stack.enter_context(batch_progress(hidden))
         self._show(0, 0, self._total)
 
-    def hear(self, event: Event, scene: str | None) -> None:
-        """Note what happens to workers, and to scenes before they end."""
-        self._journal.hear(event, scene)
+    def note(self, event: str, scene: str, ended: Ended) -> None:
+        """Note that a scene begins, or is tried again."""
+        self._log.note(event, scene, ended)
 
-    def end_scene(self, row: Json) -> None:
+    def end_scene(self, row: Json, worker: int) -> None:
         """Print what became of a scene, if it failed or if all are asked for."""
         is_failed = row["status"] == "failed"
         self._done += 1
         self._failed += is_failed
         self._show(self._done, self._failed, self._total)
-        self._journal.end_scene(row)
-        if is_failed and not self._as_json:
+        self._log.end_scene(row, worker)
+        if is_failed and not self._wholly.as_json:
             print_error(f"{row['id']}: {row['how']}: {row['error']}")
         if self._page is not None:
             self._page.refresh(self._done)
@@ -241,7 +232,6 @@ class _Teller:
     def interrupt(self, error: BaseException) -> None:
         """Note that the batch ended early, by a signal or because it can't go on."""
         from navbake.batch.page.page import write_page  # not every batch has a page
-        from navbake.batch.stores.index import TakenOverError
 
         counts = {
             "baked": self._done - self._failed,
@@ -250,59 +240,59 @@ class _Teller:
             "left": self._total - self._done,
         }
         why = str(error) if isinstance(error, Exception) else "interrupted"
-        if self._total and not self._as_json and not isinstance(error, Exception):
-            say_unless_quiet(f"interrupted: {_told(counts)}; the same command goes on")
+        if self._total and not self._wholly.as_json and not isinstance(error, Exception):
+            say_unless_quiet(f"interrupted: {_in_words(counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
-            self._journal.end(counts, why, time.perf_counter() - self._begin)
-            # else the folder may be another batch's
-            if self._page is not None and not isinstance(error, TakenOverError):
+            self._log.end(counts, why, time.perf_counter() - self._begin)
+            if self._page is not None:
                 write_page(self._folder)
 
     def end(self, result: BatchResult) -> None:
         """Print what the batch came to."""
-        from navbake.batch.page.page import write_page  # not every batch has a page
-        from navbake.batch.stores.urls import shown
+        from navbake.batch.index import NAME, TABLE
+        from navbake.batch.page.page import NAME as PAGE
+        from navbake.batch.page.page import write_page
+        from navbake.batch.store import shown
 
-        skipped = result.skipped
         counts = {
-            "baked": result.count("ok") - skipped,
-            "skipped": skipped,
+            "baked": result.count("ok") - result.skipped,
+            "skipped": result.skipped,
             "failed": result.count("failed"),
             "left": result.count("left"),
         }
-        seconds = time.perf_counter() - self._begin
+        seconds, as_json = time.perf_counter() - self._begin, self._wholly.as_json
         try:
-            self._journal.end(counts, result.stopped, seconds)
-        except NavbakeError as error:  # of the log; what the batch came to is told all the same
-            if self._as_json:
+            self._log.end(counts, result.stopped, seconds)
+        except NavbakeError as error:  # of the log; what the batch came to is said all the same
+            if as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
-        if self._has_page:
+        names = [NAME, *[TABLE] * self._wholly.parquet]
+        if self._wholly.page:
             draw_missing_thumbnails(self._folder)
             try:
                 write_page(self._folder)
+                names.append(PAGE)
             except NavbakeError as error:
-                self._has_page = False
                 print_warnings([str(error)])
-        if self._as_json:
+        if as_json:
             return
         if result.stopped:
             print_error(f"stopped: {result.stopped}")
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
-        names = [INDEX, *[TABLE] * result.has_table, *[PAGE] * self._has_page]
         files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
-        say_unless_quiet(f"{_told(counts)}{notes} in {seconds:.1f} s: {files}")
+        say_unless_quiet(f"{_in_words(counts)}{notes} in {seconds:.1f} s: {files}")
 
 
-def _told(counts: Json) -> str:
+def _in_words(counts: Json) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
-    from navbake.batch.full import FullError
     from navbake.batch.page.page import draw_thumbnails
+    from navbake.batch.store import FullError
     from navbake.cli.progress import stage_progress
 
     try:

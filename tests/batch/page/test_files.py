@@ -8,10 +8,10 @@ import pytest
 
 from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room
-from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.manifest import list_jobs
 from navbake.batch.page.page import LivePage, draw_thumbnails, write_page
-from navbake.batch.stores.store import list_tree, read_file, remove_files
+from navbake.batch.run import Batch, Means, run_batch
+from navbake.batch.scenes import list_jobs
+from navbake.batch.store import read_file, remove_files, sizes_below
 from report_pages import content_of_page
 
 pytest.importorskip("fsspec")
@@ -26,20 +26,20 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     batch = Batch(jobs, FOLDER, {"grid": {"cell_size": 0.2}}, thumbnails=True)
     run_batch(batch, Means(), Told())
     thumbnail = f"{FOLDER}/first/thumbnail.png"
-    drawn = read_file(thumbnail, 1 << 20)
-    remove_files([thumbnail])
+    drawn = read_file(thumbnail)
+    remove_files(FOLDER, ["first/thumbnail.png"])
     assert run_batch(batch, Means(), Told()).skipped == 2
     assert draw_thumbnails(FOLDER, lambda share: None) == 0
-    assert read_file(thumbnail, 1 << 20) == drawn
-    remove_files([f"{FOLDER}/second/thumbnail.png"])
+    assert read_file(thumbnail) == drawn
+    remove_files(FOLDER, ["second/thumbnail.png"])
     write_page(FOLDER)
-    shown = content_of_page(read_file(f"{FOLDER}/index.html", 1 << 24))
+    shown = content_of_page(read_file(f"{FOLDER}/index.html"))
     made = [(scene["id"], scene["thumbnail"]) for scene in shown["scenes"]]
     assert made == [("first", True), ("second", False)]
     assert (shown["title"], shown["base"]) == ("out", ".")
-    remove_files([f"{FOLDER}/index.html"])
+    remove_files(FOLDER, ["index.html"])
     LivePage(FOLDER, 2).refresh(1)
-    assert "index.html" not in list_tree(FOLDER)
+    assert "index.html" not in sizes_below(FOLDER)
     # what is baked anew without a page has no old thumbnail
     run_batch(Batch(jobs, FOLDER, {}), Means(), Told())
-    assert not any(Path(name).name == "thumbnail.png" for name in list_tree(FOLDER))
+    assert not any(Path(name).name == "thumbnail.png" for name in sizes_below(FOLDER))

@@ -21,12 +21,13 @@ from batch_scenes import CHEST, draw_room, write_scenes, wrong_rows
 from navbake import bake, files, samples
 from navbake.baker.pipeline import run_bake
 from navbake.batch import index as index_module
-from navbake.batch import products, work
-from navbake.batch.batch import Means
-from navbake.batch.crew import JobLimits
+from navbake.batch import job as job_module
+from navbake.batch import products, store
 from navbake.batch.index import NAME, only_batch, read_index
-from navbake.batch.manifest import list_jobs
-from navbake.batch.products import NOTE
+from navbake.batch.products import RECORD
+from navbake.batch.run import Means
+from navbake.batch.scenes import list_jobs
+from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, SceneError
 from project_paths import ROOT
@@ -75,7 +76,7 @@ def digests(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in Path(folder).rglob("*")
-        if path.is_file() and path.name != NAME
+        if path.is_file() and path.name not in (NAME, RECORD)
     }
 
 
@@ -100,7 +101,7 @@ def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path):
     names, result = run(*sources, out=tmp_path / "out", means=means)
     assert names == ["hangs"] and result.skipped == 6
     assert wrong_rows([*read_index(tmp_path / "out").values()], expected) == []
-    assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*")) == good
+    assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*.gz")) == good
     grid = navbake.bake(tmp_path / "scenes" / "good-0003.xml", grid=SETTINGS["grid"])
     grid.timings = {}
     grid.save(tmp_path / "one.json.gz")
@@ -117,17 +118,6 @@ def test_the_disk_is_waited_for_once_before_the_index_is_put_in_order(scenes, he
     calls.clear()
     run(*ALL)
     assert calls == ["file"]  # all is done
-
-
-def test_no_row_follows_half_of_another_where_the_disk_gets_full(tmp_path, monkeypatch):
-    index, real = index_module.Index(tmp_path), os.write
-    index.add({"id": "a"})
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "write", lambda file, data: real(file, data[:3]))
-        index.add({"id": "b"})  # there is room again
-        index.add({"id": "c"})
-    index.close()
-    assert [*read_index(tmp_path)] == ["a", "b", "c"]
 
 
 def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):
@@ -212,7 +202,7 @@ def test_products_are_made_missed_and_removed(scenes, here):
         *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
     run("scenes/first.xml", products=make)
-    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs() | {NOTE}
+    assert {path.name for path in Path("out/first").iterdir()} == names_in_docs() | {RECORD}
     inflated = navbake.load("out/first/grid.json.gz").inflate(0.3)
     inflated.save("inflated.json.gz")
     assert (
@@ -228,7 +218,7 @@ def test_products_are_made_missed_and_removed(scenes, here):
     Path("out/first/notes.txt").write_text("mine")
     assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
     left = {path.name for path in Path("out/first").iterdir()}
-    assert left == {"grid.json.gz", "report.html", "notes.txt", NOTE}
+    assert left == {"grid.json.gz", "report.html", "notes.txt", RECORD}
 
 
 def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here):
@@ -248,18 +238,18 @@ def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here)
         assert before.items() <= now.items()
         return now.keys() - before.keys()
 
-    grid = {"grid.json.gz"}
+    grid = {"grid.json.gz", RECORD}
     again = ["agent.radius=0.1"]
     assert run("list.csv", out=".")[1].count("ok") == 1 and made() == grid
     assert run("list.csv", out=".", overrides=again)[1].count("ok") == 1 and made() == grid
     run("list.csv", out=".", products=["inflated:0.3"])
-    assert made() == {*grid, "inflated-0.3.json.gz", NOTE}
+    assert made() == {*grid, "inflated-0.3.json.gz"}
     Path(NAME).unlink()
     assert run("list.csv", out=".")[0] == ["houses/0001"] and made() == grid
     for name in ("nav2.pgm", "thumbnail.png"):  # which are asked for now
         before.pop(name)
     run("list.csv", out=".", products=["nav2"], thumbnails=True)
-    assert made() == {*grid, "nav2.pgm", "nav2.yaml", "thumbnail.png", NOTE}
+    assert made() == {*grid, "nav2.pgm", "nav2.yaml", "thumbnail.png"}
     before.pop("scene.xml")
     (place / "scene.xml").write_text("<mujoco>")
     assert run("list.csv", out=".")[1].count("failed") == 1 and made() == {"scene.xml"}
@@ -282,33 +272,22 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
     Path("out/first").mkdir(parents=True)
     Path("out/first/picture.png").write_text("mine")
     with monkeypatch.context() as patch:
-        patch.setattr(work, "write_navgrid", Mock(side_effect=KeyboardInterrupt))
+        patch.setattr(job_module, "write_navgrid", Mock(side_effect=KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run(ALL[0], products=["nav2", "report"], thumbnails=True)
-    made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", NOTE}
+    made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", RECORD}
     assert {*os.listdir("out/first")} == made | {"picture.png"}
     Path("out", NAME).unlink()
     if then == "is lost":  # with its worker: the batch's own process clears up
         job = list_jobs([ALL[0]])[0]
-        row = work.fail(work.Order(job, SETTINGS, (), (), Path("out")), "too long", "60 s")
+        row = job_module.fail(job_module.Plan(Path("out"), SETTINGS), job, "too long", "60 s", 60)
         assert row["status"] == "failed"
     if then == "fails":
         Path(ALL[0]).write_text("<mujoco>")
     if then != "is lost":
         run(ALL[0])
-    grid = {"grid.json.gz"} if then == "made anew" else set()
+    grid = {"grid.json.gz", RECORD} if then == "made anew" else set()
     assert {*os.listdir("out/first")} == {"picture.png"} | grid
-
-
-def test_a_note_of_a_stranger_names_nothing_but_products(tmp_path):
-    (tmp_path / "a").mkdir()
-    for name in ("b.txt", "a/b.txt", "a/report.html", "a/nav2.yaml"):
-        (tmp_path / name).write_text("mine")
-    note = tmp_path / "a" / NOTE
-    note.write_bytes(b"../b.txt\nb.txt\n\n.\nreport.html\n\xff\n")
-    products.remove_products(tmp_path / "a")
-    assert sorted(os.listdir(tmp_path / "a")) == ["b.txt", "nav2.yaml"]
-    assert (tmp_path / "b.txt").exists()
 
 
 @pytest.mark.parametrize("num_levels", [1, 2])
@@ -319,7 +298,10 @@ def test_the_names_of_products_are_known_before_they_are_made(tmp_path, num_leve
     assert min(len(grid.levels), 2) == num_levels
     texts = ("inflated:0.3", "inflated:.3:0.1", "nav2", "nav2:0.3", "voxels:0.5:npz", "picture")
     for product in products.parse_products([*texts, "voxels:1", "report"]):
-        assert {*product.names(grid)} == {*product.make(grid, config, tmp_path)}
+        folder = tmp_path / str(product).replace(":", "-")
+        folder.mkdir()
+        product.make(grid, config, folder)
+        assert {*product.names(grid)} == {*os.listdir(folder)}
 
 
 def test_the_order_of_products_changes_nothing(scenes, here):
@@ -358,22 +340,6 @@ def test_outlines_of_an_override_are_beside_each_scenes_settings(scenes, here):
         with pytest.raises(ConfigError, match=message):
             run(*sources, out="no", overrides=[f"rooms.polygons={name}"])
     assert not Path("no").exists()
-
-
-def test_an_index_with_names_that_no_file_can_have_is_no_row(scenes, here):
-    known = run("scenes/first.xml")[1].rows[0]
-    for name in ("a\0b", "\ud800"):
-        sought = {"folders": [name], "names": known["sought"]["names"]}
-        odd = [
-            {**known, "inputs": {**known["inputs"], name: {"size": 1, "modified": 0}}},
-            {**known, "files": {name: {"size": 1, "modified": 0}}},
-            {**known, "sought": sought},
-        ]
-        for row in odd[:2]:
-            Path("out/index.jsonl").write_text(json.dumps(row) + "\n")
-            assert run("scenes/first.xml")[0] == ["first"]
-        Path("out/index.jsonl").write_text(json.dumps(odd[2]) + "\n")
-        assert run("scenes/first.xml")[1].count("ok") == 1
 
 
 @pytest.mark.parametrize(
@@ -426,7 +392,7 @@ def test_a_fault_of_a_bake_is_a_row(scenes, here, monkeypatch):
     def bake(config, threads):
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
+    monkeypatch.setattr("navbake.batch.job.run_bake", bake)
     rows = run(*ALL)[1].rows
     assert {row["how"] for row in rows} == {"error"}
     assert rows[0]["error"].startswith("ZeroDivisionError: by zero")
@@ -436,9 +402,9 @@ def test_memory_that_a_library_lacked_is_for_the_worker_to_tell(scenes, here, mo
     def bake(config, threads):
         raise SceneError("MuJoCo cannot load it") from ValueError("Could not allocate memory")
 
-    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
+    monkeypatch.setattr("navbake.batch.job.run_bake", bake)
     assert {row["how"] for row in run(*ALL)[1].rows} == {"error"}  # nothing limits this process
-    monkeypatch.setattr("navbake.batch.work.lacked_memory", lambda error: True)
+    monkeypatch.setattr("navbake.batch.job.lacked_memory", lambda error: True)
     with pytest.raises(MemoryError, match="MuJoCo cannot load it"):
         run(*ALL)
 
@@ -455,18 +421,22 @@ def test_a_batch_ends_after_too_many_failures(scenes, here):
     assert run(*sources)[0] == ["bad-1", "bad-2", "second"]
 
 
-def test_an_index_that_was_cut_off_is_mended(scenes, here):
+def test_the_index_is_a_report_and_the_records_say_what_is_done(scenes, here):
     run(*ALL)
     index = Path("out", NAME)
-    lines = index.read_bytes().splitlines(keepends=True)
+    whole = index.read_bytes()
+    lines = whole.splitlines(keepends=True)
     index.write_bytes(lines[0] + lines[1][:100] + b"\n[1]\nnull\n" + lines[2][:50])
-    assert run(*ALL)[0] == ["second", "meshed.mjcf"]
-    assert [json.loads(line)["id"] for line in index.read_text().splitlines()] == [
-        *("first", "second", "meshed.mjcf")
-    ]
-    row = json.loads(lines[0])
-    index.write_text(json.dumps({**row, "inputs": 3}) + "\n")  # by whom ever
-    assert run(ALL[0])[0] == ["first"]
+    assert run(*ALL)[0] == [] and index.read_bytes() == whole
+    index.unlink()
+    assert run(*ALL)[0] == [] and index.read_bytes() == whole
+    record = Path("out/first", RECORD)
+    row = json.loads(record.read_text())
+    for text in ("", "[]", '{"files": {}}', json.dumps({**row, "key": 3}), json.dumps(row)[:-9]):
+        record.write_text(text)
+        assert run(*ALL)[0] == ["first"], text
+    Path("out/second/grid.json.gz").write_bytes(b"")
+    assert run(*ALL)[0] == ["second"]
 
 
 def test_scenes_of_another_batch_stay_in_the_index(scenes, here):
@@ -496,18 +466,12 @@ def test_an_interrupted_run_forgets_nothing_that_still_holds(scenes, monkeypatch
     stay_in_process(monkeypatch)
     run(*ALL, products=["nav2"])
     index, made = Path("out", NAME).read_bytes(), digests("out")
-    bake = Mock(side_effect=KeyboardInterrupt)
-    for radius in (0.1, 0.15):  # however often
-        with monkeypatch.context() as patch:
-            patch.setattr(work, "run_bake", bake)
-            with pytest.raises(KeyboardInterrupt):
-                run(*ALL, products=["nav2"], overrides=[f"agent.radius={radius}"])
-        rows = [*read_index(Path("out")).values()]
-        assert [row["status"] for row in rows] == ["left"] * 3
-        assert all({*row} == {"id", "status", "source", "was"} for row in rows)
-    run("scenes/meshed.mjcf.xml", products=["nav2"])  # the others' rows stay
-    status = {name: row["status"] for name, row in read_index(Path("out")).items()}
-    assert status == {"meshed.mjcf": "ok", "first": "left", "second": "left"}
+    with monkeypatch.context() as patch:
+        patch.setattr(job_module, "run_bake", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run(*ALL, products=["nav2"], overrides=["agent.radius=0.1"])
+    rows = [*read_index(Path("out")).values()]
+    assert [row["status"] for row in rows] == ["left"] * 3
     names, result = run(*ALL, products=["nav2"])
     assert names == [] and result.skipped == 3 and digests("out") == made
     assert Path("out", NAME).read_bytes() == index
@@ -517,7 +481,7 @@ def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatc
     stay_in_process(monkeypatch)
     run(*ALL)
     made = digests("out")
-    real = work.write_navgrid
+    real = job_module.write_navgrid
 
     def write(grid, path):
         """Interrupt the second scene before its grid is there."""
@@ -526,7 +490,7 @@ def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatc
         real(grid, path)
 
     with monkeypatch.context() as patch:
-        patch.setattr(work, "write_navgrid", write)
+        patch.setattr(job_module, "write_navgrid", write)
         with pytest.raises(KeyboardInterrupt):
             run(*ALL, overrides=["agent.radius=0.1"])
     assert run(*ALL)[0] == ["first", "second"]
@@ -613,51 +577,30 @@ def test_a_folder_that_takes_no_more_files_stops_the_batch(scenes, here, monkeyp
     assert run(*ALL, products=["report"])[0] == ["second", "meshed.mjcf"]
 
 
-def test_a_product_without_room_in_the_temporary_folder_stops_no_batch(
-    scenes, here, tmp_path, monkeypatch
-):
-    (tmp_path / "tmp").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
-
-    def make(*arguments):
-        try:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "tmp" / "a"))
-        except OSError as error:
-            raise NavbakeError("no room in tmp") from error
-
-    monkeypatch.setattr(products.Product, "make", make)
-    result = run(*ALL[:2], products=["report"])[1]
-    assert result.stopped is None
-    assert [row["error"] for row in result.rows] == ["no room in tmp"] * 2
-
-
 def test_the_index_has_what_was_made_where_it_can_not_be_put_in_order(scenes, here, monkeypatch):
-    def refuse(folder):
+    def refuse(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    real = store.write_whole
     with monkeypatch.context() as patch:
-        patch.setattr(index_module, "write_whole", lambda content, path: refuse(path))
+        patch.setattr(
+            store,
+            "write_whole",
+            lambda data, path: refuse() if Path(path).name == NAME else real(data, path),
+        )
         result = run(*ALL[:2])[1]
         assert result.stopped == (
             "cannot write into out: No space left on device: free space and run the same command "
             "again"
         )
         assert result.count("ok") == 2 and [*read_index(Path("out"))] == ["first", "second"]
-        patch.setattr(index_module, "write_all", lambda file, line: refuse(file))
+        patch.setattr(index_module, "write_all", refuse)
         names, result = run(*ALL)
     assert names == [] and result.stopped.startswith("cannot write into out: No space")
-    assert [row["status"] for row in result.rows] == ["ok", "ok", "left"]
+    assert [row["status"] for row in result.rows] == ["ok", "ok", "ok"]
     assert [*read_index(Path("out"))] == ["first", "second"]
     names, result = run(*ALL)
-    assert names == ["meshed.mjcf"] and result.stopped is None
-
-
-def test_a_scene_that_can_not_be_read_is_not_a_folder_without_room(scenes, here, monkeypatch):
-    def bake(config, threads):
-        raise OSError(errno.EIO, "Input/output error")
-
-    monkeypatch.setattr("navbake.batch.work.run_bake", bake)
-    assert run(*ALL)[1].count("failed") == 3
+    assert names == [] and result.stopped is None
 
 
 def test_a_new_file_that_a_scene_may_mean_instead_is_noticed(scenes, here):
@@ -745,8 +688,8 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
             folders.append(folder)
             raise ConfigError("it can't be made of the sample")
 
-    monkeypatch.setattr(work, "write_thumbnail", lambda grid, folder: folders.append(folder))
-    work.prepare((), True)
-    work.prepare((Fake(),), True)
+    monkeypatch.setattr(job_module, "write_thumbnail", lambda grid, folder: folders.append(folder))
+    job_module.prepare((), True)
+    job_module.prepare((Fake(),), True)
     assert len(folders) == 3 and len(made) == 1 and made[0] > 1
     assert not any(folder.exists() for folder in folders)

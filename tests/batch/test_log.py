@@ -10,48 +10,40 @@ from pathlib import Path
 
 import pytest
 
-from navbake.batch.crew import AGAIN, BEGUN, CRASHED, LOST, READY, Event
-from navbake.batch.journal import Journal, LogFile, stamp
+from navbake.batch.job import stamp
+from navbake.batch.log import Log, LogFile
+from navbake.batch.workers import AGAIN, BEGUN, CRASHED, Ended
 from navbake.errors import NavbakeError
 
 
-def test_lines_say_when_how_serious_what_and_which_worker():
+def test_lines_say_when_how_serious_and_what():
     lines = []
-    journal = Journal([lines.append])
-    journal.begin(3, 1)
-    journal.hear(Event(READY, 1, seconds=2.00049), None)
-    journal.hear(Event(BEGUN, 1, 0), "a")
-    journal.hear(Event(BEGUN, 2, 1), "b")
-    journal.hear(Event(LOST, 2, 1, CRASHED, "by SIGSEGV", 0.5), "b")
-    journal.hear(Event(AGAIN, 2, 1, CRASHED, "by SIGSEGV", 0.5), "b")
-    journal.hear(Event(BEGUN, 3, 1), "b")
+    log = Log([lines.append])
+    log.begin(3, 1)
+    log.note(BEGUN, "a", Ended(0, "", ""))
+    log.note(AGAIN, "b", Ended(1, CRASHED, "by SIGSEGV", 0.50049, 22))
     row = {"id": "a", "status": "ok", "warnings": [], "inputs": {"a.xml": 1}, "key": "0"}
-    journal.end_scene({**row, "seconds": 1.5, "ended": stamp()})
-    journal.end_scene({**row, "id": "b", "warnings": ["low"]})
-    journal.end_scene({"id": "c", "status": "failed", "how": "error", "error": "none"})
-    journal.end({"baked": 2, "failed": 0}, None, 1.23456)
+    log.end_scene({**row, "seconds": 1.5, "ended": stamp()}, 23)
+    log.end_scene({**row, "id": "b", "warnings": ["low"]}, 24)
+    log.end_scene({"id": "c", "status": "failed", "how": "error", "error": "none"}, 0)
+    log.end({"baked": 2, "failed": 0}, None, 1.23456)
     times = [datetime.fromisoformat(line.pop("time").replace("Z", "+00:00")) for line in lines]
     assert times == sorted(times) and times[0].tzinfo == timezone.utc
     assert abs((datetime.now(timezone.utc) - times[-1]).total_seconds()) < 60
     assert [(line.pop("level"), line.pop("event")) for line in lines] == [
         ("info", "begin"),
-        ("info", "worker-ready"),
         ("info", "scene-begin"),
-        ("info", "scene-begin"),
-        ("warning", "worker-lost"),
         ("warning", "retry"),
-        ("info", "scene-begin"),
         ("info", "scene"),
         ("warning", "scene"),
         ("error", "scene"),
         ("info", "end"),
     ]
-    assert lines[1:3] == [{"worker": 1, "seconds": 2.0}, {"id": "a", "worker": 1}]
-    lost = {"id": "b", "worker": 2, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
-    assert lines[4] == lines[5] == lost
-    assert lines[7] == {"id": "a", "status": "ok", "warnings": [], "seconds": 1.5, "worker": 1}
-    assert lines[8]["worker"] == 3 and "worker" not in lines[9]
-    assert lines[10] == {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}
+    assert lines[1] == {"id": "a"}
+    retry = {"id": "b", "worker": 22, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
+    assert lines[2] == retry
+    assert lines[3] == {"id": "a", "status": "ok", "warnings": [], "seconds": 1.5, "worker": 23}
+    assert lines[6] == {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}
 
 
 def test_a_log_is_added_to_and_its_folder_made(tmp_path):

@@ -1,0 +1,223 @@
+"""Bakes a batch of scenes, each once, and notes what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from navbake.batch.index import Index, check_pyarrow, only_batch
+from navbake.batch.job import (
+    FAILED,
+    LEFT,
+    Plan,
+    bake_scene,
+    begin_row,
+    fail,
+    find_record,
+    prepare,
+)
+from navbake.batch.products import parse_products
+from navbake.batch.settings import Job, check_settings
+from navbake.batch.store import Folder, FullError, is_url, shown, sizes_below
+from navbake.batch.workers import DONE, Ended, JobLimits, OnEvent, do_jobs
+from navbake.errors import ConfigError
+from navbake.files import remove_abandoned, remove_leftovers
+from navbake.types import Json
+
+UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
+AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
+
+
+class Batch(NamedTuple):
+    """What to bake, and into what.
+
+    Attributes:
+        jobs: the scenes, see `scenes.list_jobs`.
+        folder: where the scenes' folders and the index are written, a Path or a URL; made if it
+            isn't there.
+        settings: what all scenes share, see `settings.read_shared`.
+        overrides: ``a.b=value``, for all scenes.
+        products: what to make of each besides its grid, see `products.KINDS`.
+        has_table: whether the index is written as Parquet as well.
+        thumbnails: whether to make small pictures for the batch's page, of scenes that are baked.
+    """
+
+    jobs: Sequence[Job]
+    folder: Folder
+    settings: Json
+    overrides: Sequence[str] = ()
+    products: Sequence[str] = ()
+    has_table: bool = False
+    thumbnails: bool = False
+
+
+class Executor(Protocol):
+    """Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
+
+    def __call__(
+        self,
+        jobs: Sequence[Any],
+        work: Callable[[Any], Any],
+        count: Any,
+        *,
+        limits: JobLimits,
+        prepare: Callable[[], None] | None,
+        on_event: OnEvent,
+    ) -> Generator[Ended, None, None]:
+        """Yields how each job ended; the workers are gone when it is closed, or at the end."""
+
+
+class Means(NamedTuple):
+    """What a batch may use.
+
+    Attributes:
+        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
+        limits: of each scene.
+        max_failures: the batch ends when more scenes failed than this; None for never.
+        executor: where the worker processes are; None for this machine.
+    """
+
+    workers: int | None = 1
+    limits: JobLimits = JobLimits()
+    max_failures: int | None = None
+    executor: Executor | None = None
+
+
+class Watch(Protocol):
+    """Is called as a batch goes on."""
+
+    def begin(self, total: int, skipped: int) -> None:
+        """Before the first scene is baked; not where there is none to bake."""
+
+    def note(self, event: str, scene: str, ended: Ended) -> None:
+        """When a scene begins or will be tried again, see `workers`."""
+
+    def end_scene(self, row: Json, worker: int) -> None:
+        """After each scene, with its row and the id of its process."""
+
+
+@dataclass
+class BatchResult:
+    """What a batch came to.
+
+    Attributes:
+        rows: of each scene, in the batch's order, as in the index.
+        skipped: how many were done already.
+        stopped: why the batch ended early, None if it didn't.
+    """
+
+    rows: list[Json] = field(default_factory=list)
+    skipped: int = 0
+    stopped: str | None = None
+
+    def count(self, status: str) -> int:
+        """How many scenes have a status: ``ok``, ``failed`` or ``left``."""
+        return sum(row["status"] == status for row in self.rows)
+
+
+def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
+    """Bake scenes in worker processes, each into a folder of its own.
+
+    A scene is done already if its folder has the grid and a record with its key, see
+    `job.open_scene`. One that fails, hangs or crashes its worker costs itself alone. Where the
+    folder has no room for one, the batch stops. However the batch ends, short of being killed, the
+    index has a row for each scene, in order, as far as there is room for it; ``left`` is one that
+    the batch did not come to.
+
+    Raises:
+        ConfigError: a product, an override or a shared setting is wrong, or a file is in a
+            process's own memory.
+        NavbakeError: the folder can't be written, another batch writes into it, or no worker
+            process starts.
+    """
+    products = parse_products(batch.products)
+    check_settings([job.source for job in batch.jobs], batch.settings, batch.overrides)
+    if batch.has_table:
+        check_pyarrow()
+    plan = Plan(batch.folder, batch.settings, tuple(batch.overrides), products, batch.thumbnails)
+    _refuse_unshared(plan, batch.jobs)
+    lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
+    with lock, closing(Index(plan.folder)) as index:
+        remove_abandoned()  # what batches that were killed left
+        try:
+            return _run(plan, batch, index, means, watch)
+        finally:
+            remove_abandoned()  # of workers that were killed
+
+
+def _run(plan: Plan, batch: Batch, index: Index, means: Means, watch: Watch) -> BatchResult:
+    rows = find_done(plan, batch.jobs)
+    left = [job for job in batch.jobs if job.id not in rows]
+    result = BatchResult(skipped=len(rows))
+    num_failed = 0
+    try:
+        if left:
+            watch.begin(len(batch.jobs), len(rows))
+        execute: Executor = means.executor or do_jobs
+        ended = execute(
+            left,
+            partial(bake_scene, plan),
+            means.workers or (None if means.executor else 1),
+            limits=means.limits,
+            prepare=partial(prepare, plan.products, plan.thumbnail),
+            on_event=lambda event, ended: watch.note(event, left[ended.number].id, ended),
+        )
+        with closing(ended):
+            for end in ended:
+                job = left[end.number]
+                row = end.value
+                if end.how != DONE:
+                    row = fail(plan, job, end.how, end.value, end.seconds)
+                if row["status"] == LEFT:  # there is no room for it, nor for the others
+                    result.stopped = row["error"]
+                    break
+                rows[job.id] = row
+                index.add(row)
+                watch.end_scene(row, end.worker)
+                num_failed += row["status"] == FAILED
+                if means.max_failures is not None and num_failed > means.max_failures:
+                    result.stopped = f"{num_failed} scenes failed, more than {means.max_failures}"
+                    break
+    except FullError as error:
+        result.stopped = str(error)
+    finally:
+        for job in left:
+            # its worker may have been killed as it wrote; on a store, the next one removes that
+            if job.id not in rows and isinstance(plan.folder, Path):
+                remove_leftovers(plan.folder / job.id)
+        result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in batch.jobs]
+        try:
+            index.finish(result.rows, batch.has_table)
+        except FullError as error:
+            result.stopped = result.stopped or str(error)
+    return result
+
+
+def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
+    """The rows of scenes that are done already, by id."""
+    sizes: Mapping[str, int] | None = None
+    if isinstance(plan.folder, str):
+        sizes = sizes_below(plan.folder)
+    find = partial(find_record, plan, sizes=sizes)
+    if sizes is None and not any(map(plan.urls, jobs)):
+        found = [find(job) for job in jobs]
+    else:
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            found = [*pool.map(find, jobs)]
+    return {row["id"]: row for row in found if row is not None}
+
+
+def _refuse_unshared(plan: Plan, jobs: Sequence[Job]) -> None:
+    """Refuse URLs of files that processes don't share."""
+    urls = {url for job in jobs for url in plan.urls(job)}
+    for url in sorted(urls | ({plan.folder} if isinstance(plan.folder, str) else set())):
+        if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
+            raise ConfigError(
+                f"expected files that all processes share, got {shown(url)}: each process has a "
+                "memory of its own"
+            )

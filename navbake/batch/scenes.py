@@ -1,0 +1,367 @@
+"""The scenes of a batch: from files, patterns, and lists of them."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import json
+import math
+import os
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+from navbake.batch.products import OWN
+from navbake.batch.settings import Job, check_shared, merge, nest, of_id
+from navbake.batch.store import (
+    INSTALL,
+    Folder,
+    is_url,
+    join,
+    match_files,
+    parent,
+    plain_path,
+    read_file,
+    shown,
+)
+from navbake.config.errors import find_unknown_key, show_value
+from navbake.config.settings import SECTIONS, BakeConfig
+from navbake.errors import ConfigError, MissingDependencyError, shorten
+from navbake.types import Json
+
+SCENE_KEYS = ("scene", "config")  # of a row; one of them
+TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
+LINE_END = re.compile(r"\r\n?|\n")
+# what some file system takes for something else than a letter of a name
+SPECIAL = re.compile(r'[\\:*?"<>|]')
+RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
+MAX_BYTES = 200  # of a part of an id; file systems take 255
+WANTED = "expected a scene, settings, a list or a pattern, got"
+
+
+class _Entry(NamedTuple):
+    """A scene whose id may not be known yet."""
+
+    id: str | None
+    source: str
+    settings: Json
+    place: str
+
+
+def list_jobs(sources: Iterable[str]) -> list[Job]:
+    """List the scenes that some sources name, in their order.
+
+    A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
+    sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
+    a scene. Each may be a URL that fsspec knows. Paths in a list are relative to it. A row has
+    ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
+    in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. An empty value is
+    none. An id that is given is the grid's, too, whatever the scene's own settings say.
+
+    An id that isn't given is the file's name without its ending; of names that several share,
+    with as many of the folders above as tell them apart.
+
+    Raises:
+        ConfigError: a source names nothing, a list is broken, or ids can't be told apart. Whether
+            the scenes of lists and URLs are there is not asked: one that isn't fails by itself.
+        NavbakeError: a list can't be read.
+        MissingDependencyError: what a URL or Parquet needs is not installed.
+    """
+    found = [entry for source in sources for entry in _expand(plain_path(source))]
+    if not found:
+        raise ConfigError("expected at least one scene, got none")
+    jobs = [
+        Job(name, entry.source, merge(entry.settings, of_id(name)), entry.place)
+        if entry.id is not None
+        else Job(name, entry.source, entry.settings, entry.place)
+        for name, entry in zip(_name(found), found, strict=True)
+    ]
+    for job in jobs:
+        check_id(job.id, job.place)
+    _check_unique(jobs)
+    return jobs
+
+
+def check_id(name: str, place: str) -> None:
+    r"""Refuse an id that could lead out of the output folder, or that some file system refuses.
+
+    Raises:
+        ConfigError: it is empty or absolute; a part of it begins with a dot, ends with a dot or a
+            space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or what
+            can't be printed; or it is the name of a file that navbake writes of another scene.
+    """
+    for part in name.split("/"):
+        is_fine = (
+            part.isprintable()
+            and part == part.strip()
+            and not SPECIAL.search(part)
+            and not RESERVED.fullmatch(part)
+            and not part.startswith(".")
+            and not part.endswith(".")
+            and 0 < len(part.encode()) <= MAX_BYTES
+        )
+        if not is_fine:
+            raise ConfigError(
+                f"expected an id that can be the name of a folder on any system, or several "
+                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
+            )
+        if OWN.fullmatch(part.casefold()):
+            raise ConfigError(
+                f"expected an id without names of files that navbake writes, got {part} in "
+                f"{shorten(repr(name))} at {place}: give it another `id`"
+            )
+
+
+def fold_name(name: str) -> str:
+    """A name without what some file systems ignore: capitals, and how accents are composed.
+
+    Names that differ in nothing else may be one file. This is Unicode's canonical caseless
+    matching.
+    """
+    return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
+
+
+def _check_unique(jobs: list[Job]) -> None:
+    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_name`."""
+    seen: dict[str, Job] = {}
+    for job in jobs:
+        other = seen.setdefault(fold_name(job.id), job)
+        if other is not job and (other.id, other.source) == (job.id, job.source):
+            raise ConfigError(
+                f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
+                f"{job.place}: name it once, or give each an `id` of its own in a list"
+            )
+        if other is not job:
+            raise ConfigError(
+                f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
+                f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
+            )
+
+
+def _name(found: list[_Entry]) -> list[str]:
+    """The id of each entry: its own, or the end of its path that no other has."""
+    paths = [_parts_of(entry.source) for entry in found]
+    depths = [1] * len(found)
+    while True:
+        names = [
+            entry.id if entry.id is not None else "/".join(parts[-depth:])
+            for entry, parts, depth in zip(found, paths, depths, strict=True)
+        ]
+        counts = Counter(map(fold_name, names))
+        longer = [
+            depth + (entry.id is None and counts[fold_name(name)] > 1 and depth < len(parts))
+            for entry, parts, depth, name in zip(found, paths, depths, names, strict=True)
+        ]
+        if longer == depths:
+            return names
+        depths = longer
+
+
+def _parts_of(source: str) -> tuple[str, ...]:
+    """The parts of a path that can be an id: without its ending and the root."""
+    if is_url(source):
+        path = PurePosixPath("/", shown(source).partition("://")[2].rpartition("@")[2])
+        return path.with_suffix("").parts[1:] if path.name else ("",)
+    return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
+
+
+def _expand(source: str) -> Iterator[_Entry]:
+    """The scenes that a source names."""
+    name = shown(source)
+    is_pattern = glob.has_magic(name) and not os.path.exists(source)
+    if not is_url(source) and not is_pattern and not os.path.exists(source):
+        raise ConfigError(f"{WANTED} {source}: there is no such file")
+    if PurePosixPath(name).suffix.lower() in READERS:
+        yield from _read_list(source)
+    elif source.endswith("/") or os.path.isdir(source):
+        folder = name.rstrip("/")
+        raise ConfigError(f"{WANTED} the folder {folder}: name what is in it, as '{folder}/*.xml'")
+    elif is_pattern:
+        if is_url(source):
+            paths = match_files(source)
+        else:
+            # a folder is no scene; one that can't be read, as by a broken link, will fail
+            found = sorted(glob.glob(source, recursive=True))
+            paths = [path for path in found if os.path.isfile(path) or not os.path.exists(path)]
+        if not paths:
+            raise ConfigError(f"expected files that match {name}, got none")
+        for path in paths:
+            yield _Entry(None, path, {}, shown(path))
+    else:
+        yield _Entry(None, source, {}, name)
+
+
+# ---------------------------------------------------------------- lists
+
+
+def _read_list(source: str) -> Iterator[_Entry]:
+    name = shown(source)
+    read = READERS[PurePosixPath(name).suffix.lower()]
+    is_empty = True
+    for place, row in read(read_file(source), name):
+        is_empty = False
+        yield _entry(row, parent(source), place)
+    if is_empty:
+        raise ConfigError(f"expected at least one scene in {name}, got none")
+
+
+def _entry(row: Json, folder: Folder, place: str) -> _Entry:
+    row = _without_nones(row)
+    given = [key for key in SCENE_KEYS if key in row]
+    if len(given) != 1 or not isinstance(row[given[0]], str):
+        raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
+    name, path = row.pop("id", None), row.pop(given[0])
+    nested = row.pop("settings", {})
+    if not isinstance(nested, dict):
+        raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
+    if isinstance(name, bool) or not isinstance(name, str | int | None):
+        got = show_value(name)
+        raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
+    settings = nest([*nested.items(), *row.items()], folder, place)
+    check_shared(settings, place)
+    for key in settings:
+        if key not in BakeConfig.model_fields:
+            raise ConfigError(
+                f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
+                f"`{shorten(key)}` at {place}"
+            )
+    unknown = find_unknown_key(settings, SECTIONS)
+    if unknown is not None:
+        raise ConfigError(f"{unknown} at {place}")
+    return _Entry(None if name is None else str(name), join(folder, path), settings, place)
+
+
+def _without_nones(row: Mapping[str, Any]) -> Json:
+    """A row, or settings in it, without what counts as not given."""
+    found = {}
+    for key, value in row.items():
+        given = _without_nones(value) if isinstance(value, Mapping) else value
+        is_none = given is None or given in ("", {})
+        if not is_none and not (isinstance(given, float) and math.isnan(given)):
+            found[key] = given
+    return found
+
+
+def _text_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    for place, line in _lines(content, source):
+        if not line.strip().startswith("#"):
+            yield place, {"scene": line.strip()}
+
+
+def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    """The rows, each under the line that it begins at: a value in quotes may have several."""
+    text = io.StringIO(_text_of(content, source), newline="")
+    reader = csv.reader(text, strict=True, skipinitialspace=True)
+    names: list[str] = []
+    place = f"{source}, line 1"
+    try:
+        for values in reader:
+            if values and not names:
+                _check_columns(values, place)
+                names = values
+            elif values:
+                yield place, _csv_row(names, values, place)
+            place = f"{source}, line {reader.line_num + 1}"
+    except csv.Error as error:
+        raise ConfigError(f"broken CSV at {place}: {error}") from error
+
+
+def _csv_row(names: list[str], values: list[str], place: str) -> Json:
+    if len(values) > len(names):
+        raise ConfigError(
+            f"expected as many values as columns at {place}: {len(names)}, got {len(values)}: "
+            f"{show_value(','.join(values))}"
+        )
+    row = {name: value for name, value in zip(names, values, strict=False) if value}
+    scene = next((row[key] for key in SCENE_KEYS if key in row), "")
+    if scene.startswith("#"):
+        raise ConfigError(
+            f"expected a scene, got {show_value(scene)} at {place}: a CSV has no comments, "
+            "and a path that begins so is written with ./ before it"
+        )
+    return {name: value if name in TEXTS else _plain(value) for name, value in row.items()}
+
+
+def _check_columns(names: list[str], place: str) -> None:
+    if not {*names} & {*SCENE_KEYS}:
+        got = show_value(",".join(names))
+        raise ConfigError(
+            f"expected names of columns, `scene` or `config` among them, got {got} at {place}"
+        )
+    for name, count in Counter(names).items():
+        if name and count > 1:
+            raise ConfigError(f"expected each column once, got `{name}` {count} times at {place}")
+
+
+def _plain(text: str) -> Any:
+    """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
+    try:
+        return json.loads(text, object_pairs_hook=_object)
+    except (ValueError, RecursionError):
+        return text
+
+
+def _object(pairs: list[tuple[str, Any]]) -> Json:
+    """An object of JSON; a ValueError where a key stands twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        key = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key `{shorten(key)}` stands twice")
+    return found
+
+
+def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    for place, line in _lines(content, source):
+        try:
+            row = json.loads(line, object_pairs_hook=_object)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"broken JSON at {place}: {error}") from error
+        if not isinstance(row, dict):
+            raise ConfigError(f"expected an object at {place}, got {show_value(row)}")
+        yield place, row
+
+
+def _parquet_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+    try:
+        from pyarrow import parquet  # the extra `batch`
+    except ImportError as error:
+        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}") from error
+    try:
+        rows = parquet.read_table(io.BytesIO(content)).to_pylist()
+    except Exception as error:  # pyarrow raises its own, and what Python has for odd values
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ConfigError(f"broken Parquet in {source}: {reason}") from error
+    for number, row in enumerate(rows, 1):
+        # pandas adds a column that nobody asked for
+        yield (
+            f"{source}, row {number}",
+            {key: value for key, value in row.items() if not key.startswith("__index_level_")},
+        )
+
+
+def _lines(content: bytes, source: str) -> Iterator[tuple[str, str]]:
+    """Lines that aren't blank, each with its place for messages; they may end as on any system."""
+    for number, line in enumerate(LINE_END.split(_text_of(content, source)), 1):
+        if line.strip():
+            yield f"{source}, line {number}", line
+
+
+def _text_of(content: bytes, name: str) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start].decode()
+        line = 1 + len(LINE_END.findall(before))
+        raise ConfigError(f"expected UTF-8 in {name}, line {line}: {error.reason}") from error
+
+
+READERS = {
+    ".txt": _text_rows,
+    ".csv": _csv_rows,
+    ".jsonl": _json_rows,
+    ".parquet": _parquet_rows,
+}

@@ -1,0 +1,381 @@
+"""Files of a batch: on this machine, or on a store that fsspec knows.
+
+Only this module loads fsspec. What a store refuses is a NavbakeError that names the file.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import posixpath
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
+from navbake.files import write_whole
+from navbake.types import Json
+
+Folder: TypeAlias = Path | str
+"""A folder: a Path of this machine, or the URL of one on a store."""
+
+INSTALL = 'pip install "navbake[batch]"'
+URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
+URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
+HERE = ("file", "local")  # schemes of this machine's own files
+WEB = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
+# Schemes whose files appear whole when their upload ends. Elsewhere a file is written under
+# another name and moved, which on an object store would be a second upload.
+OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
+# What a store says of a file that is another when the content is: a digest or a version, else a
+# time of change
+TAGS = ("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation")
+TIMES = (
+    "lastmodified",
+    "last_modified",
+    "last-modified",
+    "mtime",
+    "modified",
+    "updated",
+    "created",
+)
+MISSING = "there is no such file"
+# What the system says of a file system that takes no more files, and what helps
+REMEDIES = {
+    errno.ENOSPC: "free space",
+    getattr(errno, "EDQUOT", errno.ENOSPC): "free space",  # Windows has no quotas
+    errno.EROFS: "make it writable",
+}
+
+
+class FullError(NavbakeError):
+    """An output folder takes no more files, so that no scene can be kept in it."""
+
+
+# ---------------------------------------------------------------- URLs
+
+
+def is_url(path: object) -> bool:
+    """Whether something is the URL of a file on a store; ``file://`` is this machine's own."""
+    found = URL.match(path) if isinstance(path, str) else None
+    return found is not None and found[1].lower() not in HERE
+
+
+def plain_path(path: str) -> str:
+    """The path that a URL such as ``file:///a/b`` stands for; other paths and URLs stay."""
+    found = URL.match(path)
+    return found[2] if found is not None and found[1].lower() in HERE else path
+
+
+def as_folder(path: str | os.PathLike[str]) -> Folder:
+    """A folder as this package keeps it: the URL without a slash at its end, or a Path."""
+    text = plain_path(os.fspath(path))
+    return text.rstrip("/") if is_url(text) else Path(text)
+
+
+def parent(path: str) -> Folder:
+    """The folder that a file is in."""
+    if not is_url(path):
+        return Path(path).parent
+    return _without_query(path).rpartition("/")[0]
+
+
+def join(folder: Folder, name: str) -> str:
+    """The path of a file whose name counts from a folder; a URL or an absolute path stays.
+
+    Raises:
+        ConfigError: the name leads out of the folder's store.
+    """
+    name = plain_path(name)
+    if is_url(name) or os.path.isabs(name):
+        return name
+    if isinstance(folder, Path):
+        return str(folder / name)
+    scheme, _, path = folder.partition("://")
+    host, path = path.partition("/")[0], posixpath.normpath(posixpath.join(path, name))
+    if path.partition("/")[0] != host:
+        raise ConfigError(f"expected a path within {shown(folder)}, got {name}")
+    return f"{scheme}://{path}"
+
+
+def shown(url: str) -> str:
+    """A URL as messages and the index show it: without a password, and without a query."""
+    found = URL.match(url)
+    if found is None:
+        return url
+    authority, slash, path = _without_query(url).partition("://")[2].partition("/")
+    user, at, host = authority.rpartition("@")
+    # services of the web take a token as the user
+    user = "" if found[1].lower() in WEB or not at else f"{user.partition(':')[0]}@"
+    return f"{found[1]}://{user}{host}{slash}{path}"
+
+
+def _without_query(url: str) -> str:
+    return url.partition("?")[0] if url.lower().startswith(WEB) else url
+
+
+# ---------------------------------------------------------------- files, here and on stores
+
+
+def read_file(path: str | Path) -> bytes:
+    """Read a file whole.
+
+    Raises:
+        NavbakeError: it isn't there, or can't be read.
+    """
+    with _naming("read", path):
+        if isinstance(path, str) and is_url(path):
+            system, inner = _open_store(path)
+            return bytes(system.cat_file(inner))
+        return Path(path).read_bytes()
+
+
+def write_file(folder: Folder, name: str, content: bytes) -> None:
+    """Write a file whole: others see the old content or the new, and nothing between.
+
+    Raises:
+        FullError: the folder has no room.
+        NavbakeError: it can't be written.
+    """
+    with _naming("write", folder):
+        if isinstance(folder, Path):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            write_whole(content, folder / name)
+            return
+        system, path = _open_store(f"{folder}/{name}")
+        if folder.partition("://")[0].lower() in OBJECT_STORES:
+            system.pipe_file(path, content)
+            return
+        above = path.rpartition("/")[0]
+        beside = f"{above}/.navbake-{os.urandom(8).hex()}.tmp"
+        system.makedirs(above, exist_ok=True)
+        try:
+            system.pipe_file(beside, content)
+            with suppress(FileNotFoundError):  # some stores move nothing over what is there
+                system.rm_file(path)
+            system.mv(beside, path)
+        except BaseException:
+            with suppress(Exception):
+                system.rm_file(beside)
+            raise
+
+
+def remove_files(folder: Folder, names: Iterable[str]) -> None:
+    """Remove files in this order; one that isn't there is removed already."""
+    with _naming("write", folder):
+        for name in names:
+            with suppress(FileNotFoundError, NotADirectoryError):
+                if isinstance(folder, Path):
+                    (folder / name).unlink()
+                else:
+                    system, path = _open_store(f"{folder}/{name}")
+                    system.rm_file(path)
+
+
+def sizes_below(folder: str) -> dict[str, int]:
+    """The size of each file in a folder of a store and the folders in it [bytes], by its path."""
+    with _naming("list", folder):
+        system, path = _open_store(folder)
+        system.invalidate_cache()  # others may have written since
+        try:
+            found = system.find(path, detail=True)
+        except FileNotFoundError:
+            return {}
+        start = len(path.rstrip("/"))
+        return {name[start:].lstrip("/"): info["size"] for name, info in found.items()}
+
+
+def match_files(pattern: str) -> list[str]:
+    """The URLs of the files that a pattern with ``*``, ``?`` or ``[`` matches, sorted.
+
+    One file that is called so goes before. What begins with a dot is hidden.
+    """
+    with _naming("list", pattern):
+        system, path = _open_store(pattern)
+        if system.exists(path):
+            return [pattern]
+        is_hidden = re.compile(r"/\.").search
+        found = system.glob(path, detail=True).items()
+        names = sorted(name for name, info in found if info["type"] == "file")
+        inner = path.lstrip("/")  # a store's paths have no host
+        root = pattern.removesuffix(inner)
+        urls = [root + name.lstrip("/") for name in names if not is_hidden(name)]
+        return urls if pattern.endswith(inner) else [*map(system.unstrip_protocol, names)]
+
+
+@lru_cache(maxsize=1 << 16)
+def _digest(path: str, size: int, modified_ns: int) -> str:
+    """The sha256 of a file, which is read once for many scenes that share it."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while chunk := file.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def describe_file(path: Path) -> Json:
+    """Size and sha256 of a file of this machine."""
+    status = os.stat(path)
+    digest = _digest(str(path), status.st_size, status.st_mtime_ns)
+    return {"size": status.st_size, "sha256": digest}
+
+
+# ---------------------------------------------------------------- scenes of stores
+
+
+class Mirror:
+    """A folder into which files of stores are copied, each to the place that it has there.
+
+    It is one of `scene_files.Files`: it has what the store has, and copies a file when it is read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = Path(os.path.realpath(folder))
+        self._roots: dict[tuple[str, str], str] = {}  # `s3://user:password@host` by what it shows
+        self._given: dict[Path, str] = {}  # URLs with a query, by place
+        self._listed: dict[str, Mapping[str, Any]] = {}  # what stores say of files, by name
+        self._known: dict[Path, Mapping[str, Any] | None] = {}
+
+    def place(self, url: str) -> Path:
+        """Where a file of a store is, or would be, in the folder."""
+        scheme, _, rest = shown(url).partition("://")
+        authority, _, path = rest.partition("/")
+        self._roots[scheme, authority] = "/".join(_without_query(url).split("/")[:3])
+        place = self._folder.joinpath(scheme, authority, path)
+        self._given[place] = url
+        return place
+
+    def url_of(self, path: Path) -> str | None:
+        """The URL of a place in the folder; None of one outside."""
+        path = Path(os.path.abspath(path))
+        if path in self._given:
+            return self._given[path]
+        if not path.is_relative_to(self._folder):
+            return None
+        scheme, authority, *inner = [*path.relative_to(self._folder).parts, "", ""]
+        root = self._roots.get((scheme, authority))
+        return None if root is None else "/".join([root, *filter(None, inner)])
+
+    def has(self, path: Path) -> bool:
+        """Whether the store has the file that would be at a place."""
+        path = Path(os.path.abspath(path))
+        if path not in self._known:
+            url = self.url_of(path)
+            self._known[path] = None if url is None else self._look(url)
+        return self._known[path] is not None
+
+    def bring(self, path: Path) -> None:
+        """Copy a file, unless it is there."""
+        path = Path(os.path.abspath(path))
+        url = self.url_of(path)
+        if url is None or path.exists():
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(read_file(url))
+
+    def fetch(self, url: str) -> Path:
+        """Copy a file; returns where it is."""
+        path = self.place(url)
+        self.bring(path)
+        return path
+
+    def describe(self, path: Path) -> Json:
+        """Size of a file and what tells that it is the same: the store's tag, else its sha256."""
+        path = Path(os.path.abspath(path))
+        info = (self._known[path] if self.has(path) else None) or {}
+        facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
+        tags = (f"{key}:{facts[key]}" for key in (*TAGS, *TIMES) if key in facts)
+        tag = next(tags, None)
+        if tag is None or facts.get("size") is None:
+            self.bring(path)
+            return describe_file(path)
+        return {"size": facts["size"], "tag": tag}
+
+    def told(self, text: str) -> str:
+        """A text about files in the folder, as one about those on the stores."""
+        return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
+
+    def _look(self, url: str) -> Mapping[str, Any] | None:
+        """What the store says of a file; None if it has none."""
+        with _naming("read", url):
+            system, path = _open_store(url)
+            folder, _, name = path.rpartition("/")
+            is_web = url.lower().startswith(WEB)
+            if not is_web and folder not in self._listed:
+                infos: list[Mapping[str, Any]] = []
+                with suppress(FileNotFoundError, NotADirectoryError):
+                    infos = system.ls(folder, detail=True)
+                self._listed[folder] = {posixpath.basename(info["name"]): info for info in infos}
+            info: Mapping[str, Any] | None = None
+            if not is_web:
+                info = self._listed[folder].get(name)
+            else:
+                with suppress(FileNotFoundError):
+                    info = system.info(path)
+            return info if info is not None and info.get("type", "file") == "file" else None
+
+
+# ---------------------------------------------------------------- what stores and disks refuse
+
+
+def why_full(error: BaseException | None) -> OSError | None:
+    """The system's error that says that a disk takes no more: this one or a cause of it, or None.
+
+    Readers are never told so.
+    """
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in REMEDIES:
+            return error
+        error = error.__cause__
+    return None
+
+
+def refused(what: str, error: OSError) -> NavbakeError:
+    """The error for what the system refuses to write; a FullError where there is no room."""
+    why = error.strerror or str(error)
+    if error.errno in REMEDIES:
+        remedy = REMEDIES[error.errno]
+        return FullError(f"cannot write {what}: {why}: {remedy} and run the same command again")
+    return NavbakeError(f"cannot write {what}: {why}")
+
+
+def _open_store(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path there."""
+    try:
+        from fsspec.core import url_to_fs  # the extra `batch`
+    except ImportError as error:
+        scheme = url.partition("://")[0]
+        message = f"paths such as {scheme}:// need fsspec: {INSTALL}"
+        raise MissingDependencyError(message) from error
+    system, path = url_to_fs(url)
+    return system, str(path)
+
+
+@contextmanager
+def _naming(doing: str, path: Folder) -> Iterator[None]:
+    """Turn what a system or a store refuses into an error that names the file, and no password."""
+    name = shown(str(path))
+    try:
+        yield
+    except (NavbakeError, MemoryError):
+        raise
+    except Exception as error:  # stores raise what their libraries raise
+        full = why_full(error) if doing == "write" else None
+        if doing == "write" and not is_url(path) and isinstance(error, OSError):
+            raise refused(f"into {name}", error) from error
+        if full is not None:
+            raise refused(f"into {name}", full) from error
+        if isinstance(error, FileNotFoundError):
+            why = MISSING
+        elif name != str(path):  # a library's message may have the password
+            why = type(error).__name__
+        else:
+            text = " ".join(str(error).split()) or type(error).__name__
+            why = printable(URL_IN_TEXT.sub(lambda found: shown(found[0]), text)[:400])
+        # fsspec names the package that a kind of store needs
+        kind = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
+        raise kind(f"cannot {doing} {name}: {why}") from (None if name != str(path) else error)
