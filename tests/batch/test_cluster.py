@@ -11,10 +11,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from navbake.batch.batch import Batch, Means, run_batch
-from navbake.batch.cluster.executor import RayExecutor
-from navbake.batch.crew import CRASHED, DONE, TOO_LONG, JobLimits
-from navbake.batch.manifest import list_jobs
 
 import crew_jobs
 from batch_in_process import Told
