@@ -151,11 +151,6 @@ def _identity(file: Path, home: Path) -> tuple[str, str, str]:
     return os.path.realpath(file), os.path.realpath(file.parent), os.path.realpath(home)
 
 
-def places_from(folders: Iterable[Path], name: str) -> list[Path]:
-    """The paths that a name in MJCF may mean, as it counts from any of some folders."""
-    return _places(folders, [""], _slashed(name))
-
-
 def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
     """The paths that a name in MJCF may mean; `strippath` of a compiler drops its folders.
 

@@ -1,1 +1,0 @@
-"""MJCF as MuJoCo's parser reads it."""
