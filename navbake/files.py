@@ -135,7 +135,13 @@ def _beside(
     """Write a file under another name; what it gives puts it into its place."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
-        yield lambda: _write_device(pieces, path)
+
+        def write_device() -> None:
+            with open(path, "wb") as device:
+                device.writelines(pieces)
+            LOG.debug("wrote %s", path)
+
+        yield write_device
         return
     target = Path(os.path.realpath(path))
     if target.parent not in _swept:
@@ -160,12 +166,6 @@ def _beside(
         temporary.unlink(missing_ok=True)
         raise
     LOG.debug("wrote %s, %d bytes", path, size)
-
-
-def _write_device(pieces: Iterable[bytes], path: str | PathLike[str]) -> None:
-    with open(path, "wb") as device:
-        device.writelines(pieces)
-    LOG.debug("wrote %s", path)
 
 
 def _replace(temporary: Path, target: Path, unless_changed: FileState | None) -> None:

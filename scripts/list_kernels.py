@@ -1,6 +1,6 @@
 """Write navbake/kernels.json: which kernels Python calls, with which types, and what they cost.
 
-Bakes a sample, and then some scenes that need all kernels, with nothing compiled beforehand. Takes
+Bakes a sample, and then some scenes that need all kernels; where these aren't compiled, that takes
 some minutes. Run it when a test says that the list is out of date.
 """
 
@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import struct
-import tempfile
-import threading
-import time
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -20,8 +18,10 @@ from typing import Any
 import numpy as np
 
 import navbake
+from navbake.compiled import KERNELS, LIST
 
 ROOT = Path(__file__).parents[1]
+BYTES_PER_SECOND = 120_000  # of code that numba makes on one core
 
 # Two storeys joined by stairs, with geoms of all kinds, a door, and a crack in the floor
 SCENE = """<mujoco model="warm-up">
@@ -113,51 +113,60 @@ FOREIGN = {
 
 
 def main() -> None:
-    """Compile all kernels, and list them."""
-    argparse.ArgumentParser(description="Write the list of kernels, in some minutes.").parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # before numba is imported
-        from navbake.compiled import LIST
-
-        before = LIST.read_text(encoding="utf-8")
-        LIST.write_text('{"bake": [], "others": []}')  # nothing is compiled ahead of its call
-        try:
-            bake, others = record()
-        except BaseException:
-            LIST.write_text(before, encoding="utf-8")
-            raise
-        lines = [",\n".join(map(json.dumps, entries)) for entries in (bake, others)]
-        text = f'{{"bake": [\n{lines[0]}\n],\n"others": [\n{lines[1]}\n]}}\n'
-        LIST.write_text(text, encoding="utf-8")
-        seconds = [round(sum(entry[1] for entry in entries)) for entries in (bake, others)]
-        print(f"{len(bake)} kernels of bakes, {seconds[0]} s; {len(others)} others, {seconds[1]} s")
+    """List the kernels that a bake calls, and all others."""
+    parser = argparse.ArgumentParser(description="Write the list of kernels.")
+    parser.add_argument("--use", choices=USES, help="print what is called, for the script itself")
+    given = parser.parse_args()
+    if given.use is not None:
+        USES[given.use]()
+        print(json.dumps(list_called()))
+        return
+    bake, every = called_by("bake"), called_by("all")
+    others = [entry for entry in every if entry not in bake]
+    lines = [",\n".join(map(json.dumps, entries)) for entries in (bake, others)]
+    LIST.write_text(
+        f'{{"bake": [\n{lines[0]}\n],\n"others": [\n{lines[1]}\n]}}\n', encoding="utf-8"
+    )
+    print(f"{len(bake)} kernels of bakes, {len(others)} others")
 
 
-def record() -> tuple[list[Any], list[Any]]:
-    """Use all kernels, and note what Python calls, in the order of the first calls."""
-    from numba.core import event
+def called_by(use: str) -> list[Any]:
+    """The entries of what a use calls; it is repeated until it has nothing to compile."""
+    while True:
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", __file__, "--use", use],
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        entries: list[Any] | None = json.loads(done.stdout.splitlines()[-1])
+        if entries is not None:
+            return entries
 
-    entries: list[Any] = []
-    own = threading.local()  # some compile on threads beside others
 
-    class Recorder(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            own.started = [*getattr(own, "started", []), time.thread_time()]
+def list_called() -> list[Any] | None:
+    """The entries of all kernels that this process called; None if it compiled any.
 
-        def on_end(self, event: Any) -> None:
-            *own.started, begin = own.started
-            function = event.data["dispatcher"]
-            # a kernel that calls this one compiles it, too
-            if not own.started and function.__module__.startswith("navbake."):
-                name = f"{function.__module__}.{function.__name__}".removeprefix("navbake.")
-                seconds = round(time.thread_time() - begin, 2)
-                entries.append([name, seconds, [encode_type(t) for t in event.data["args"]]])
+    A kernel's types are known here if it was called or compiled, as those are that a kernel calls.
+    """
+    if any(kernel.stats.cache_misses for kernel in KERNELS):
+        return None
+    entries = []
+    for kernel in KERNELS:
+        name = f"{kernel.__module__}.{kernel.__name__}".removeprefix("navbake.")
+        size = sum(
+            path.stat().st_size
+            for path in Path(kernel.stats.cache_path).glob(f"*.{kernel.__name__}-*.nbc")
+        )
+        for signature in kernel.signatures:
+            seconds = round(size / len(kernel.signatures) / BYTES_PER_SECOND, 2)
+            entries.append([name, seconds, [encode_type(of) for of in signature]])
+    return entries
 
-    event.register("numba:compile", Recorder())
+
+def bake_sample() -> None:
+    """Bake what most bakes are like."""
     navbake.bake(ROOT / "configs" / "apartment.yaml")
-    count = len(entries)
-    use_all()
-    return entries[:count], entries[count:]
 
 
 def encode_type(of: Any) -> Any:
@@ -314,6 +323,8 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         with agent.block(disc=(start, 0.3)):
             finder.find_path(start, goal)
 
+
+USES = {"bake": bake_sample, "all": use_all}
 
 if __name__ == "__main__":
     main()

@@ -74,17 +74,15 @@ def choose_geoms(
         "hull" if mode == "hull" else "shell" if mode == "shell" else "surface" for mode in modes
     ]
     choices = [Choice(*rule, mode) for rule, mode in zip(rules, taken, strict=True)]
-    return choices, notes + unused + _note_opened(opened)
-
-
-def _note_opened(geoms: list[str]) -> list[str]:
-    if not geoms:
-        return []
-    more = f", and {len(geoms) - 1} more" if geoms[1:] else ""
-    return [
-        f"mesh geom {geoms[0]!r}{more} counts by its triangles, because its convex hull hides room "
-        "to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or hull to say which"
-    ]
+    notes += unused
+    if opened:
+        more = f", and {len(opened) - 1} more" if opened[1:] else ""
+        notes.append(
+            f"mesh geom {opened[0]!r}{more} counts by its triangles, because its convex hull hides "
+            "room to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or hull to "
+            "say which"
+        )
+    return choices, notes
 
 
 def _rule(
@@ -103,7 +101,12 @@ def _rule(
 
 def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
     group, body = model.geom_group, model.geom_bodyid
-    drawn = (_alpha(model) > 0) & (group < DRAWN_GROUPS)
+    # a geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it)
+    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
+    is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
+    by_material = (model.geom_matid >= 0) & is_default
+    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    drawn = (alpha > 0) & (group < DRAWN_GROUPS)
     visuals: dict[int, set[int]] = {}
     for visual in np.flatnonzero(drawn & ~collides):
         visuals.setdefault(int(body[visual]), set()).add(int(group[visual]))
@@ -120,15 +123,6 @@ def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
         else:
             rule.append((True, "is drawn"))
     return rule
-
-
-def _alpha(model: Any) -> Float:
-    """Each geom's opacity: its material's, unless its own colour was set (as MuJoCo draws it)."""
-    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
-    is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
-    by_material = (model.geom_matid >= 0) & is_default
-    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
-    return alpha
 
 
 def _find_excluded(

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.baker.scene.kernels.triangles import RIGHT, find_ways, measure_spans
-from navbake.baker.scene.shapes import Shapes, Solids
+from navbake.baker.scene.shapes import Shapes, Solids, find_reach
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
@@ -81,28 +80,8 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
 
 def _support(solids: Solids, way: Float) -> Float:
     """How far solids reach from their centres along horizontal unit vectors [m]."""
-    on_axis = np.einsum("nij,ni->nj", solids.mat.reshape(-1, 3, 3)[:, :2], way)
-    reach = np.zeros(len(way))
-    for kind in np.unique(solids.kind).tolist():
-        own = solids.kind == kind
-        reach[own] = _support_of_kind(kind, on_axis[own], solids.size[own])
-    return reach
-
-
-def _support_of_kind(kind: int, on_axis: Float, size: Float) -> Float:
-    """The same for solids of one kind; `on_axis` are the ways in their own frames, (n, 3)."""
-    if kind == SPHERE:
-        reach = size[:, 0]
-    elif kind == CAPSULE:
-        reach = size[:, 0] + np.abs(on_axis[:, 2]) * size[:, 1]
-    elif kind == ELLIPSOID:
-        reach = np.linalg.norm(on_axis * size, axis=1)
-    elif kind == CYLINDER:
-        round_part = np.sqrt(np.clip(1.0 - np.square(on_axis[:, 2]), 0.0, None))
-        reach = np.abs(on_axis[:, 2]) * size[:, 1] + round_part * size[:, 0]
-    else:  # BOX
-        reach = (np.abs(on_axis) * size).sum(axis=1)
-    return np.asarray(reach)
+    in_frame = np.einsum("nij,ni->nj", solids.mat.reshape(-1, 3, 3)[:, :2], way)
+    return find_reach(solids.kind, in_frame, solids.size)
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:

@@ -14,7 +14,7 @@ from navbake.baker.scene.collect import MeshTriangles, mesh_shapes
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int
 
 # The lines that look for room are this far apart, or further where there would be more of them [m]
 SPACING, MOST_LINES = 0.1, 10_000
@@ -85,9 +85,18 @@ def _cast(shapes: Shapes, lattice: Lattice) -> Columns:
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     """Mark the cells on whose line there is room; see `HiddenRoom.is_in_hull`."""
-    cell, z, starts, ends, turns = (
-        np.concatenate(pair) for pair in zip(_ends_of_hull(hull), _ends_of_mesh(mesh), strict=True)
+    # a line enters the hull (starts = 1) and leaves it (ends = 1), which turns nothing inside; in
+    # the mesh, room is over what faces up (starts = 2) and under what faces down (ends = 1)
+    up, hull_up = ((columns.normal[:, 2] > 0).astype(np.int64) for columns in (mesh, hull))
+    turned = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * up)
+    pairs = (
+        (_cells(hull), _cells(mesh)),
+        (hull.z, mesh.z),
+        (1 - hull_up, 2 * up),
+        (hull_up, 1 - up),
+        (np.zeros_like(hull_up), turned),
     )
+    cell, z, starts, ends, turns = (np.concatenate(pair) for pair in pairs)
     order = np.lexsort((ends, z, cell))
     cell, z, starts, ends, turns = (a[order] for a in (cell, z, starts, ends, turns))
     inside = np.cumsum(turns)
@@ -102,16 +111,3 @@ def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
 
 def _cells(columns: Columns) -> Int:
     return np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
-
-
-def _ends_of_hull(hull: Columns) -> tuple[Int, Float, Int, Int, Int]:
-    """Where lines enter (starts = 1) and leave (ends = 1) the hull; it turns nothing inside."""
-    faces_up = (hull.normal[:, 2] > 0).astype(np.int64)
-    return _cells(hull), hull.z, 1 - faces_up, faces_up, np.zeros_like(faces_up)
-
-
-def _ends_of_mesh(mesh: Columns) -> tuple[Int, Float, Int, Int, Int]:
-    """The surfaces of the mesh: starts = 2 over what faces up, ends = 1 under what faces down."""
-    faces_up = (mesh.normal[:, 2] > 0).astype(np.int64)
-    turns = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * faces_up)
-    return _cells(mesh), mesh.z, 2 * faces_up, 1 - faces_up, turns

@@ -251,7 +251,10 @@ def _dae_unit(path: Path) -> float:
 
 def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     """Turn a part into the world frame; leave out empty triangles and unused vertices."""
-    name = _own_name(part.name, path)
+    name = "".join(char if char.isprintable() else "_" for char in part.name)
+    if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
+        name = stem_of(path)
+    name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
     is_used = np.zeros(len(part.vertices), dtype=np.bool_)
     is_used[part.faces] = True
     vertices, faces = _only_used(part.vertices, part.faces, is_used)
@@ -275,11 +278,3 @@ def _only_used(vertices: Float, faces: Int32, is_used: Bool) -> tuple[Float, Int
     if is_used.all():
         return vertices, faces
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
-
-
-def _own_name(name: str, path: Path) -> str:
-    """A part's name, printable; the file's stem where trimesh made one up."""
-    name = "".join(char if char.isprintable() else "_" for char in name)
-    if re.fullmatch(r"geometry(_\d+)?", name):
-        return stem_of(path)
-    return name.removeprefix(path.name).removeprefix("_") or stem_of(path)

@@ -76,12 +76,8 @@ def load_model(
     Returns:
         The model, meshes by geom id, see `Scene.parts`, and the geom of `scene.ground`.
     """
-    model, parts = _load_file(settings, warnings)
-    return model, parts, None if settings.ground is None else int(model.ngeom) - 1
-
-
-def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[int, MeshPart]]:
     path, ground = Path(settings.path), settings.ground
+    parts: dict[int, MeshPart] = {}
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
@@ -90,9 +86,9 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
             raise SceneError(f"expected a scene file, got a {kind} at {path}")
         suffix = path.suffix.lower()
         if suffix in MESH_SUFFIXES:
-            parts = read_mesh_parts(path, settings.up, settings.unit)
-            return model_of_parts(parts, path, ground, warnings)
-        if suffix == MJB_SUFFIX:
+            found = read_mesh_parts(path, settings.up, settings.unit)
+            model, parts = model_of_parts(found, path, ground, warnings)
+        elif suffix == MJB_SUFFIX:
             if ground is not None:
                 raise ConfigError(
                     f"`scene.ground` can't be added to an MJB: bake the XML that {path} was made of"
@@ -101,20 +97,24 @@ def _load_file(settings: SceneSettings, warnings: list[str]) -> tuple[Any, dict[
                 f" (an MJB fits only the MuJoCo that wrote it, this is {mujoco_version()}: save it "
                 f"again, or bake its XML)"
             )
-            return compile_model(path, warnings, partial(_load_mjb, path), hint), {}
-        if suffix in XML_SUFFIXES:
-            return _load_xml(settings, warnings), {}
+            model = compile_model(path, warnings, partial(_load_mjb, path), hint)
+        elif suffix in XML_SUFFIXES:
+            model = _load_xml(settings, warnings)
+        else:
+            known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))
+            raise SceneError(f"cannot tell what {path} is: expected one of {known}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
-    known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))
-    raise SceneError(f"cannot tell what {path} is: expected one of {known}")
+    return model, parts, None if ground is None else int(model.ngeom) - 1
 
 
 def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
     path, ground = Path(settings.path), settings.ground
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
-    root = _peek_root(path)
+    root = ""  # where Python's parser doesn't get that far
+    with suppress(ElementTree.ParseError, ValueError, LookupError):
+        root = str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
     if root == "robot":
         text, meshes = read_urdf(path, settings.geoms, warnings)
         return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
@@ -129,13 +129,6 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         except (expat.ExpatError, ValueError, LookupError) as problem:  # says better where
             raise SceneError(f"broken XML in {path}: {problem}") from error
         raise
-
-
-def _peek_root(path: Path) -> str:
-    """The tag of an XML file's root; empty where Python's parser doesn't get that far."""
-    with suppress(ElementTree.ParseError, ValueError, LookupError):
-        return str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
-    return ""
 
 
 def model_of_parts(
@@ -181,31 +174,27 @@ def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
 
 
 def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec, to which ground is added; what MuJoCo warns of is added to `warnings`."""
+    """Compile a spec; what MuJoCo warns of is added to `warnings`.
+
+    Endless ground is added at a height, under a name that nothing else has.
+    """
     for mesh in spec.meshes:
         # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
         # to fill. They count by their triangles here. Older MuJoCos fill it always.
         if hasattr(mesh, "octree_maxdepth"):
             mesh.octree_maxdepth = 0
-    _add_ground(spec, ground)
+    if ground is not None:
+        name = unique_name("ground", {thing.name for thing in (*spec.geoms, *spec.bodies)})
+        body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
+        # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
     with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
         python_warnings.simplefilter("always")
         model = spec.compile()
     texts = [f"{BY_MUJOCO}{each.message}" for each in said]
     warnings.extend(text for text in texts if text not in warnings)
     return model
-
-
-def _add_ground(spec: Any, height: float | None) -> None:
-    """Add endless ground at a height, under a name that nothing else has."""
-    if height is None:
-        return
-    taken = {thing.name for thing in (*spec.geoms, *spec.bodies)}
-    name = unique_name("ground", taken)
-    body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, height))
-    # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
 
 
 def _build_model(parts: list[MeshPart], ground: float | None, warnings: list[str]) -> Any:
@@ -228,10 +217,12 @@ def _build_urdf(
 ) -> Any:
     """A model of a URDF, its meshes read as mesh scenes are, whatever their format."""
     spec = mujoco.MjSpec.from_string(text)
-    read = cache(lambda file: _join_parts(read_mesh_parts(files[file])))
+    read = cache(lambda file: read_mesh_parts(files[file]))
     for mesh in spec.meshes:
-        file, mesh.file = mesh.file, ""
-        _fill_mesh(mesh, *read(file))
+        parts, mesh.file = read(mesh.file), ""
+        first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+        faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
+        _fill_mesh(mesh, np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
     return _compile_geometry(spec, ground, warnings)
 
 
@@ -241,12 +232,6 @@ def _compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> A
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
     return compile_spec(spec, ground, warnings)
-
-
-def _join_parts(parts: list[MeshPart]) -> tuple[Float, Int]:
-    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
-    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
 
 
 def _fill_mesh(mesh: Any, vertices: Float, faces: Int) -> None:

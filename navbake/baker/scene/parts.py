@@ -25,7 +25,7 @@ from navbake.baker.scene.kernels.shells import (
 )
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.threads import num_threads, run_in_bands
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Float, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
@@ -76,7 +76,9 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         vertices: shape (n, 3), float64 [m].
         faces: shape (m, 3), indices, counter-clockwise from the front.
     """
-    number = _weld(np.ascontiguousarray(vertices, dtype=np.float64))
+    bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
+    number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
+    run_in_bands(weld_points, shares, bits, shares, number)
     point = number[faces]
     one, two, three = point.T
     kept = (one != two) & (two != three) & (three != one)
@@ -85,8 +87,11 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     found, is_shell = find_shells(point, len(vertices))
     turned = np.zeros(len(faces), dtype=np.bool_)
     if not is_shell.all():
-        rest = np.flatnonzero(~is_shell)
-        found[rest], turned[rest] = _find_parts(vertices, faces, point, rest)
+        rest = np.flatnonzero(~is_shell)  # these hang together with no shell
+        own, corners = faces[rest], point[rest]
+        areas, edges = measure_areas(vertices, own), list_edges(corners, len(vertices))
+        part, turned[rest] = find_parts(corners, areas, *edges)
+        found[rest] = np.where(part >= 0, rest[part], part)
     del point, is_shell
     kept = found != COPY
     if not kept.all():
@@ -99,13 +104,6 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
-
-
-def _weld(vertices: Float) -> Int32:
-    """Number vertices so that those at one place have one number, shape (n,)."""
-    number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
-    run_in_bands(weld_points, shares, vertices.view(np.uint64), shares, number)
-    return number
 
 
 def find_shells(faces: Int32, num: int) -> tuple[Int32, Bool]:
@@ -123,18 +121,6 @@ def find_shells(faces: Int32, num: int) -> tuple[Int32, Bool]:
     end, half = list_halves(faces, num)
     run_in_bands(pair_halves, num, faces, end, half, is_shell, least=4096)
     return unite_pairs(half, is_shell), is_shell
-
-
-def _find_parts(
-    vertices: Float, faces: NDArray[np.integer[Any]], point: Int32, rest: Int
-) -> tuple[Int, Bool]:
-    """What `find_parts` finds of some triangles, which hang together with no others."""
-    if len(rest) < len(faces):
-        faces, point = faces[rest], point[rest]
-    found, turned = find_parts(
-        point, measure_areas(vertices, faces), *list_edges(point, len(vertices))
-    )
-    return np.where(found >= 0, rest[found], found), turned
 
 
 def _number_parts(found: Int32) -> tuple[Int32, int]:

@@ -125,12 +125,24 @@ def load_scene(
         choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
     if not any(choice.counted for choice in own):
-        raise SceneError(_nothing_counts(settings, own))
+        if not own:
+            raise SceneError(f"{settings.path} has no geoms: nothing to bake")
+        reasons = sorted({choice.reason for choice in own})
+        raise SceneError(
+            f"none of the {len(own)} geoms of {settings.path} counts "
+            f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
+        )
     with _errors_name(settings):
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    warnings += [*_find_unused_settings(settings, parts), *lying(), *_warn_unit(settings, parts)]
+    given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
+    warnings += [
+        f"`scene.{name}` is for mesh files and does nothing here"
+        for name, is_given in given.items()
+        if is_given and not parts
+    ]
+    warnings += [*lying(), *_warn_unit(settings, parts)]
     warnings += [*notes, *collected.notes]
     return Scene(
         id=settings.id or stem_of(settings.path),
@@ -173,16 +185,6 @@ def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[G
     ]
 
 
-def _nothing_counts(settings: SceneSettings, choices: list[Choice]) -> str:
-    if not choices:
-        return f"{settings.path} has no geoms: nothing to bake"
-    reasons = sorted({choice.reason for choice in choices})
-    return (
-        f"none of the {len(choices)} geoms of {settings.path} counts "
-        f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
-    )
-
-
 def _find_unusable(model: Any) -> list[str]:
     """Warn of geometry that cannot be baked."""
     return [
@@ -190,18 +192,6 @@ def _find_unusable(model: Any) -> list[str]:
         + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
         for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
         if len(starts)
-    ]
-
-
-def _find_unused_settings(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
-    """Warn of settings that do nothing for this kind of scene."""
-    if parts:
-        return []
-    given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
-    return [
-        f"`scene.{name}` is for mesh files and does nothing here"
-        for name, is_given in given.items()
-        if is_given
     ]
 
 

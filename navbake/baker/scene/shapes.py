@@ -135,28 +135,34 @@ class Shapes:
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
-    half = np.zeros((len(kind), 3))
-    for number in np.unique(kind).tolist():
-        own = kind == number
-        half[own] = _half_sizes(number, mat[own].reshape(-1, 3, 3), size[own])
+    axes = mat.reshape(-1, 3, 3)
+    half = np.stack([find_reach(kind, axes[:, k], size) for k in range(3)], axis=1)
     return np.concatenate([pos - half, pos + half], axis=1)
 
 
-def _half_sizes(kind: int, rotation: Float, size: Float) -> Float:
-    """How far solids of one kind reach along x, y and z, shape (n, 3) [m]."""
-    axis, radius = np.abs(rotation[:, :, 2]), size[:, :1]
-    if kind == SPHERE:
-        half = np.broadcast_to(radius, axis.shape)
-    elif kind == CAPSULE:
-        half = radius + axis * size[:, 1:2]
-    elif kind == ELLIPSOID:
-        half = np.sqrt(np.square(rotation * size[:, None, :]).sum(axis=2))
-    elif kind == CYLINDER:
-        flat = np.sqrt(np.clip(1.0 - np.square(axis), 0.0, None))
-        half = axis * size[:, 1:2] + radius * flat
-    else:  # BOX
-        half = (np.abs(rotation) * size[:, None, :]).sum(axis=2)
-    return np.asarray(half)
+def find_reach(kind: Int32, way: Float, size: Float) -> Float:
+    """How far solids reach from their centres along unit vectors in their own frames, (n,) [m].
+
+    Args:
+        kind, size: fields of `Solids`.
+        way: shape (n, 3), float64.
+    """
+    reach = np.zeros(len(kind))
+    for number in np.unique(kind).tolist():
+        own = kind == number
+        along, half = np.abs(way[own]), size[own]
+        if number == SPHERE:
+            reach[own] = half[:, 0]
+        elif number == CAPSULE:
+            reach[own] = half[:, 0] + along[:, 2] * half[:, 1]
+        elif number == ELLIPSOID:
+            reach[own] = np.sqrt(np.square(along * half).sum(axis=1))
+        elif number == CYLINDER:
+            flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
+            reach[own] = along[:, 2] * half[:, 1] + half[:, 0] * flat
+        else:  # BOX
+            reach[own] = (along * half).sum(axis=1)
+    return reach
 
 
 def plane_triangles(half: Float) -> Float:
