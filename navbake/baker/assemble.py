@@ -14,8 +14,7 @@ from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
 from navbake.baker.warn import ContentNotes, collect_warnings
-from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import Door, Runs, to_runs
+from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData

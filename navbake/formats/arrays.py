@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from navbake.formats.allowance import Allowance
 from navbake.formats.values import MISSING, JsonPath, whole_number
-from navbake.navgrid.attributes import datatype_name
+from navbake.navgrid.metadata import datatype_name
 from navbake.types import Bool, Float, Int, Json
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")

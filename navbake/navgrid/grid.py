@@ -19,7 +19,7 @@ from navbake.errors import FormatError
 from navbake.navgrid.block_state import BLOCKED, CHANGING, BlockState
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.level_metadata import cut_metadata
+from navbake.navgrid.metadata import cut_metadata
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Json, Vector3
 
@@ -214,7 +214,7 @@ class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
     A level without metadata of its own takes over those of the whole when the grid is made, as
-    far as they are about it (see `navbake.navgrid.level_metadata`). So each level is a grid by
+    far as they are about it (see `navbake.navgrid.metadata`). So each level is a grid by
     itself.
 
     Attributes:

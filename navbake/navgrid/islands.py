@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.plain_islands import label_plainly
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
@@ -41,20 +40,68 @@ def find_islands(grid: GridBase) -> list[Int32]:
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     # one row of cells for all levels, so that links join cells like edges do
     links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
-    islands = _label_islands(start, width, free, floor, step_limit(grid), links)
+    cells = start, width, free, floor, step_limit(grid), links
+    if "numba" not in sys.modules and len(free) <= FEW_CELLS:
+        islands = label_plainly(*cells)
+    else:
+        from navbake.navgrid.kernels.connect import label_islands  # numba loads slowly
+
+        islands = label_islands(*cells)[0]
     return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
-def _label_islands(
+def label_plainly(
     start: Int, width: Int, free: Bool, floor: Float, limit: float, links: Int
 ) -> Int32:
-    """Number the parts, by the kernel or plainly: whichever is sooner done."""
-    if "numba" not in sys.modules and len(free) <= FEW_CELLS:
-        return label_plainly(start, width, free, floor, limit, links)
-    from navbake.navgrid.kernels.islands import label_islands  # numba loads slowly
+    """Number the parts in plain numpy, for processes that have not loaded numba.
 
-    islands: Int32 = label_islands(start, width, free, floor, limit, links)[0]
-    return islands
+    Connected components (Shiloach and Vishkin, 1982): cells of a row that are connected make one
+    run. Each run points at the lowest run that it is known to be connected with, at first itself.
+    Then, in turns, the ends of all pairs of connected runs are hooked, the higher to the lower, and
+    all pointers are followed to their ends, until no pair is left whose ends differ.
+
+    Takes and returns what `navbake.navgrid.kernels.connect.label_islands` does, but for the sizes.
+    """
+    # float32, and a difference of two that is rounded to it, could pass a limit
+    floor = floor.astype(np.float64)
+    begins, below = free.copy(), [np.zeros((0, 2), dtype=np.int64)]
+    for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
+        shape = (-1, int(columns))
+        is_free, height = free[first:last].reshape(shape), floor[first:last].reshape(shape)
+        cell = np.arange(first, last).reshape(shape)
+        right = is_free[:, 1:] & is_free[:, :-1] & _are_level(height[:, 1:], height[:, :-1], limit)
+        begins[first:last].reshape(shape)[:, 1:] &= ~right
+        down = is_free[1:] & is_free[:-1] & _are_level(height[1:], height[:-1], limit)
+        below.append(np.stack([cell[:-1][down], cell[1:][down]], axis=1))
+    run = np.cumsum(begins) - 1
+    links = links[free[links].all(axis=1)]
+    root = _join(int(np.count_nonzero(begins)), run[np.concatenate([*below, links])])
+    parts, number = np.unique(root, return_inverse=True)
+    size = np.bincount(number[run[free]], minlength=len(parts))
+    rank = np.empty(len(parts), dtype=np.int32)
+    # stable, so that equal parts stay in the order of their first cells
+    rank[np.argsort(-size, kind="stable")] = np.arange(1, len(parts) + 1)
+    island = np.zeros(len(free), dtype=np.int32)
+    island[free] = rank[number[run[free]]]
+    return island
+
+
+def _are_level(one: Float, other: Float, limit: float) -> Bool:
+    """Whether floors differ by at most a limit; where one isn't known, they do."""
+    return np.asarray(~(np.abs(one - other) > limit))
+
+
+def _join(num: int, pairs: Int) -> Int:
+    """For each of some items, the lowest one that it is connected with over pairs."""
+    root = np.arange(num)
+    while len(pairs):
+        ends = root[pairs]
+        pairs = pairs[ends[:, 0] != ends[:, 1]]
+        low, high = (function(root[pairs], axis=1) for function in (np.min, np.max))
+        np.minimum.at(root, high, low)
+        while (root[root] != root).any():
+            root = root[root]
+    return root
 
 
 def islands_of(grid: GridBase) -> list[Int32]:

@@ -149,7 +149,7 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
     Where corners may be cut, the diagonal ones among the `moves` of each cell, see
     `navbake.runtime.kernels.routes`, join cells that nothing else does.
     """
-    from navbake.navgrid.kernels.islands import label_islands
+    from navbake.navgrid.kernels.connect import label_islands
     from navbake.runtime.kernels.arrays import SOUTH_EAST, SOUTH_WEST
 
     layout, floors = flat.layout, flat.floors

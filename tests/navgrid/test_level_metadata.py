@@ -12,8 +12,7 @@ from differences import first_difference
 from grid_maps import house_from, level_from
 from navbake import PathFinder
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.navgrid.level_metadata import cut_metadata
-from navbake.navgrid.links import Link
+from navbake.navgrid.metadata import Link, cut_metadata
 from project_paths import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"

@@ -118,7 +118,7 @@ class Contents:
         `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
         isn't the same as all of the former. Of what carries a floor, only things are named
         where one stands on them (rugs, pallets). Doors are no part of the contents: see
-        `navbake.navgrid.door_states.with_door_names`.
+        `navbake.navgrid.doors.with_door_names`.
 
         The data is by cell id on the window: sorted names under each key that has any.
         """
