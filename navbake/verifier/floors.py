@@ -55,8 +55,18 @@ class FloorCheck:
         self._floors = [level.floor for level in grid.levels]
         self._free = [level.free for level in grid.levels]
         self._lattices = [level.lattice for level in grid.levels]
-        self.line_at = lru_cache(maxsize=200_000)(self._line_at)
-        self.standable_at = lru_cache(maxsize=200_000)(self._standable_at)
+
+        @lru_cache(maxsize=200_000)
+        def line_at(number: int, row: int, col: int) -> Line:
+            """What the vertical line through a cell's centre meets."""
+            return lines.at(*self.center(number, row, col))
+
+        @lru_cache(maxsize=200_000)
+        def standable_at(number: int, row: int, col: int) -> list[Surface]:
+            """The surfaces in a column that an agent can stand on, lowest first."""
+            return line_at(number, row, col).standable(agent.height, agent.min_up)
+
+        self.line_at, self.standable_at = line_at, standable_at
 
     def run(self, sample: LevelSample, counts: LevelCounts) -> tuple[list[Finding], list[Unknown]]:
         """Check the floors of a level, and find the places to stand that no level has.
@@ -110,28 +120,18 @@ class FloorCheck:
 
         A place is a surface that an agent can stand on. A step beside a free cell, it is a fault.
         """
-        found = []
-        row, col = int(sample.rows[cell]), int(sample.cols[cell])
-        for surface in self.unknown_at(sample.number, row, col):
-            here = sample.number, row, col, surface.z
-            is_step = self._is_a_step_from_free(*here) and self.is_sure(*here)
-            x, y = sample.xy[cell].tolist()
-            place = x, y, surface.z
-            found.append(Unknown((row, col), place, self.name(surface.number), is_step))
+        (x, y), found = sample.xy[cell].tolist(), []
+        place = sample.number, int(sample.rows[cell]), int(sample.cols[cell])
+        known = self.floors_at(*place)
+        for z, _, number in self.standable_at(*place):
+            if not any(is_same_height(z, floor) for floor in known):
+                is_step = self._is_a_step_from_free(*place, z) and self.is_sure(*place, z)
+                found.append(Unknown(place[1:], (x, y, z), self.name(number), is_step))
         return found
 
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
         return self._lines.obstacles.name(number)
-
-    def unknown_at(self, number: int, row: int, col: int) -> list[Surface]:
-        """Where one can stand in a column, though no level has its floor there."""
-        known = self.floors_at(number, row, col)
-        return [
-            surface
-            for surface in self.standable_at(number, row, col)
-            if not any(is_same_height(surface.z, z) for z in known)
-        ]
 
     def floors_at(self, number: int, row: int, col: int) -> list[float]:
         """The floors of all levels in a column of one level's lattice [m]."""
@@ -151,15 +151,6 @@ class FloorCheck:
         one, two = self._lattices[number], self._lattices[other]
         row += round((two.y_max - one.y_max) / one.cell_size)
         return row, col + round((one.x_min - two.x_min) / one.cell_size)
-
-    def _standable_at(self, number: int, row: int, col: int) -> list[Surface]:
-        """The surfaces in a column that an agent can stand on, lowest first."""
-        agent = self.agent
-        return self.line_at(number, row, col).standable(agent.height, agent.min_up)
-
-    def _line_at(self, number: int, row: int, col: int) -> Line:
-        x, y = self.center(number, row, col)
-        return self._lines.at(x, y)
 
     def on_lowest(self, number: int, cell: tuple[int, int]) -> tuple[int, int]:
         """A cell of a level, by row and column of the lowest one, also beside it."""

@@ -316,26 +316,17 @@ class _Builder:
 
     def _add_plane(self, geom: int, size: Float) -> None:
         if (size[:2] <= 0).all():
-            mat, pos = self._pose(geom)
-            normal = mat[:, 2]
             shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
             self._put(geom, HALF_SPACE, shape, type=GEOM.mjGEOM_PLANE, size=[0, 0, 1])
-            if normal[2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
+            mat, pos = self._pose(geom)
+            if mat[2, 2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
                 self._items[-1].high[2] = pos[2]
             return
         x, y = np.where(size[:2] > 0, size[:2], FAR)
         corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-        faces = np.array([[0, 1, 2], [0, 2, 3]])
-        shown = [size[0], size[1], 1.0]
-        self._put(
-            geom,
-            SHEET,
-            _surface(corners, faces),
-            points=corners,
-            same=False,
-            type=GEOM.mjGEOM_PLANE,
-            size=shown,
-        )
+        surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+        shown = {"type": GEOM.mjGEOM_PLANE, "size": [size[0], size[1], 1.0]}
+        self._put(geom, SHEET, surface, points=corners, same=False, **shown)
 
     def _add_height_field(self, geom: int) -> None:
         model, field_id = self._model, int(self._model.geom_dataid[geom])
@@ -346,45 +337,26 @@ class _Builder:
         self._heights.append(heights)
         self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
         vertices, faces = _field_surface(heights.astype(np.float64), size)
-        self._put(
-            geom,
-            HEIGHT_FIELD,
-            _surface(vertices, faces),
-            points=vertices,
-            same=False,
-            type=GEOM.mjGEOM_HFIELD,
-            hfieldname=name,
-        )
+        surface, shown = _surface(vertices, faces), {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
+        self._put(geom, HEIGHT_FIELD, surface, points=vertices, same=False, **shown)
 
     def _add_mesh(self, geom: int, mode: str) -> None:
         part = self._scene.parts.get(geom)
         key = (int(self._model.geom_dataid[geom]), mode)
-        if part is not None or key not in self._shared:
+        pieces = None if part is not None else self._shared.get(key)
+        if pieces is None:
             if part is not None:
-                vertices, on_hull = part.vertices, part.vertices
-                faces = part.faces.astype(np.int64)
+                own = part.vertices, part.faces.astype(np.int64), part.vertices
+                pieces = self._pieces(*own, mode)
             else:
-                vertices, faces, on_hull = _mesh_arrays(self._model, key[0])
-            pieces = self._pieces(vertices, faces, on_hull, mode)
-            if part is None:
+                pieces = self._pieces(*_mesh_arrays(self._model, key[0]), mode)
                 self._shared[key] = pieces
-        else:
-            pieces = self._shared[key]
         for kind, shape, points, triangles, name in pieces:
-            is_hull = kind == CONVEX
-            collides = {} if is_hull else {"contype": 0, "conaffinity": 0}  # needs no hull
-            if not is_hull:
+            shown: Json = {"type": GEOM.mjGEOM_MESH, "meshname": name}
+            if kind != CONVEX:
                 self._add_facing(name, points, triangles, *self._pose(geom))
-            self._put(
-                geom,
-                kind,
-                shape,
-                points=points,
-                same=is_hull,
-                type=GEOM.mjGEOM_MESH,
-                meshname=name,
-                **collides,
-            )
+                shown |= {"contype": 0, "conaffinity": 0}  # needs no hull
+            self._put(geom, kind, shape, points=points, same=kind == CONVEX, **shown)
 
     def _add_facing(self, name: str, points: Float, triangles: Int, mat: Float, pos: Float) -> None:
         """Add what faces up of a surface, and what faces down, each as a mesh of its own."""

@@ -156,16 +156,12 @@ def take_sample(
     samples = []
     for k, (level, has_own) in enumerate(zip(grid.levels, with_floors, strict=True)):
         cells = chosen[(chosen >= start[k]) & (chosen < start[k + 1])] - start[k]
-        samples.append(_sample_level(k, level, cells, has_own))
+        rows, cols = np.divmod(cells, level.width)
+        floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
+        xy = level.lattice.positions(rows, cols).reshape(-1, 2)
+        free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
+        samples.append(LevelSample(k, level, rows, cols, xy, floor, free, occupied, has_own))
     return samples
-
-
-def _sample_level(number: int, level: SceneGrid2D, cells: Int, has_own: bool) -> LevelSample:
-    rows, cols = np.divmod(cells, level.width)
-    floor = level.floor_of(rows, cols) if has_own else np.full(len(cells), level.ground)
-    xy = level.lattice.positions(rows, cols).reshape(-1, 2)
-    free, occupied = level.free[rows, cols], level.occupancy[rows, cols] != 0
-    return LevelSample(number, level, rows, cols, xy, floor, free, occupied, has_own)
 
 
 class Bands(NamedTuple):

@@ -16,7 +16,6 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool
 from navbake.verifier.agent import Agent, inflate_for
 from navbake.verifier.floors import FloorCheck, SheetSearch
 from navbake.verifier.lines import CRACK, Lines
@@ -144,7 +143,12 @@ def verify_scene(
     around = Surroundings(content, agent.step, by_centres=inflation.by_centres)
     for sample, counts in zip(samples, report.levels, strict=True):
         counts.cells = len(sample)
-        excused = _find_excused(sample, around, inflation.reach)
+        # what an inflation closed for a reason; all else has to touch something by itself
+        excused = np.zeros(len(sample), dtype=np.bool_)
+        if inflation.reach > 0:
+            excused = ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
+            closed = sample.rows[excused], sample.cols[excused], sample.floor[excused]
+            excused[excused] = around.has_reason(sample.number, *closed, inflation.reach)
         if inflation.radius is None:
             volume = baked_volume(sample, agent)
         else:
@@ -199,20 +203,6 @@ def _check_tolerance(tolerance: float, agent: Agent, grid: GridBase) -> None:
             f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
             "smaller by it on all sides, and half of a cell's width and of the height has to stay"
         )
-
-
-def _find_excused(sample: LevelSample, around: Surroundings, reach: float) -> Bool:
-    """The cells that an inflation closed for a reason within its radius [m].
-
-    All other blocked cells have to touch something by themselves.
-    """
-    excused = np.zeros(len(sample), dtype=np.bool_)
-    if reach > 0:
-        closed = ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
-        cells = np.flatnonzero(closed)
-        rows, cols, floor = sample.rows[cells], sample.cols[cells], sample.floor[cells]
-        excused[cells] = around.has_reason(sample.number, rows, cols, floor, reach)
-    return excused
 
 
 def _check_floors(
