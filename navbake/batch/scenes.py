@@ -28,7 +28,7 @@ from navbake.batch.store import (
     read_file,
     shown,
 )
-from navbake.config.errors import find_unknown_key, show_value
+from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, MissingDependencyError, shorten
 from navbake.types import Json

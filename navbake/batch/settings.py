@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_file, shown
-from navbake.config.errors import show_value
+from navbake.config.field_types import show_value
 from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
 from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten

@@ -1,11 +1,11 @@
-"""Types of the settings' fields: each checks its value and words the error message.
+"""Types of the settings' fields, and the message of an error in one, on one line.
 
-A message reads ``expected <text>, got <value> at `<key>` in <file>``: the types here give its first
-part, `navbake.config.errors` the rest.
+A message reads ``expected <text>, got <value> at `<key>` in <file>``: a field's type gives its
+first part, `describe_errors` the rest.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -19,7 +19,11 @@ from pydantic import (
     ValidationInfo,
     WrapValidator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from navbake.config.yaml_text import override_key
+from navbake.errors import shorten
+from navbake.known_names import find_near
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:
@@ -92,3 +96,143 @@ class Settings(BaseModel):
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
     )
+
+
+EXPECTED = {
+    "model_type": "a mapping",
+    "dict_type": "a mapping",
+    "list_type": "a list",
+    "bool_type": "true or false",
+    "float_type": "a number",
+    "finite_number": "a number",
+    "invalid_key": "text as a key",
+}
+OTHER_WORDS = {
+    "climb": "agent.traversable_floor_height",
+    "file": "scene.path",
+    "max_climb": "agent.traversable_floor_height",
+    "max_step": "agent.traversable_floor_height",
+    "res": "grid.cell_size",
+    "resolution": "grid.cell_size",
+    "robot": "agent",
+    "scale": "scene.unit",
+    "step": "agent.traversable_floor_height",
+    "step_height": "agent.traversable_floor_height",
+}
+"""What other tools call a setting, and its key here."""
+SINGLE: dict[str, tuple[str, type]] = {"scene": ("path", str), "levels": ("ground", float)}
+"""Of a section, the key and type of what people write in place of a mapping."""
+MAX_SHOWN = 60  # characters of a value in a message
+MAX_ITEMS = 6  # of a list that is shown
+NESTED = (Mapping, list, tuple, set)
+MAX_ERRORS = 3  # errors in a message
+Location = tuple[int | str, ...]
+Sections = Mapping[str, type[BaseModel]]  # the model of each section by its dotted key
+
+
+def describe_errors(
+    error: ValidationError, sections: Sections, source: str, overrides: Sequence[str] = ()
+) -> str:
+    """Word the first three errors as one line, unknown keys first, and count the others.
+
+    An override that is at fault is named in place of the source.
+    """
+    # an unknown key is often the reason for other errors; sorting keeps these in order
+    details = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
+    lines = []
+    for found in details[:MAX_ERRORS]:
+        # pydantic adds the tag of a union's branch, here =list and the like, and [key]
+        loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
+        origin = _origin(loc, source, overrides)
+        lines.append(f"{_complaint(found, loc, sections)} in {origin}")
+    more = f" (and {len(details) - MAX_ERRORS} more)" if len(details) > MAX_ERRORS else ""
+    return "; ".join(lines) + more
+
+
+def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str = "") -> str | None:
+    """Say which key is none of a setting, by the keys alone; None if all are."""
+    known = _keys(sections, section) if section in sections else {}
+    for key, value in data.items():
+        if section in sections and key not in known:
+            return _unknown_key((*filter(None, section.split(".")), key), sections)
+        if isinstance(value, Mapping):
+            found = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
+            if found is not None:
+                return found
+    return None
+
+
+def show_value(value: Any) -> str:
+    """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list | tuple | set):
+        if not value or len(value) > MAX_ITEMS or any(isinstance(v, NESTED) for v in value):
+            return f"a list of {len(value)}"
+        shown = f"[{', '.join(show_value(item) for item in value)}]"
+        return shown if len(shown) <= MAX_SHOWN else f"a list of {len(value)}"
+    is_word = value is None or isinstance(value, bool | str)
+    shown = json.dumps(value, ensure_ascii=False) if is_word else str(value)
+    return shown if len(shown) <= MAX_SHOWN else shown[: MAX_SHOWN - 1] + "…"
+
+
+def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "extra_forbidden":
+        return _unknown_key(loc, sections)
+    if kind == "missing":
+        return f"expected a value, found none at `{_dotted(loc)}`"
+    expected = context.get("text") or EXPECTED.get(kind)
+    if kind == "literal_error":
+        expected = context["expected"].replace("'", "")
+    got = context.get("got") or show_value(error["input"])
+    where = _dotted(loc) + context.get("at", "")
+    if kind == "model_type":
+        expected = f"a mapping{_as_mapping(str(loc[0]), error['input'])}"
+    return f"expected {expected or error['msg']}, got {got} at `{where}`"
+
+
+def _as_mapping(section: str, value: Any) -> str:
+    """How to write a value that stands in place of a section, or of an item of one."""
+    key, wanted = SINGLE.get(section, ("", float))
+    kinds = (int, float) if wanted is float else wanted
+    is_meant = bool(key) and isinstance(value, kinds) and not isinstance(value, bool)
+    return f" such as {{{key}: {shorten(str(value))}}}" if is_meant else ""
+
+
+def _unknown_key(loc: Location, sections: Sections) -> str:
+    """Name the key that was probably meant: of the same section first, then of all."""
+    section = ".".join(p for p in loc[:-1] if isinstance(p, str))
+    # reversed, so that of sections with a key in common the first one is named
+    elsewhere: dict[str, str] = {}
+    for name in reversed(list(sections)):
+        elsewhere |= _keys(sections, name)
+    known = _keys(sections, section)
+    unknown = str(loc[-1])
+    near = [keys[name] for keys in (known, elsewhere) for name in find_near(unknown, keys)]
+    meant = OTHER_WORDS.get(unknown, "")
+    if meant and section in ("", meant.rpartition(".")[0]):
+        near = [meant]
+    shown = shorten(_dotted(loc))
+    if near:
+        return f"unknown key `{shown}`, the nearest known one is `{near[0]}`,"
+    return f"unknown key `{shown}`, known are {', '.join(known)},"
+
+
+def _keys(sections: Sections, section: str) -> dict[str, str]:
+    """The dotted keys of a section by their last parts."""
+    keys = [field.alias or name for name, field in sections[section].model_fields.items()]
+    return {key: f"{section}.{key}".lstrip(".") for key in keys}
+
+
+def _origin(loc: Location, source: str, overrides: Sequence[str]) -> str:
+    for override in reversed(overrides):
+        key = override_key(override)
+        if key[: len(loc)] == loc[: len(key)]:
+            return f"--set {override}"
+    return source
+
+
+def _dotted(loc: Location) -> str:
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+    return "".join(parts).lstrip(".")

@@ -17,8 +17,7 @@ from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.scene import Scene
-from navbake.config.rooms import RoomSettings
-from navbake.config.settings import AgentSettings
+from navbake.config.settings import AgentSettings, RoomSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 

@@ -25,7 +25,7 @@ from navbake.baker.rooms.segmentation import (
     share_rest,
 )
 from navbake.baker.rooms.sources import MarkedRooms
-from navbake.config.rooms import RoomSettings
+from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room

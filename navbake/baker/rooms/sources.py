@@ -17,8 +17,13 @@ from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import own_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
-from navbake.config.rooms import DEFAULT_GEOMS, DEFAULT_SITES, RoomPolygon, RoomSettings
-from navbake.config.settings import AgentSettings
+from navbake.config.settings import (
+    DEFAULT_GEOMS,
+    DEFAULT_SITES,
+    AgentSettings,
+    RoomPolygon,
+    RoomSettings,
+)
 from navbake.errors import ConfigError
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells
