@@ -32,7 +32,7 @@ sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests")]
 import navbake  # noqa: E402
 from differences import first_difference  # noqa: E402 (of the tests)
 from make_house import make_house  # noqa: E402
-from random_scenes import make_scene  # noqa: E402
+from random_scenes import make_scene  # noqa: E402 (of the tests)
 
 SCENES = ("room", "bridge", "apartment", "house", "house-100", "random")
 MOVES = 15  # in a random scene

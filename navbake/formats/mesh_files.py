@@ -104,7 +104,8 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
         tolerance: see `make_floor_mesh` [m].
     """
     mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
-    document: Json = {"nodes": [], "meshes": [], "materials": []}
+    scenes = [{"nodes": list(range(len(mesh.levels)))}]
+    document: Json = {"scenes": scenes, "nodes": [], "meshes": [], "materials": []}
     for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
         x, y, z = level.origin
         node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
@@ -112,7 +113,6 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
             node["mesh"] = len(document["meshes"])
             document["meshes"].append(_glb_mesh(level, colors, buffer, document["materials"]))
         document["nodes"].append(node)
-    document["scenes"] = [{"nodes": list(range(len(document["nodes"])))}]
     return {path: buffer.pack(document)}
 
 

@@ -46,6 +46,8 @@ OF_CHILDREN = np.array(
     dtype=np.uint8,
 )  # fmt: skip
 CHILDREN = [(child & 1, child >> 1 & 1, child >> 2) for child in range(8)]  # x, y, z
+# puts two bits between each two of 16, for Morton codes
+SPREAD = ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249))
 TWO_BITS = np.zeros(32, dtype=np.int64)  # of a child in a .bt
 TWO_BITS[[FREE, OCCUPIED, MIXED_FREE, MIXED]] = 1, 2, 3, 3
 
@@ -111,11 +113,10 @@ def _order(keys: list[Int], level_of: list[int]) -> Int:
     """The order in which a walk depth first meets nodes of some keys, listed level by level."""
     codes = []
     for key, level in zip(keys, level_of, strict=True):
-        code = np.zeros(len(key), dtype=np.int64)
-        for axis in range(3):
-            lowest = key[:, axis] << level
-            for bit in range(DEPTH):
-                code |= (lowest >> bit & 1) << (3 * bit + axis)
+        lowest = key << level
+        for shift, mask in SPREAD:
+            lowest = (lowest | lowest << shift) & mask
+        code = lowest[:, 0] | lowest[:, 1] << 1 | lowest[:, 2] << 2
         codes.append(code << 5 | DEPTH - level)  # a parent comes before its first child
     return np.argsort(np.concatenate(codes))
 

@@ -13,7 +13,7 @@ from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Float, Int, Int32, Json
+from navbake.types import Float, Json
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -115,7 +115,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
         if ROOM in kinds:
             shapes += _find_rooms(grid, place, level)
         if WALKABLE in kinds and level.free.any():
-            parts = _polygons(level, level.free)[1]
+            parts = trace_polygons(level.free, level.lattice)[1]
             area = _area(level, int(np.count_nonzero(level.free)))
             shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
         if DOOR in kinds:
@@ -124,7 +124,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
 
 
 def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
-    parts = _polygons(level, level.room_index)
+    parts = trace_polygons(level.room_index, level.lattice)
     known = {room.index: room for room in grid.rooms if room.level == place[0]}
     count = np.bincount(level.room_index.ravel())
     found = []
@@ -145,18 +145,6 @@ def _find_doors(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D
             more = {"state": door.state, "rooms": list(door.rooms)}
             found.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
     return found
-
-
-def _polygons(level: SceneGrid2D, labels: Any) -> dict[int, list[list[Float]]]:
-    """The parts of labelled cells, each a list of rings, by label."""
-    outlines = trace_outlines(labels)
-    points = place_corners(outlines.corners, level.lattice)
-    rings = np.split(points, outlines.ring_start[1:-1])
-    bounds = outlines.part_start.tolist()
-    parts: dict[int, list[list[Float]]] = {}
-    for label, first, last in zip(outlines.label.tolist(), bounds, bounds[1:], strict=False):
-        parts.setdefault(label, []).append(rings[first:last])
-    return parts
 
 
 def _area(level: SceneGrid2D, count: int) -> float:
@@ -181,50 +169,21 @@ def import_shapely() -> Any:
 # ---------------------------------------------------------------- outlines
 
 
-@dataclass(frozen=True, eq=False)
-class Outlines:
-    """Rings round the connected parts of labelled cells.
+def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[list[Float]]]:
+    """Trace the outlines of labelled cells, exactly along the cells' edges.
 
     A part is cells of one label that share edges; cells that only touch at a corner are two parts.
     No ring has a corner twice, and rings of one label meet at single corners at most. So each part
     is a valid polygon, and all parts of a label a valid multipolygon (OGC simple features),
     whatever the cells are.
 
-    Attributes:
-        corners: of all rings, row and column of corners of cells, shape (n, 2), int32; (0, 0) is
-            the upper left corner of the first cell. Outer rings run anticlockwise in the world,
-            holes clockwise (RFC 7946). The first corner is not repeated.
-        ring_start: where each ring starts among the corners, and n; shape (num_rings + 1,).
-        part_start: where each part starts among the rings, and their number; its first ring is the
-            outer one, the others are holes.
-        label: of each part, int32.
-    """
-
-    corners: Int32
-    ring_start: Int
-    part_start: Int
-    label: Int32
-
-
-def place_corners(corners: NDArray[np.integer], lattice: Lattice) -> Float:
-    """World x, y of corners of cells [m], shape (..., 2), to a nanometre where cells are larger."""
-    x = lattice.x_min + corners[..., 1] * lattice.cell_size
-    y = lattice.y_max - corners[..., 0] * lattice.cell_size
-    points = np.stack([x, y], axis=-1)
-    if lattice.cell_size > SMALLEST:
-        points = np.round(points, DECIMALS)
-    placed: Float = points + 0.0  # no -0.0
-    return placed
-
-
-def trace_outlines(labels: NDArray[np.integer]) -> Outlines:
-    """Trace the outlines of all labels of a level.
-
     Args:
         labels: of the cells, shape (height, width), 0 for none.
 
     Returns:
-        The parts by label, then by their first cells in reading order.
+        By ascending label, its parts by their first cells in reading order; of each its rings, the
+        outer one first, then the holes: world x, y [m], shape (n, 2), to a nanometre, the first
+        corner not repeated. Outer rings run anticlockwise, holes clockwise (RFC 7946).
     """
     from navbake.formats.kernels.outlines import (  # numba loads slowly
         count_sides,
@@ -233,38 +192,25 @@ def trace_outlines(labels: NDArray[np.integer]) -> Outlines:
     )
 
     own = np.ascontiguousarray(labels, dtype=np.int32)
-    parts = np.pad(number_regions(own), 1)
-    corners, start, part = trace_rings(parts, count_sides(parts))
-    # rings by label and part, the outer one first
-    flat = parts[1:-1, 1:-1].ravel()
-    label = np.zeros(int(flat.max(initial=0)) + 1, dtype=np.int32)
-    label[flat] = own.ravel()
-    is_hole = _doubled_areas(corners, start) < 0
-    order = np.lexsort((np.arange(len(part)), is_hole, part, label[part]))
-    gathered, ring_start = _gather(corners, start, order)
-    first = np.unique(_ranks(part[order]), return_index=True)[1]
-    part_start = np.append(first, len(order)).astype(np.int64)
-    return Outlines(gathered, ring_start, part_start, label[part[order][first]])
-
-
-def _ranks(values: Int32) -> Int:
-    """The number of each run of equal values."""
-    return np.cumsum(np.diff(values, prepend=values[:1]) != 0)
-
-
-def _doubled_areas(corners: Int32, start: Int) -> Int:
-    """Twice the areas of rings in cells, > 0 where they run anticlockwise in the world."""
+    numbers = np.pad(number_regions(own), 1)
+    corners, start, part = trace_rings(numbers, count_sides(numbers))
+    label_of = np.zeros(int(numbers.max()) + 1, dtype=np.int32)
+    label_of[numbers[1:-1, 1:-1]] = own
+    # twice the areas of rings, by the shoelace formula; rows run against y
     row, col = corners.astype(np.int64).T
     after = np.arange(1, len(corners) + 1)
     after[start[1:] - 1] = start[:-1]  # of a ring's last corner, its first one
-    # rows run against y
     cross = row * col[after] - col * row[after]
-    return np.add.reduceat(cross, start[:-1]) if len(start) > 1 else np.zeros(0, dtype=np.int64)
-
-
-def _gather(corners: Int32, start: Int, order: Int) -> tuple[Int32, Int]:
-    """Rings in another order: their corners, and where each starts."""
-    count = np.diff(start)[order]
-    new_start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    source = np.arange(len(corners)) + np.repeat(start[order] - new_start[:-1], count)
-    return corners[source], new_start
+    is_hole = np.add.reduceat(cross, start[:-1]) < 0 if len(part) else np.zeros(0, np.bool_)
+    x, y = lattice.x_min + col * lattice.cell_size, lattice.y_max - row * lattice.cell_size
+    points = np.stack([x, y], axis=-1)
+    if lattice.cell_size > SMALLEST:
+        points = np.round(points, DECIMALS)
+    rings = np.split(points + 0.0, start[1:-1])  # no -0.0
+    parts: dict[tuple[int, int], list[Float]] = {}
+    for k in np.lexsort((is_hole, part, label_of[part])).tolist():
+        parts.setdefault((int(label_of[part[k]]), int(part[k])), []).append(rings[k])
+    found: dict[int, list[list[Float]]] = {}
+    for (label, _), of_part in parts.items():
+        found.setdefault(label, []).append(of_part)
+    return found

@@ -50,7 +50,7 @@ def test_decodes_the_canonical_descriptor(run):
         (
             ("arena.grid.json", "--explored", "several.npz"),
             1,
-            "expected an array (.npy), got several.npz",
+            "in several.npz",
         ),
         (("arena.grid.json", "--square", 1e-7), 1, "larger squares"),
         (("--decode", P1, P2 + "0"), 1, "in part 2"),

@@ -1,6 +1,10 @@
 """GeoJSON that holds rooms, files that don't, and what grids are written as."""
 
+from __future__ import annotations
+
+import csv
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -8,8 +12,9 @@ import shapely
 
 import navbake
 from grid_maps import level_from
-from navbake.errors import FormatError
+from navbake.errors import FormatError, MissingDependencyError
 from navbake.formats.geojson import read_room_outlines
+from navbake.navgrid.rooms import measure_rooms
 from project_paths import GOLDEN
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
@@ -155,3 +160,41 @@ def test_what_is_no_room_is_left_out(tmp_path):
     other["properties"]["kind"] = "kitchen"  # not a kind of ours
     rooms = read(tmp_path, {"type": "FeatureCollection", "features": [door, other]})
     assert [room["name"] for room in rooms] == ["hall"]
+
+
+# ---------------------------------------------------------------- WKT
+
+
+@pytest.mark.parametrize("name", ["apartment", "house", "terrain"])
+def test_shapely_reads_what_is_written_of_a_table(tmp_path, name):
+    grid = navbake.load(GOLDEN / f"{name}.grid.json.gz")
+    (path,) = grid.convert(tmp_path / "plan.wkt")
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for row, shape in zip(rows, grid.to_polygons(), strict=True):
+        assert shapely.equals_exact(shapely.from_wkt(row.pop("WKT")), shape.geometry, tolerance=0)
+        expected = {key: "" if v is None else str(v) for key, v in shape.properties.items()}
+        assert row == {key: expected[key] for key in row}
+        assert set(row) == {"kind", "level", "levelName", "height", "id", "name", "area"}
+
+
+@pytest.mark.parametrize("name", ["a\rb", "a\nb", 'a,"b"', "=1+1", " a "])
+def test_any_name_comes_back_of_a_table(tmp_path, name):
+    level = level_from("..")
+    level.attributes["roomIndex"] = np.array([[1, 1]], dtype=np.uint16)
+    table = [{**room.to_json(), "name": name} for room in measure_rooms(level, 0)]
+    level.metadata["navbake"] = {"rooms": table}
+    (path,) = level.convert(tmp_path / "plan.csv")
+    with open(path, newline="", encoding="utf-8") as file:
+        [room, walkable] = csv.DictReader(file)
+    assert (room["kind"], room["name"], walkable["kind"]) == ("room", name, "walkable")
+
+
+def test_without_shapely_it_says_what_to_install_of_a_table(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    with pytest.raises(MissingDependencyError, match=r'pip install "navbake\[convert\]"'):
+        level_from(".").convert(tmp_path / "plan.wkt")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(MissingDependencyError, match=r'pip install "navbake\[convert\]"'):
+        _ = level_from(".").to_polygons()[0].geometry
+    level_from(".").convert(tmp_path / "plan.geojson")  # takes none

@@ -8,7 +8,6 @@ import io
 import json
 import os
 import re
-import stat
 import tracemalloc
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import hypothesis.extra.numpy as hnp
 import numpy as np
 import orjson
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import navbake
@@ -298,20 +297,8 @@ def test_unknown_fields_are_kept_on_every_level():
     assert written["maker"] == {"name": "x"}
     assert written["metadata"]["more"] == [1, None, {"a": 2.5}]
     assert written["grids"][0]["edges"] == [1, 2]
-    assert written["grids"][0]["tileAttributes"]["heat"]["data"] == [
-        1,
-        1,
-        2,
-        1,
-        3,
-        1,
-        4,
-        1,
-        5,
-        1,
-        6,
-        1,
-    ]
+    heat = written["grids"][0]["tileAttributes"]["heat"]["data"]
+    assert heat[::2] == [1, 2, 3, 4, 5, 6] and set(heat[1::2]) == {1}
 
 
 def test_a_file_is_read_from_wherever_it_is(tmp_path):
@@ -612,92 +599,6 @@ def test_a_gzip_bomb_is_refused(monkeypatch):
     assert message.endswith("unpack it first if that is meant")
 
 
-# Fuzz
-
-
-def _feature_rich() -> bytes:
-    """A file that uses all that the format has."""
-    level = attribute([1, 2, 0, 4], "int16", length=6)
-    level["tileAttributes"] |= {
-        "b": [1, None, 2.5, 0, 0, 1],
-        "c": {"dataType": "float32", "data": [0] * 6},
-    }
-    level |= {
-        "userData": {"4": {"doors": ["x", 1, None]}},
-        "bbox": {"min": [0, 0, 0], "max": [1, 2, 3]},
-    }
-    own = {"cellAttributes": [{"name": "b", "type": "Float64Array", "more": 1}]}
-    return json.dumps(
-        house(grids=[level, small(metadata=own, note=[1])], timings={"a": 1})
-    ).encode()
-
-
-FEATURE_RICH = _feature_rich()
-TOKENS = [
-    *(b"null", b"true", b"-1", b"1.5", b"1e400", b"1e300", b"1000000000000", b'"x"', b"[", b"]"),
-    *(b"{", b"}", b",", b":", b"NaN", b"[]", b"{}", b"\xff", b"\x00", b"0", b'"', b"-"),
-]
-EDITS = st.tuples(
-    st.integers(0, len(FEATURE_RICH)), st.integers(0, 8), st.sampled_from([b"", *TOKENS])
-)
-
-
-@settings(max_examples=1500, deadline=None)
-@given(st.lists(EDITS, min_size=1, max_size=3), st.booleans())
-def test_a_damaged_file_is_read_or_refused(edits, cut):
-    data = FEATURE_RICH
-    for start, length, token in edits:
-        data = data[:start] + token + data[start + length :]
-    _read_or_refuse(data[: edits[0][0]] if cut else data)
-
-
-def _values(node, path=()):
-    """The places of all values in a JSON document."""
-    yield path
-    if isinstance(node, dict | list):
-        for key in node if isinstance(node, dict) else range(len(node)):
-            yield from _values(node[key], (*path, key))
-
-
-PLACES = list(_values(json.loads(FEATURE_RICH)))
-ODD_VALUES = st.sampled_from(
-    [None, True, 0, -1, 1.5, 6.0, 1e300, -1e300, 10**12, 2**64, "", "x", [], {}, [[]], {"a": []}]
-)
-
-
-@settings(max_examples=1500, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from(PLACES[1:]), ODD_VALUES), min_size=1, max_size=2))
-def test_a_file_with_odd_values_is_read_or_refused(changes):
-    content = json.loads(FEATURE_RICH)
-    for path, value in changes:
-        node = content
-        try:
-            for key in path[:-1]:
-                node = node[key]
-            node[path[-1]] = copy.deepcopy(value)
-        except (KeyError, IndexError, TypeError):
-            continue  # an earlier change took this place away
-    _read_or_refuse(json.dumps(content).encode())
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.integers(0, 400), st.integers(0, 255))
-def test_a_damaged_gzip_is_read_or_refused(index, byte):
-    data = bytearray(gzip.compress(FEATURE_RICH, mtime=0))
-    data[index % len(data)] = byte
-    _read_or_refuse(bytes(data))
-
-
-def _read_or_refuse(data: bytes) -> None:
-    grid, message = None, ""
-    try:
-        grid = read_navgrid(data, max_cells=1000)
-    except FormatError as error:
-        message = str(error)
-    assert message.isprintable()
-    assert grid is None or first_difference(rewritten(grid), grid) is None
-
-
 # Round trips
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
@@ -766,7 +667,6 @@ def houses(draw) -> MultiLevelGrid:
     )
 
 
-@settings(max_examples=150, deadline=None)
 @given(levels() | houses())
 def test_write_then_read_is_the_identity(grid):
     data = dumps_navgrid(grid)
@@ -778,7 +678,6 @@ def test_write_then_read_is_the_identity(grid):
     assert dumps_navgrid(again) == data
 
 
-@settings(max_examples=100, deadline=None)
 @given(hnp.arrays(np.uint32, 50).map(lambda bits: bits.view(np.float32)))
 def test_any_float32_survives(values):
     values = np.where(np.isfinite(values), values, np.float32(NAN))[None]
@@ -935,31 +834,6 @@ def test_gzipped_files_have_the_same_bytes_whatever_name_and_time(tmp_path):
     assert gzip.decompress(data) == dumps_navgrid(make_grid())
 
 
-@pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, step):
-    path = tmp_path / "a.json"
-    path.write_text("old")
-
-    def fail(*_args):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, step, fail)
-    with pytest.raises(FormatError, match=r"cannot write .*a\.json: No space left on device$"):
-        make_grid().save(path)
-    assert os.listdir(tmp_path) == ["a.json"]
-    assert path.read_text() == "old"
-
-
-def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
-    def interrupt(*_args):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "fsync", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        make_grid().save(tmp_path / "a.json")
-    assert not os.listdir(tmp_path)
-
-
 def test_paths_that_cannot_be_written_are_named(tmp_path):
     (tmp_path / "file").write_text("")
     for path, culprit in (
@@ -971,24 +845,6 @@ def test_paths_that_cannot_be_written_are_named(tmp_path):
         with pytest.raises(FormatError, match=f"cannot write .*: .*{culprit}") as caught:
             make_grid().save(path)
         assert str(caught.value).isprintable()
-
-
-def test_links_are_followed_and_devices_stay_devices(tmp_path):
-    (tmp_path / "real").mkdir()
-    link = tmp_path / "link.json"
-    link.symlink_to(tmp_path / "real" / "a.json")
-    make_grid().save(link)
-    assert link.is_symlink()
-    assert (tmp_path / "real" / "a.json").read_bytes() == dumps_navgrid(make_grid())
-    if os.path.exists("/dev/null"):
-        make_grid().save("/dev/null")
-        assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
-
-
-def test_a_file_has_the_permissions_of_any_new_file(tmp_path):
-    (tmp_path / "b").write_text("")
-    make_grid().save(tmp_path / "a")
-    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
 
 
 def test_orjson_still_writes_float32_in_their_own_decimals():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import shapely
@@ -11,19 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from navbake.formats.shapes import place_corners, trace_outlines
+from navbake.formats.shapes import trace_polygons
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, find_fault
 
 SIDES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 LABELS = arrays(np.int32, SIDES, elements=st.integers(0, 3))
 MASKS = arrays(np.int32, SIDES, elements=st.integers(0, 1))
-
-
-def rings_by_part(outlines, lattice):
-    points = place_corners(outlines.corners, lattice)
-    rings = np.split(points, outlines.ring_start[1:-1])
-    return [rings[first:last] for first, last in pairwise(outlines.part_start)]
 
 
 def lattice_of(labels, cell=0.1):
@@ -50,19 +42,18 @@ def count_parts(mask):
 @given(st.one_of(LABELS, MASKS))
 def test_outlines_hold_the_cells_of_their_label(labels):
     lattice = lattice_of(labels)
-    outlines = trace_outlines(labels)
-    parts = rings_by_part(outlines, lattice)
+    found = trace_polygons(labels, lattice)
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     for label in range(1, 4):
-        own = [k for k, found in enumerate(outlines.label) if found == label]
+        own = found.get(label, [])
         assert len(own) == count_parts(labels == label)
-        polygons = [shapely.Polygon(parts[k][0], parts[k][1:]) for k in own]
+        polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in own]
         joined = shapely.MultiPolygon(polygons)
         assert all(p.is_valid for p in polygons) and joined.is_valid
         inside = shapely.contains_xy(joined, x, y)
         np.testing.assert_array_equal(inside, labels == label)
         # by the rule of the settings, too
-        rings = [ring for k in own for ring in parts[k]]
+        rings = [ring for part in own for ring in part]
         np.testing.assert_array_equal(cover_cells(rings, lattice), labels == label)
         assert not any(find_fault(ring) for ring in rings)
         assert joined.area == pytest.approx(np.count_nonzero(labels == label) * 0.01)
@@ -71,8 +62,9 @@ def test_outlines_hold_the_cells_of_their_label(labels):
 @settings(deadline=None)
 @given(LABELS)
 def test_rings_turn_as_geojson_demands_and_have_corners_only(labels):
-    outlines = trace_outlines(labels)
-    for rings in rings_by_part(outlines, lattice_of(labels)):
+    found = trace_polygons(labels, lattice_of(labels))
+    assert list(found) == sorted(found)
+    for rings in (rings for parts in found.values() for rings in parts):
         for number, ring in enumerate(rings):
             assert shapely.LinearRing(ring).is_ccw == (number == 0)
             steps = np.roll(ring, -1, axis=0) - ring
@@ -102,25 +94,22 @@ def test_rings_turn_as_geojson_demands_and_have_corners_only(labels):
 )
 def test_holes_and_corners_that_touch(cells, sizes):
     mask = np.array([[c == "#" for c in row] for row in cells])
-    outlines = trace_outlines(mask)
-    found = [[len(ring) for ring in part] for part in rings_by_part(outlines, lattice_of(mask))]
-    assert found == sizes
+    parts = trace_polygons(mask, lattice_of(mask)).get(1, [])
+    assert [[len(ring) for ring in part] for part in parts] == sizes
 
 
 def test_coordinates_are_round_where_cells_are_not_tiny():
-    lattice = Lattice(0.1, 0.3, 0.1, 3, 3)
-    assert place_corners(np.array([[0, 2], [3, 0]]), lattice).tolist() == [[0.3, 0.3], [0.1, 0.0]]
-    tiny = Lattice(0.0, 0.0, 3e-8, 3, 3)
-    assert place_corners(np.array([[0, 1]]), tiny).tolist() == [[3e-8, 0.0]]
+    (ring,) = trace_polygons(np.ones((3, 2)), Lattice(0.1, 0.3, 0.1, 2, 3))[1][0]
+    assert sorted(ring.tolist()) == [[0.1, 0.0], [0.1, 0.3], [0.3, 0.0], [0.3, 0.3]]
+    (tiny,) = trace_polygons(np.ones((1, 1)), Lattice(0.0, 0.0, 3e-8, 1, 1))[1][0]
+    assert tiny[:, 0].max() == 3e-8
 
 
 def test_many_cells_take_a_moment():
-    rng = np.random.default_rng(0)
-    labels = rng.integers(0, 3, size=(1000, 1000))
-    outlines = trace_outlines(labels)
+    labels = np.random.default_rng(0).integers(0, 3, size=(500, 500))
+    found = trace_polygons(labels, lattice_of(labels, 1.0))
     doubled = 0
-    row, col = outlines.corners.astype(np.int64).T
-    for first, last in pairwise(outlines.ring_start):
-        r, c = row[first:last], col[first:last]
-        doubled += int((r * np.roll(c, -1) - c * np.roll(r, -1)).sum())
-    assert doubled == 2 * np.count_nonzero(labels)
+    for ring in (ring for parts in found.values() for part in parts for ring in part):
+        x, y = ring.T
+        doubled += (x * np.roll(y, -1) - y * np.roll(x, -1)).sum()
+    assert round(doubled) == 2 * np.count_nonzero(labels)
