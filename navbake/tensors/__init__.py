@@ -8,11 +8,20 @@ API (https://data-apis.org/array-api/).
 """
 
 from navbake.tensors.build import make_tensors
-from navbake.tensors.crops import heights, patch
-from navbake.tensors.draws import sample
-from navbake.tensors.fields import distance_to_goal, path_step
 from navbake.tensors.grid_tensors import GridTensors
-from navbake.tensors.layers import clearance, floor, is_navigable, island, level_at, room
+from navbake.tensors.questions import (
+    clearance,
+    distance_to_goal,
+    floor,
+    heights,
+    is_navigable,
+    island,
+    level_at,
+    patch,
+    path_step,
+    room,
+    sample,
+)
 
 __all__ = [
     "GridTensors",

@@ -1,6 +1,11 @@
-"""Which cell a position is in: the rule of `navbake.navgrid.cells`, for arrays of any library."""
+"""Which cell a position is in: the rule of `navbake.navgrid.cells`, for arrays of any library.
 
-from collections.abc import Sequence
+numpy answers large batches in pieces that fit the processor's cache, on several threads. The other
+libraries run whole expressions on threads or devices of their own.
+"""
+
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +13,8 @@ import numpy as np
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import Array, GridTensors
 
+NUMPY = ("numpy", "array_api_compat.numpy")
+PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second cache
 FAR = 1e30  # metres; what lies higher is no position
 
 
@@ -52,7 +59,7 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
 
 
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
-    """The cells at x, y of one level, and whether they are there; a cell that exists in any case.
+    """The cells at x, y of one level, clamped to valid ids, and whether they are there.
 
     `first` is the number of the level among those of all scenes, shape (...) or one for all. The
     nearest edge is found by rounding, which half a cell of error can't mislead; on which side of
@@ -185,3 +192,43 @@ def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
 def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:
     """Values cut off at a lowest and a highest; NaN stays."""
     return xp.where(values < low, low, xp.where(values > high, high, values))
+
+
+def answer_all(
+    t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
+) -> Array:
+    """Answer a question about positions of any shape (..., 3).
+
+    Args:
+        t: whose library the arrays are of.
+        answer: takes positions of shape (m, 3) and the others of shape (m,), or all as they are
+            given here; gives an array of shape (m, ...).
+        positions: shape (..., 3).
+        further: shape (...); or None or an integer, which stay as they are.
+    """
+    shape = tuple(positions.shape[:-1])
+    if t.xp.__name__ not in NUMPY or math.prod(shape) < 2 * PIECE:
+        return answer(positions, *further)
+    count = math.prod(shape)
+    from navbake.threads import run_in_bands  # saves numba where batches are small
+
+    whole = [
+        a if a is None or isinstance(a, int) else np.reshape(a, (count, *a.shape[len(shape) :]))
+        for a in (positions, *further)
+    ]
+
+    def piece(first: int, last: int) -> Array:
+        parts = (a[first:last] if isinstance(a, np.ndarray) else a for a in whole)
+        return answer(*parts)
+
+    start = piece(0, PIECE)
+    found = np.empty((count, *start.shape[1:]), dtype=start.dtype)
+    found[:PIECE] = start
+
+    def fill(first: int, last: int) -> None:
+        for begin in range(PIECE + first, PIECE + last, PIECE):
+            end = min(begin + PIECE, PIECE + last)
+            found[begin:end] = piece(begin, end)
+
+    run_in_bands(fill, count - PIECE, least=PIECE)
+    return found.reshape(*shape, *found.shape[1:])

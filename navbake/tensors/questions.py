@@ -1,0 +1,451 @@
+"""Batched questions: what cells hold, what lies round agents, ways to goals, random places.
+
+Each function takes positions of any shape (..., 3) and gives values of shape (...). A position with
+a NaN, an infinite one and one beside the grid give NaN, False, 0 or -1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from navbake.errors import QueryError
+from navbake.tensors.grid_tensors import Array, GridTensors
+from navbake.tensors.lookup import (
+    answer_all,
+    as_array,
+    bounded,
+    broadcast,
+    centers,
+    check_number,
+    check_numbers,
+    check_positions,
+    check_scenes,
+    device_of,
+    first_level,
+    locate,
+    split,
+)
+
+MODES = ("nearest", "bilinear")
+
+
+def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """The level that each position is on, int32: `PathFinder.cell_at` gives the same; -1 for none.
+
+    Args:
+        t: tensors of one or several grids.
+        positions: world x, y, z [m], shape (..., 3), in the tensors' dtype.
+        scene_id: which grid, where there are several; an integer or integers of shape (...).
+
+    Raises:
+        QueryError: positions have another shape or dtype, or there is no such scene. The same
+            holds of all functions of this package.
+    """
+    xp = t.xp
+
+    def answer(p: Array, scenes: Array) -> Array:
+        found = locate(t, p, scenes)
+        return xp.astype(xp.where(found.inside, found.level, -1), xp.int32)
+
+    return _ask(t, answer, positions, scene_id)
+
+
+def floor(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """World z of the floor under each position [m], NaN where there is none; see `level_at`."""
+    return _value(t, t.floor, t.xp.nan, positions, scene_id)
+
+
+def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """The room of each position, int32, 0 for none; ``t.rooms[scene][number - 1]`` is its id."""
+    return _value(t, t.room, 0, positions, scene_id)
+
+
+def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """The connected part that each position is on, int32, 0 for none.
+
+    Two positions that can be walked between have the same number. Numbers count through all
+    scenes.
+    """
+    return _value(t, t.island, 0, positions, scene_id)
+
+
+def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """Whether an agent can stand at each position, bool; as `PathFinder.are_navigable`.
+
+    How far above the floor a position may be was said when the tensors were made.
+    """
+
+    def answer(p: Array, scenes: Array) -> Array:
+        found = locate(t, p, scenes)
+        return found.inside & (p[..., 2] <= t.top[found.cell])
+
+    return _ask(t, answer, positions, scene_id)
+
+
+def clearance(
+    t: GridTensors, positions: Array, scene_id: Array | int | None = None, mode: str = "bilinear"
+) -> Array:
+    """How far the nearest cell that isn't free is from each position [m]; NaN beside the grid.
+
+    Of each cell that is free, `navbake.navgrid.islands.clearance`: from its centre to the nearest
+    centre of another that isn't, less half a cell. Of the others 0.
+
+    Args:
+        t, positions, scene_id: see `level_at`.
+        mode: ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does.
+            ``"bilinear"`` interpolates between the centres of the four cells round the position,
+            on the position's level; at the edge of the grid the outer cells go on. Libraries that
+            differentiate give the gradient by the position.
+    """
+    if mode not in MODES:
+        raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
+    if mode == "nearest":
+        return _value(t, t.clearance, t.xp.nan, positions, scene_id)
+    return _ask(t, lambda p, scenes: _bilinear(t, p, scenes), positions, scene_id)
+
+
+def _bilinear(t: GridTensors, p: Array, scenes: Array) -> Array:
+    """`clearance` between the centres of cells."""
+    xp, shape = t.xp, t.shape
+    found = locate(t, p, scenes)
+    level = first_level(t, scenes) + found.level
+    # where a position is in no cell, nothing of it may get into the gradient
+    x = xp.where(found.inside, p[..., 0], t.x_first[level])
+    y = xp.where(found.inside, p[..., 1], t.y_first[level])
+    across = (x - t.x_first[level]) * t.scale[level] - 0.5
+    down = (t.y_first[level] - y) * t.scale[level] - 0.5
+    last_col, last_row = t.num_cols[level] - 1, t.num_rows[level] - 1
+    col0 = bounded(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
+    row0 = bounded(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
+    col1 = xp.minimum(col0 + 1, last_col)
+    row1 = xp.minimum(row0 + 1, last_row)
+    share_x = bounded(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
+    share_y = bounded(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
+    first = level * (shape.rows * shape.cols)
+
+    def value(row: Array, col: Array) -> Array:
+        return t.clearance[first + row * shape.cols + col]
+
+    upper = value(row0, col0) * (1 - share_x) + value(row0, col1) * share_x
+    lower = value(row1, col0) * (1 - share_x) + value(row1, col1) * share_x
+    return xp.where(found.inside, upper * (1 - share_y) + lower * share_y, xp.nan)
+
+
+def _value(
+    t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Array | int | None
+) -> Array:
+    """The values of a layer in the cells of positions."""
+
+    def answer(p: Array, scenes: Array) -> Array:
+        found = locate(t, p, scenes)
+        return t.xp.where(found.inside, layer[found.cell], outside)
+
+    return _ask(t, answer, positions, scene_id)
+
+
+def _ask(
+    t: GridTensors,
+    answer: Callable[..., Array],
+    positions: Array,
+    scene_id: Array | int | None,
+) -> Array:
+    p = check_positions(t, positions)
+    return answer_all(t, answer, p, check_scenes(t, scene_id, p.shape[:-1]))
+
+
+LAYERS: dict[str, Any] = {
+    "floor": floor,
+    "free": is_navigable,
+    "room": room,
+    "island": island,
+    "clearance": clearance,
+}
+"""The function behind each layer of `patch`."""
+
+
+def heights(
+    t: GridTensors,
+    positions: Array,
+    yaw: Array,
+    pattern: Array,
+    scene_id: Array | int | None = None,
+) -> Array:
+    """Floor heights at a pattern of points round each agent, turned with it: a height scan.
+
+    Each point takes the nearest floor below its agent, by the rule of `level_at`, so that an agent
+    on the ground doesn't see the floor above.
+
+    Args:
+        t: tensors of one or several grids.
+        positions: of agents, world x, y, z [m], shape (..., 3).
+        yaw: their headings [rad], 0 along x, counted towards y; shape (...).
+        pattern: points in the agents' frames, x ahead, y to the left [m], shape (k, 2).
+        scene_id: which grid, where there are several; an integer or integers of shape (...).
+
+    Returns:
+        World z [m], shape (..., k); NaN where there is no floor.
+    """
+    points = _turned(t, positions, yaw, pattern)
+    return floor(t, points, _per_point(t, scene_id, points.shape[:-2]))
+
+
+def patch(
+    t: GridTensors,
+    positions: Array,
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    layer: str = "free",
+    scene_id: Array | int | None = None,
+) -> Array:
+    """Cut an egocentric picture of a layer round each agent, which looks up in it.
+
+    The first row is the farthest ahead and the first column the leftmost; the agent is in the
+    middle of all. Each pixel shows the grid's cell that its middle is in, by the rule of
+    `level_at` at the agent's z.
+
+    Args:
+        t, positions, yaw, scene_id: see `heights`.
+        shape: rows and columns.
+        cell: size of a pixel [m], > 0.
+        layer: ``free`` (bool), ``floor`` (world z [m]), ``clearance`` ([m]), ``room`` or
+            ``island`` (int32).
+
+    Returns:
+        Shape (..., rows, columns); False, NaN or 0 where there is nothing.
+    """
+    if layer not in LAYERS:
+        raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
+    if not isinstance(shape, Sequence) or [isinstance(n, int) for n in shape] != [True, True]:
+        raise QueryError(f"expected a shape (rows, columns), whole numbers, got {shape!r}")
+    rows, cols = shape
+    if rows < 1 or cols < 1 or not 0 < cell < math.inf:
+        raise QueryError(f"expected rows, columns and a cell > 0, got {shape} and {cell!r}")
+    xp, device, cell = t.xp, device_of(t), float(cell)
+    ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
+    left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
+    grid = xp.stack(
+        [
+            xp.broadcast_to(ahead[:, None], (rows, cols)),
+            xp.broadcast_to(left[None, :], (rows, cols)),
+        ],
+        axis=-1,
+    )
+    points = _turned(t, positions, yaw, xp.reshape(grid, (-1, 2)))
+    further: dict[str, str] = {"mode": "nearest"} if layer == "clearance" else {}
+    values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]), **further)
+    return xp.reshape(values, (*values.shape[:-1], rows, cols))
+
+
+def _turned(t: GridTensors, positions: Array, yaw: Array, pattern: Array) -> Array:
+    """World positions of a pattern's points round agents, shape (..., k, 3)."""
+    xp = t.xp
+    p, turn, points = check_positions(t, positions), as_array(t, yaw), as_array(t, pattern)
+    if points.ndim != 2 or points.shape[-1] != 2:
+        raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
+    if tuple(turn.shape) != tuple(p.shape[:-1]):
+        raise QueryError(
+            f"expected a yaw of shape {tuple(p.shape[:-1])}, one for each position, got "
+            f"{tuple(turn.shape)}"
+        )
+    cos, sin = xp.cos(turn)[..., None], xp.sin(turn)[..., None]
+    x = p[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
+    y = p[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
+    return xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
+
+
+def _per_point(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Any:
+    """The scenes of agents, shape (...), as scenes of their points, shape (..., 1)."""
+    scenes = check_scenes(t, scene_id, shape)
+    return None if scenes is None else scenes[..., None]
+
+
+def distance_to_goal(
+    t: GridTensors,
+    positions: Array,
+    goal: Array | int = 0,
+    scene_id: Array | int | None = None,
+) -> Array:
+    """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
+
+    Args:
+        t: tensors that were made with goals.
+        positions: world x, y, z [m], shape (..., 3), in the tensors' dtype.
+        goal: the place of the goal among those that the tensors were made with; an integer, or
+            integers that fit the shape (...).
+        scene_id: which grid, where there are several.
+
+    Returns:
+        Shape (...): metres times weights; inf where no path leads to the goal, NaN beside the
+        grid.
+    """
+
+    def answer(p: Array, first: Array | int, scenes: Array) -> Array:
+        found = locate(t, p, scenes)
+        return t.xp.where(found.inside, t.cost[first + found.cell], t.xp.nan)
+
+    return _ask_goal(t, answer, positions, goal, scene_id)
+
+
+def path_step(
+    t: GridTensors,
+    positions: Array,
+    goal: Array | int = 0,
+    scene_id: Array | int | None = None,
+) -> Array:
+    """The direction to go from each position to get to a goal.
+
+    It is that from the position to the centre of the next cell of the cheapest path. Whoever
+    follows it stays in the cells of that path, over links to other levels as well.
+
+    Args:
+        t, positions, goal, scene_id: see `distance_to_goal`.
+
+    Returns:
+        World x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is
+        no path.
+    """
+    return _ask_goal(t, lambda *given: _steps(t, *given), positions, goal, scene_id)
+
+
+def _steps(t: GridTensors, p: Array, first: Array | int, scenes: Array) -> Array:
+    """`path_step` of checked positions."""
+    xp = t.xp
+    found = locate(t, p, scenes)
+    onward = xp.astype(t.onward[first + found.cell], t.index)
+    leads = found.inside & (onward >= 0)
+    ways = centers(t, xp.where(leads, onward, 0)) - p[..., :2]
+    ways = xp.where((leads & (onward != found.cell))[..., None], ways, 0.0)
+    length = xp.sqrt(ways[..., 0] ** 2 + ways[..., 1] ** 2)
+    unit = ways / xp.where(length > 0, length, 1.0)[..., None]
+    return xp.where(leads[..., None], unit, xp.nan)
+
+
+def _ask_goal(
+    t: GridTensors,
+    answer: Callable[..., Array],
+    positions: Array,
+    goal: Array | int,
+    scene_id: Array | int | None,
+) -> Array:
+    xp, p, count = t.xp, check_positions(t, positions), len(t.goals)
+    if not count:
+        raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
+    shape, num_cells = p.shape[:-1], int(t.floor.shape[0])
+    if isinstance(goal, int | np.integer):
+        first = check_number(goal, "goal", count) * num_cells
+    else:
+        goals = check_numbers(t, goal, "goal", count, shape)
+        p = xp.where((goals >= 0)[..., None], p, xp.nan)  # to no goal, so from nowhere
+        first = xp.where(goals >= 0, goals, 0) * num_cells
+    # `first` is where the goal's cells begin in `cost` and `onward`
+    return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))
+
+
+def sample(
+    t: GridTensors,
+    u: Array,
+    room: Array | int | None = None,
+    min_clearance: Array | float | None = None,
+    reachable_from: Array | None = None,
+    scene_id: Array | int | None = None,
+) -> Array:
+    """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
+
+    The same numbers give the same places. The free cells are kept sorted by island and room, so a
+    draw is one look-up; with `min_clearance` a running sum over the cells comes before it.
+
+    Args:
+        t: tensors of one or several grids; the cells of a grid's levels are of one size.
+        u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
+            it. 0.5 for these is the cell's centre, where the agent's radius fits for certain.
+            Shape (..., 1) gives centres.
+        room: only in this room, by its number (see `room`); an integer or integers of shape (...).
+        min_clearance: only in cells with so much of `clearance` [m]; one number.
+        reachable_from: only where a walk leads to from these world positions, shape (..., 3) or
+            (3,).
+        scene_id: which grid, where there are several; an integer or integers of shape (...).
+
+    Returns:
+        World x, y and floor z [m], shape (..., 3); NaN where there is no such place, or a number
+        of `u` is NaN.
+    """
+    xp = t.xp
+    numbers = as_array(t, u)
+    if numbers.ndim == 0 or numbers.shape[-1] not in (1, 3):
+        raise QueryError(f"expected u of shape (..., 3) or (..., 1), got {tuple(numbers.shape)}")
+    shape = tuple(numbers.shape[:-1])
+    scenes = check_scenes(t, scene_id, shape)
+    base = t.num_rooms + 1
+    is_known = ~xp.isnan(numbers[..., 0])
+    first = xp.where(is_known, numbers[..., 0], 0.0)
+    if reachable_from is None:
+        group = xp.zeros_like(first, dtype=t.index) if scenes is None else scenes
+        cells, keys = t.by_room, t.room_key
+        is_known = is_known & (group >= 0)
+    else:
+        start = as_array(t, reachable_from)
+        if scenes is not None:
+            start = broadcast(t, start, (*shape, 3), "reachable_from")
+        home = broadcast(t, island(t, start, scenes), shape, "reachable_from")
+        group = xp.astype(home, t.index)
+        cells, keys = t.by_island, t.island_key
+        is_known = is_known & (group > 0)
+    if cells.shape[0] == 0:
+        return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
+    low, high = group * base, (group + 1) * base
+    if room is not None:
+        number = check_numbers(t, room, "room", base, shape)
+        is_known = is_known & (number >= 0)
+        low = group * base + number
+        high = low + 1
+    begin, end = _find(t, keys, low), _find(t, keys, high)
+    if min_clearance is not None:
+        if getattr(min_clearance, "ndim", 0) != 0:
+            raise QueryError("expected one number as min_clearance [m], got an array of them")
+        allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
+        before = xp.concat([xp.zeros_like(allowed[:1]), xp.cumulative_sum(allowed)])
+        count = before[end] - before[begin]
+        at = _find(t, before[1:], before[begin] + _rank(t, first, count) + 1)
+    else:
+        count = end - begin
+        at = begin + _rank(t, first, count)
+    cell = xp.astype(cells[bounded(xp, at, 0, cells.shape[0] - 1)], t.index)
+    places = _place_in(t, cell, numbers)
+    is_place = is_known & (count > 0) & ~xp.any(xp.isnan(places), axis=-1)
+    return xp.where(is_place[..., None], places, xp.nan)
+
+
+def _rank(t: GridTensors, u: Array, count: Array) -> Array:
+    """Which of `count` cells a number in [0, 1) means, 0 to count - 1."""
+    rank = t.xp.astype(t.xp.floor(u * t.xp.astype(count, t.dtype)), t.index)
+    rank = t.xp.minimum(rank, count - 1)  # u * count may be rounded up
+    return t.xp.where(rank < 0, 0, rank)
+
+
+def _find(t: GridTensors, keys: Array, wanted: Array) -> Array:
+    """How many of the sorted keys are smaller than each number."""
+    flat = t.xp.reshape(t.xp.astype(wanted, keys.dtype), (-1,))
+    found = t.xp.searchsorted(keys, flat, side="left")
+    return t.xp.reshape(t.xp.astype(found, t.index), wanted.shape)
+
+
+def _place_in(t: GridTensors, cell: Array, numbers: Array) -> Array:
+    """Places in cells: at their centres, or where the second and third numbers say."""
+    xp, shape = t.xp, t.shape
+    level, row, col = split(t, cell)
+    z = t.floor[cell]
+    z = xp.where(xp.isnan(z), t.ground[level], z)
+    west = t.x_edge[level * (shape.cols + 1) + col]
+    east = t.x_edge[level * (shape.cols + 1) + col + 1]
+    north = t.y_edge[level * (shape.rows + 1) + row]
+    south = t.y_edge[level * (shape.rows + 1) + row + 1]
+    across, down = (0.5, 0.5) if numbers.shape[-1] == 1 else (numbers[..., 1], numbers[..., 2])
+    # the eastern and the southern edge belong to the next cells
+    x = xp.minimum(west + across * (east - west), xp.nextafter(east, xp.full_like(east, -xp.inf)))
+    y = xp.maximum(north - down * (north - south), xp.nextafter(south, xp.full_like(south, xp.inf)))
+    return xp.stack([x, y, z], axis=-1)
