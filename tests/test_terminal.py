@@ -38,7 +38,7 @@ def run(capsys):
 
 
 def test_all_commands_take_quiet_and_verbose(run):
-    for command in COMMANDS:
+    for command in (command for group in COMMANDS.values() for command in group):
         _, out, _ = run(command.__name__.replace("_", "-"), "--help")
         assert "-q, --quiet" in out and "-v, --verbose" in out
 

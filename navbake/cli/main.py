@@ -10,23 +10,19 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 from typer import Exit, Option, Typer
+from typer.core import TyperGroup
 
 from navbake._version import __version__
+from navbake.cli.commands.ask import info, path, rooms, why
 from navbake.cli.commands.bake import bake
 from navbake.cli.commands.batch import batch
 from navbake.cli.commands.checks import audit, verify
-from navbake.cli.commands.convert import convert, extrude
-from navbake.cli.commands.grids import info, rooms, why
-from navbake.cli.commands.inflate import inflate
-from navbake.cli.commands.map_descriptor import mdf
-from navbake.cli.commands.path import path
-from navbake.cli.commands.plot import plot
-from navbake.cli.commands.report import report
-from navbake.cli.commands.scenes import geoms, init, samples
-from navbake.cli.commands.view import view
-from navbake.cli.commands.voxelize import voxelize
+from navbake.cli.commands.exchange import convert, inflate, map_descriptor
+from navbake.cli.commands.look import plot, report, view
+from navbake.cli.commands.scenes import geoms, init, samples, voxelize
 from navbake.cli.commands.warm_up import warm_up
 from navbake.cli.options import Command, prepared
 from navbake.cli.printing import print_causes, print_error
@@ -38,19 +34,54 @@ os.environ.setdefault("MUJOCO_GL", "disable")
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF, errno.EPIPE)
 """The system's numbers for an output that takes no more."""
 
+COMMANDS = {
+    "Bake": (samples, init, geoms, bake, voxelize),
+    "Ask": (info, rooms, why, path),
+    "Look": (plot, report, view),
+    "Exchange": (convert, inflate, map_descriptor),
+    "Check": (verify, audit),
+    "Many": (batch, warm_up),
+}
+"""The commands in the groups in which --help lists them."""
+ALIASES = {"mdf": "map-descriptor"}
+ANSWERS = {  # what a first guess, or an old name, means
+    "export": "write `navbake convert GRID FILE`: the ending of FILE says to what",
+    "extrude": "write `navbake convert MAP scene.xml`",
+}
+
+
+class _Groups(TyperGroup):
+    """The commands, listed in groups."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the help of all commands."""
+        width = max(map(len, self.commands))
+        for title, group in COMMANDS.items():
+            names = [function.__name__.replace("_", "-") for function in group]
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{name:<{width}}", self.commands[name].get_short_help_str(100))
+                        for name in names
+                    ]
+                )
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find a command by its name, or say which one is meant."""
+        if args[0] in ANSWERS:
+            ctx.fail(f"No such command '{args[0]}': {ANSWERS[args[0]]}")
+        return super().resolve_command(ctx, [ALIASES.get(args[0], args[0]), *args[1:]])
+
+
 app = Typer(
     name="navbake",
+    cls=_Groups,
     help="Bake MuJoCo scenes into navigation grids, and query and convert those grids.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-COMMANDS = (
-    *(samples, init, geoms, bake, batch),
-    *(info, rooms, why, plot, inflate, path, voxelize, mdf, convert, extrude, warm_up),
-    *(verify, audit, report, view),
-)
-for command in COMMANDS:
+for command in (command for group in COMMANDS.values() for command in group):
     app.command(cls=Command)(prepared(command))
 
 

@@ -368,7 +368,7 @@ def parse_config(
     if data.keys() >= MAP_KEYS:
         raise ConfigError(
             f"expected settings in {source}, got a map of nav2: `navbake convert` makes a grid of "
-            f"it, `navbake extrude` a scene"
+            f"it, `navbake convert` to .xml a scene"
         )
     # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}

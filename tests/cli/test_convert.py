@@ -9,7 +9,6 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake import files
-from navbake.cli.main import main
 from navbake.errors import FormatError
 from navbake.formats.convert import FORMATS, find_format
 from navbake.navgrid.operations import resolve
@@ -137,15 +136,11 @@ def test_an_image_is_never_written_over_an_input(run):
     assert status == 1 and "apart from the inputs" in err and Path("map.png").read_bytes() == before
 
 
-def test_extrudes_any_map(run, tmp_path):
+def test_any_map_becomes_a_scene(run):
     run("house.json.gz", "map.yaml", "--level", 1)
     for source in ("map.yaml", "house.json.gz"):
-        with pytest.raises(SystemExit) as end:
-            main(["extrude", source, "-o", "scene.xml"])
-        assert not end.value.code
+        assert run(source, "scene.xml")[0] == 0
         assert Path("scene.xml").exists() and Path("scene.yaml").exists()
-    for arguments in (["-o", "-"], ["-o", "scene.json"], ["-o", "a.xml", "--level", "7"]):
-        with pytest.raises(SystemExit) as end:
-            main(["extrude", "house.json.gz", *arguments])
-        assert end.value.code
+    for arguments in (["-", "--to", "mjcf"], ["a.xml", "--level", "7"]):
+        assert run("house.json.gz", *arguments)[0]
     assert not Path("a.xml").exists()

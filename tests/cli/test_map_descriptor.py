@@ -1,4 +1,4 @@
-"""The command `navbake mdf`."""
+"""The command `navbake map-descriptor`, which `mdf` calls, too."""
 
 import json
 
@@ -11,7 +11,7 @@ P2 = "00000100001C80000000001C0000080000060001C00000080000"
 
 def test_a_baked_arena_as_a_descriptor(arena, run):
     run("bake", "arena.yaml", "-q")
-    status, out, err = run("mdf", "arena.grid.json")
+    status, out, err = run("map-descriptor", "arena.grid.json")
     assert (status, err) == (0, "")
     part1, part2, *drawing = out.strip().split("\n")
     assert part1 == "F" * 76 and len(part2) == 76

@@ -5,7 +5,7 @@ import json
 import pytest
 from typer import BadParameter
 
-from navbake.cli.places import GivenPlace, parse_place
+from navbake.cli.options import GivenPlace, parse_place
 from project_paths import GOLDEN
 
 HOUSE = str(GOLDEN / "house.grid.json.gz")

@@ -6,8 +6,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from navbake.cli.printing import print_error, print_tables, room_table
-from navbake.cli.tables import lay_out, make_table, without_empty_columns
+from navbake.cli.printing import (
+    lay_out,
+    make_table,
+    print_error,
+    print_tables,
+    room_table,
+    without_empty_columns,
+)
 from navbake.navgrid.rooms import Room
 
 LONG = "living_room/shelf_left/collision_mesh_17"

@@ -1,0 +1,179 @@
+"""The commands that ask a grid: `navbake info`, `rooms`, `why` and `path`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from typer import Argument, BadParameter, Exit, Option
+
+import navbake
+from navbake.cli import printing
+from navbake.cli.options import (
+    PLACE,
+    PLACE_HELP,
+    STDOUT,
+    AsJson,
+    GridFile,
+    beside_output,
+    check_output,
+    parse_place,
+    position_of_place,
+    write_stdout,
+)
+from navbake.cli.printing import print_json, say
+from navbake.errors import QueryError
+
+if TYPE_CHECKING:
+    from navbake.runtime.paths import path as paths
+
+# Functions import views when they run: --help loads no numpy.
+
+NAMED = ("room:", "object:")
+
+
+def info(grid: GridFile, as_json: AsJson = False) -> None:
+    """Print a summary of a grid: levels, areas, doors, versions.
+
+    Example: navbake info house.grid.json
+    """
+    from navbake.views.describe import describe
+
+    content = navbake.load(grid)
+    facts = describe(content)
+    if as_json:
+        printing.print_json(facts)
+        return
+    shown = [printing.summary_table(facts), printing.level_table(facts)]
+    if content.doors:
+        shown.append(printing.door_table(content.doors, content.level_names))
+    printing.print_tables(*shown)
+    printing.print_warnings(content.warnings)
+
+
+def rooms(grid: GridFile, as_json: AsJson = False) -> None:
+    """List the rooms of a grid, what each opens to, and the doors.
+
+    Example: navbake rooms house.grid.json
+    """
+    content = navbake.load(grid)
+    found, doors = content.rooms, content.doors
+    if as_json:
+        lists = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
+        printing.print_json({"scene_id": content.scene_id, **lists})
+        return
+    printing.print_tables(printing.room_table(found, content.level_names))
+    print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
+    if doors:
+        print()
+        printing.print_tables(printing.door_table(doors, content.level_names))
+
+
+def why(
+    grid: GridFile,
+    place: str | None = Argument(None, metavar=PLACE, help=f"World position, {PLACE_HELP}."),
+    at: str | None = Option(None, metavar=PLACE, help="The same."),
+    as_json: AsJson = False,
+) -> None:
+    """Print what a grid holds at a position, and what blocks it.
+
+    Of X,Y alone, each level that spans the position is printed; of X,Y,Z, the one whose floor is
+    the nearest below it.
+
+    Example: navbake why house.grid.json 1.5,0.2,L0
+    """
+    from navbake.views.describe import describe_column
+
+    given = place if at is None else at
+    if given is None or (place is not None and at is not None):
+        raise BadParameter(f"expected one place, {PLACE}", param_hint="--at")
+    x, y, z, level = parse_place(given, "--at")
+    content = navbake.load(grid)
+    if z is not None:
+        cell = content.cell_at((x, y, z))
+        if cell is None:
+            raise QueryError(f"{given} is in no cell: it lies beside the grid, or below its floors")
+        level = cell.level
+    if level is None:
+        cells = describe_column(content, x, y)
+    else:
+        cells = [content.describe_cell(x, y, level)]
+    if as_json:
+        printing.print_json(cells)
+    else:
+        printing.print_tables(*map(printing.cell_table, cells))
+
+
+def path(
+    grid: GridFile,
+    start: str = Option(..., "--from", "--start", metavar=PLACE, help=f"Start, {PLACE_HELP}."),
+    goals: list[str] = Option(
+        ...,
+        "--to",
+        "--goal",
+        metavar=f"{PLACE}|room:NAME|object:NAME",
+        help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
+        "positions to reach the cheapest of them.",
+    ),
+    radius: float | None = Option(
+        None, metavar="METRES", help="Inflate the grid for this agent radius first [m]."
+    ),
+    smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
+    as_json: AsJson = False,
+    output: Path | None = Option(
+        None, "-o", "--output", metavar="PNG|SVG", help="Draw the path; - for a PNG on stdout."
+    ),
+) -> None:
+    """Plan a path through a grid, or say why there is none.
+
+    The exit status is 1 if there is none.
+
+    Example: navbake path house.grid.json --from 0,-4.8 --to -2.2,-3.2,L1
+    """
+    if output is not None:
+        check_output(output, ".png", ".svg", inputs=[grid])
+    is_named = any(goal.startswith(NAMED) for goal in goals)
+    if len(goals) > 1 and is_named:
+        raise BadParameter("several goals have to be positions", param_hint="--to")
+    begin = parse_place(start, "--from")
+    ends = [] if is_named else [parse_place(text, "--to") for text in goals]
+    content = navbake.load(grid)
+    if radius is not None:
+        content = content.inflate(radius)
+    finder = navbake.PathFinder(content)
+    origin = position_of_place(content, begin, "--from")
+    goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
+    found = finder.find_path(origin, goal, smooth=smooth)
+    reason = None if found else finder.why_not(origin, goal)
+    with beside_output(output):
+        if as_json:
+            print_json({"path": _to_json(found) if found else None, "reason": reason})
+        elif found:
+            _print_path(found)
+        else:
+            say(f"no path: {reason}")
+    if output is not None:
+        from navbake.views.plot import plot_grid, render_png  # loads numpy
+
+        if output == STDOUT:
+            write_stdout(render_png(content, layers=("occupancy",), route=found))
+        else:
+            plot_grid(content, output, layers=("occupancy",), route=found)
+    if not found:
+        raise Exit(1)
+
+
+def _to_json(found: paths.Path) -> dict[str, Any]:
+    described = {key: getattr(found, key) for key in ("length", "cost", "rooms", "doors")}
+    arrays = {key: getattr(found, key).tolist() for key in ("positions", "levels", "cells")}
+    return described | arrays
+
+
+def _print_path(found: paths.Path) -> None:
+    print(f"length  {found.length:.3f} m")
+    print(f"cost    {found.cost:.3f}")
+    say(f"rooms   {', '.join(found.rooms) or '-'}")
+    say(f"doors   {', '.join(found.doors) or '-'}")
+    print("      x       y       z  level")
+    for (x, y, z), level in zip(found.positions, found.levels, strict=True):
+        print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")

@@ -1,0 +1,346 @@
+"""The commands that make another file of a grid: `navbake convert`, `inflate`, `map-descriptor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from typer import Argument, BadParameter, Option
+
+import navbake
+from navbake.cli.options import (
+    GRIDS,
+    STDOUT,
+    AsJson,
+    GridFile,
+    beside_output,
+    check_output,
+    refuse_unused,
+    write_stdout,
+)
+from navbake.cli.printing import print_json, say_unless_quiet
+from navbake.errors import ConfigError, FormatError
+from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
+from navbake.formats.source import write_files
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+SQUARE = 0.1  # edge of a descriptor's square unless given [m]
+
+# Functions import what reads grids when they run: --help stays quick.
+
+# Options of formats. A field is called as the option of the format's functions is, and None stands
+# for one that isn't given.
+
+
+class MapOptions(NamedTuple):
+    """Options of maps."""
+
+    level: int | None = Option(None, metavar="N", min=0, help="Only this level; 0 is the lowest.")
+    radius: float | None = Option(
+        None, metavar="METRES", help="Inflate for an agent of this radius first [m]."
+    )
+    mode: str | None = Option(
+        None,
+        metavar="trinary|scale|raw",
+        help="trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
+    )
+    image: str | None = Option(
+        None,
+        metavar="pgm|png",
+        help="pgm or png.  [default: pgm; png with --mode scale, which needs transparency]",
+    )
+    inflation: float | None = Option(
+        None,
+        metavar="METRES",
+        help="Costs by nav2's formula, up to this distance from obstacles [m].",
+    )
+    zone: list[str] | None = Option(
+        None,
+        metavar="NAME[=PERCENT]",
+        help="Room (name, id or number) or polygon of a mask. May be repeated.",
+    )
+    zones: Path | None = Option(
+        None, metavar="GEOJSON", help="Polygons of a mask; all of them unless --zone names some."
+    )
+    height: float | None = Option(
+        None,
+        metavar="METRES",
+        help="How far walls rise over the highest floor [m].  [default: 2.5]",
+    )
+    flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
+    scaling: float | None = Option(
+        None,
+        metavar="FACTOR",
+        help="How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]",
+    )
+
+
+class ShapeOptions(NamedTuple):
+    """Options of meshes and graphs."""
+
+    tolerance: float | None = Option(
+        None,
+        metavar="METRES",
+        min=0,
+        help="How far a mesh may be off the floor [m].  [default: 0.001]",
+    )
+    up: str | None = Option(None, metavar="y|z", help="Upward axis of an OBJ.  [default: y]")
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    )
+
+
+def _list_formats() -> str:
+    """The table of formats as a help text shows it."""
+    lines = []
+    for form in FORMATS:
+        ways = [way for way, is_there in (("in", form.read), ("out", form.encode)) if is_there]
+        lines.append(f"{form.name} ({', '.join(form.endings)}; {', '.join(ways)}): {form.meaning}.")
+    return "\n\n".join(lines)
+
+
+def convert(
+    source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
+    output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
+    maps: MapOptions,
+    shapes: ShapeOptions,
+    to: str | None = Option(
+        None, "--to", metavar="FORMAT", help="Format of OUT.  [default: by its ending]"
+    ),
+    origin: str | None = Option(
+        None, "--from", metavar="FORMAT", help="Format of IN.  [default: by its ending]"
+    ),
+) -> None:
+    if output == STDOUT and to is None:
+        raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
+    reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
+    options = maps._asdict() | shapes._asdict()
+    read_options, write_options = _share_out(options, reader, writer)
+    inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
+    check_output(output, inputs=inputs)
+    inputs += list_files(source, reader)
+    grid = read_as(source, reader.name, **read_options)
+    target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
+    files = encode_as(grid, target, writer.name, **write_options)
+    if output == STDOUT:
+        if len(files) > 1:
+            raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
+        (content,) = files.values()
+        write_stdout(content if isinstance(content, bytes) else b"".join(content))
+        return
+    for path in files:
+        check_output(path, inputs=inputs)
+    for path in write_files(files):
+        say_unless_quiet(path)
+
+
+convert.__doc__ = f"""Convert a grid from one format to another.
+
+Example: navbake convert house.grid.json map.yaml
+
+Formats:
+
+{_list_formats()}
+"""
+
+
+def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
+    try:
+        return find_format(path, name, writing=writing)
+    except FormatError as error:
+        hint = option if name is not None else ("OUT" if writing else "IN")
+        raise BadParameter(str(error), param_hint=hint) from error
+
+
+def _share_out(
+    options: dict[str, Any], reader: Format, writer: Format
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options that are given, for the reader and for the writer; one of neither is refused."""
+    given = {
+        name: value
+        for name, value in options.items()
+        if value is not None and value is not False and value != []
+    }
+    for name in given:
+        if name not in (*reader.read_options, *writer.write_options):
+            takers = [f"{form.name} as OUT" for form in FORMATS if name in form.write_options]
+            takers += [f"{form.name} as IN" for form in FORMATS if name in form.read_options]
+            flag = f"--{name.replace('_', '-')}"
+            raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=flag)
+    for_reader = {name: value for name, value in given.items() if name in reader.read_options}
+    for_writer = {name: value for name, value in given.items() if name in writer.write_options}
+    return for_reader, for_writer
+
+
+def inflate(
+    grid: GridFile,
+    metres: float | None = Argument(None, metavar="RADIUS", help="Radius of the agent [m]."),
+    radius: float | None = Option(None, metavar="METRES", help="The same."),
+    output: Path = Option(
+        ...,
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="File to write (.json or .json.gz), - for stdout; not GRID itself.",
+    ),
+    clearance: float | None = Option(
+        None,
+        metavar="METRES",
+        help="Distance beyond the radius within which cells cost more [m].  "
+        "[default: 0; with nav2 costs, up to where the cost falls to 1]",
+    ),
+    mode: str = Option(
+        "exact",
+        metavar="exact|minos",
+        help="exact (its disc meets no occupied cell) or minos (the original client's).",
+    ),
+    costs: str = Option(
+        "step",
+        metavar="step|nav2",
+        help="Cost of cells within the clearance: step (10), or nav2 (exponential).",
+    ),
+    scaling: float | None = Option(
+        None,
+        metavar="FACTOR",
+        help="How fast nav2 costs fall, its cost_scaling_factor [1/m].  [default: 10]",
+    ),
+    ledges: str | None = Option(
+        None,
+        metavar="avoid|ignore",
+        help="avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
+    ),
+) -> None:
+    """Inflate the obstacles of a grid for an agent of another radius.
+
+    Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
+    """
+    from navbake.formats.navgrid import dumps_navgrid  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments  # loads numpy
+
+    given = [value for value in (metres, radius) if value is not None]
+    if len(given) != 1:
+        raise BadParameter("expected one radius [m]", param_hint="RADIUS")
+    radius = given[0]
+    refuse_unused(
+        ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
+        ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
+    )
+    scaling, ledges = SCALING if scaling is None else scaling, ledges or "avoid"
+    # The arguments are checked before the grid is read: a large one takes seconds.
+    check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
+    check_output(output, *GRIDS, inputs=[grid])
+    before = navbake.load(grid)
+    after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
+    if output == STDOUT:
+        write_stdout(dumps_navgrid(after))
+    else:
+        after.save(output)
+    areas = [
+        sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)
+        for content in (before, after)
+    ]
+    share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
+    with beside_output(output):
+        say_unless_quiet(
+            f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
+            f"for an agent of radius {radius:g} m ({mode})"
+        )
+
+
+class Squares(NamedTuple):
+    """Options that lay the descriptor's squares over a level."""
+
+    level: int | None = Option(
+        None, metavar="N", min=0, help="Which level; 0 is the lowest.  [default: 0]"
+    )
+    corner: tuple[float, float] | None = Option(
+        None, metavar="X Y", help="Lower left corner [m].  [default: the level's]"
+    )
+    rows: int | None = Option(
+        None, metavar="N", min=1, help="Squares up.  [default: the whole level; decoding: 20]"
+    )
+    cols: int | None = Option(
+        None, metavar="N", min=1, help="Squares across.  [default: the whole level; decoding: 15]"
+    )
+    square: float | None = Option(
+        None, metavar="METRES", help="Edge of a square [m].  [default: 0.1]"
+    )
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        return None if self.rows is None or self.cols is None else (self.rows, self.cols)
+
+
+def map_descriptor(
+    squares: Squares,
+    grid: Path | None = Argument(None, metavar="GRID", help="A NavGrid file."),
+    decode: tuple[str, str] | None = Option(
+        None, metavar="P1 P2", help="Draw this descriptor in place of a GRID."
+    ),
+    explored: Path | None = Option(
+        None,
+        metavar="NPY",
+        help="Which squares are explored: an array [row, col], row 0 at the top.  [default: all]",
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Write a level as a map descriptor (two hex strings) and draw it.
+
+    Example: navbake map-descriptor house.grid.json --square 0.2
+    """
+    if (grid is None) == (decode is None):
+        raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
+    if (squares.rows is None) != (squares.cols is None):
+        raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
+    refuse_unused(
+        *(
+            (name, value is not None, decode is None, "a GRID")
+            for name, value in (
+                ("--level", squares.level),
+                ("--corner", squares.corner),
+                ("--square", squares.square),
+                ("--explored", explored),
+            )
+        )
+    )
+    from navbake.arena import map_descriptor as descriptor  # loads numpy
+
+    if decode is not None:
+        part1, part2 = decode
+        known, filled = descriptor.decode(part1, part2, squares.shape or descriptor.ARENA)
+    else:
+        assert grid is not None
+        known, filled = _read_squares(grid, squares, explored)
+        part1, part2 = descriptor.encode(known, filled)
+    drawing = descriptor.draw(known, filled)
+    if as_json:
+        facts = {"rows": known.shape[0], "cols": known.shape[1], "part1": part1, "part2": part2}
+        print_json({**facts, "map": drawing.split("\n")})
+        return
+    if decode is None:
+        print(f"{part1}\n{part2}")
+    print(drawing)
+
+
+def _read_squares(
+    path: Path, squares: Squares, explored: Path | None
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Which squares of a level are explored, and which hold an obstacle."""
+    import numpy as np  # --help does without it
+
+    from navbake.arena.arena import find_obstacles, place_squares
+    from navbake.formats.npz import read_npy  # which loads numpy
+
+    levels = navbake.load(path).levels
+    number = squares.level or 0
+    if number >= len(levels):
+        raise ConfigError(f"no level {number} in {path}: it has {len(levels)}, counted from 0")
+    level = levels[number]
+    edge = SQUARE if squares.square is None else squares.square
+    placed = place_squares(level, square=edge, corner=squares.corner, shape=squares.shape)
+    filled = find_obstacles(level, placed)
+    if explored is None:
+        return np.ones_like(filled), filled
+    return read_npy(explored), filled

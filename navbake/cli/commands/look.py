@@ -1,0 +1,247 @@
+"""The commands that show a grid: `navbake plot`, `report` and `view`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from typer import Argument, BadParameter, Option
+
+import navbake
+from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
+from navbake.cli.options import (
+    GRIDS,
+    STDOUT,
+    GridFile,
+    Overrides,
+    check_output,
+    refuse_unused,
+    write_stdout,
+)
+from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
+from navbake.errors import ConfigError
+
+if TYPE_CHECKING:
+    from navbake.views.viewer.exhibit import Exhibit
+    from navbake.views.viewer.view import Reading
+
+# Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
+
+
+def plot(
+    grid: GridFile,
+    output: Path = Option(
+        ..., "-o", "--output", metavar="PNG|SVG", help="Picture to write; - for a PNG on stdout."
+    ),
+    level: int | None = Option(
+        None, metavar="N", min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
+    ),
+    layers: list[str] | None = Option(
+        None,
+        "--layer",
+        metavar="LAYER",
+        help="Draw occupancy, floor, rooms, doors, clearance, island, weights or links. May be "
+        "repeated.  [default: occupancy and floor]",
+    ),
+) -> None:
+    """Draw a grid: a row for each level, a column for each layer.
+
+    Up is the world's +y.
+
+    Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
+    """
+    from navbake.views.layers import LAYERS
+    from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
+
+    for layer in layers or ():
+        if layer not in LAYERS:
+            raise BadParameter(
+                f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
+            )
+    check_output(output, ".png", ".svg", inputs=[grid])
+    content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
+    if output == STDOUT:
+        write_stdout(render_png(content, level=level, layers=chosen))
+    else:
+        say_unless_quiet(plot_grid(content, output, level=level, layers=chosen))
+
+
+def report(
+    grids: Annotated[
+        list[Path], Argument(metavar="GRID|FOLDER", help="NavGrid files, or the folder of a batch.")
+    ],
+    output: Path | None = Option(
+        None,
+        "-o",
+        "--output",
+        metavar="HTML",
+        help="Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
+    ),
+    with_audit: bool = Option(False, "--audit", help="Audit the grids, and add what is found."),
+    verifications: list[Path] | None = Option(
+        None,
+        "--verify",
+        metavar="JSON",
+        help="Add what `navbake verify --json` printed of a grid. Once for each GRID, in order.",
+    ),
+) -> None:
+    """Make a page that shows grids in a browser.
+
+    It needs neither a server nor the network. It shows each level's layers, tells of the cell
+    under the pointer, and lists rooms, doors, links, settings and timings. Of two grids it shows
+    what differs, too. Of a batch's folder it shows all scenes, failures by reason, and
+    distributions of free areas and times.
+
+    Example: navbake report before.grid.json after.grid.json -o report.html
+    """
+    from navbake.auditor.audit import audit
+    from navbake.formats.source import write_bytes
+    from navbake.views.report.report import read_verification, render_report
+
+    if any(os.path.isdir(path) for path in grids):
+        refuse_unused(
+            ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
+            ("--verify", bool(verifications), False, "grids"),
+        )
+        _report_on_batch(grids, output)
+        return
+    if output is None:
+        raise BadParameter("expected a page to write", param_hint="-o")
+    if verifications and len(verifications) != len(grids):
+        raise BadParameter(
+            f"expected one for each GRID, {len(grids)}, got {len(verifications)}",
+            param_hint="--verify",
+        )
+    check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
+    read = [read_verification(path) for path in verifications or ()]
+    contents = [navbake.load(path) for path in grids]
+    page = render_report(
+        contents,
+        names=[_short_name(path) for path in grids],
+        audits=[audit(content) for content in contents] if with_audit else None,
+        verifications=read or None,
+    )
+    if output == STDOUT:
+        write_stdout(page)
+    else:
+        write_bytes(page, output)
+        say_unless_quiet(output)
+
+
+def _report_on_batch(folders: list[Path], output: Path | None) -> None:
+    """Write the page of a batch from its index; thumbnails that are missing are drawn."""
+    from navbake.batch.page.page import NAME, write_page, write_page_beside
+
+    if len(folders) > 1 or not os.path.isfile(folders[0] / INDEX):
+        named = ", ".join(map(str, folders))
+        raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
+    page = folders[0] / NAME if output is None else output
+    if page == STDOUT:
+        raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
+    check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
+    draw_missing_thumbnails(folders[0])
+    if output is None:
+        write_page(folders[0])
+    else:
+        write_page_beside(folders[0], page)
+    say_unless_quiet(page)
+
+
+def _short_name(path: Path) -> str:
+    """A file's name without the endings of grids."""
+    name = path.name
+    for suffix in (".gz", ".json", ".grid"):
+        name = name.removesuffix(suffix)
+    return name or path.name
+
+
+class Address(NamedTuple):
+    """Where the page is served."""
+
+    host: str = Option(
+        "127.0.0.1",
+        metavar="HOST",
+        help="Address of this machine to listen at. Only this machine can reach the default; "
+        "0.0.0.0 lets others in, too.",
+    )
+    port: int = Option(
+        8080, metavar="PORT", min=0, max=65535, help="Port to listen at; 0 for any free one."
+    )
+    no_open: bool = Option(False, "--no-open", help="Only print the link.")
+
+
+def view(
+    address: Address,
+    source: Path = Argument(
+        ...,
+        metavar="GRID|SCENE|CONFIG",
+        help="A NavGrid file (.json or .json.gz), or a scene file or settings (YAML) to bake.",
+    ),
+    scene: Path | None = Option(
+        None,
+        metavar="SCENE|CONFIG",
+        help="The scene of GRID, or the settings of its bake (YAML).  [default: the file that "
+        "GRID names, beside it or in the current folder, or in `scenes` there]",
+    ),
+    overrides: Overrides = None,
+    force: bool = Option(False, "--force", help="Show GRID in a scene that it wasn't baked from."),
+) -> None:
+    """Show a grid in its scene, in the browser, until Ctrl-C.
+
+    A SCENE or CONFIG is baked first, and again whenever it changes on disk.
+
+    Example: navbake view my_scene.yaml --set grid.cell_size=0.1
+    """
+    from navbake.views.viewer.view import check_address, check_viser
+
+    check_viser()
+    check_address(address.host, address.port)  # before the bake, which may take long
+    is_grid = source.name.lower().endswith(GRIDS)
+    if is_grid and overrides:
+        raise BadParameter("does nothing here: it is for a SCENE or CONFIG", param_hint="--set")
+    if not is_grid and (scene is not None or force):
+        which = "--scene" if scene is not None else "--force"
+        raise BadParameter("does nothing here: it is for a GRID", param_hint=which)
+    from navbake.views.viewer.view import Viewer, read_again
+
+    reading = read_again(source, scene, force=force) if is_grid else _baked(source, overrides or [])
+    viewer = Viewer(reading.read(), host=address.host, port=address.port, reading=reading)
+    try:
+        say(f"{viewer.url} (Ctrl-C ends it)")
+        if not address.no_open:
+            viewer.open()
+        viewer.wait()
+    finally:
+        viewer.close()
+
+
+def _baked(path: Path, overrides: list[str]) -> Reading:
+    """Where the exhibit of a scene or of settings comes from: it is baked."""
+    from navbake.config.settings import load_config
+    from navbake.errors import NavbakeError
+    from navbake.views.viewer.view import Reading, Watch, find_files
+
+    def find() -> list[Path]:
+        try:
+            return find_files([path, *load_config(path, overrides).inputs])
+        except NavbakeError:  # broken for now: whoever mends it writes it
+            return find_files([path])
+
+    return Reading(lambda: _bake(path, overrides), Watch(find))
+
+
+def _bake(path: Path, overrides: list[str]) -> Exhibit:
+    from navbake.baker.pipeline import run_bake
+    from navbake.baker.scene.scene import load_scene, open_file
+    from navbake.cli.progress import stage_progress
+    from navbake.config.settings import load_config
+    from navbake.views.viewer.exhibit import Exhibit
+
+    config = load_config(path, overrides)
+    with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
+        opened = open_file(config.scene)
+        grid = run_bake(config, progress=progress, opened=opened).grid
+    print_warnings(list(grid.warnings))
+    scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
+    return Exhibit(grid, scene, config)
