@@ -21,40 +21,34 @@ MOST_ADDED = 4  # times the cells of two levels that a lattice over both may hav
 ALWAYS = 4_000_000  # as many cells at least
 SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
 
-# what became of a cell, in the order of what a reader wants to know first
-CHANGES = (
-    "became free",
-    "became blocked",
-    "floor moved",
-    "other room",
-    "other weight",
-    "only in the first",
-    "only in the second",
-)
-ALIKE = ("free in both", "blocked in both", "no floor in both")
-# as many as CHANGES and ALIKE; told apart by hue and by lightness, whatever colours one sees
-COLORS = (
-    "#009e73",
-    "#d55e00",
-    "#0072b2",
-    "#cc79a7",
-    "#e69f00",
-    "#6f5f4f",
-    "#56b4e9",
-    "#f7f3e8",
-    "#9aa2b1",
-    "#d9dde3",
-)
+# what became of a cell, in the order of what a reader wants to know first; colours are told apart
+# by hue and by lightness, whatever colours one sees
+CHANGE_COLORS = {
+    "became free": "#009e73",
+    "became blocked": "#d55e00",
+    "floor moved": "#0072b2",
+    "other room": "#cc79a7",
+    "other weight": "#e69f00",
+    "only in the first": "#6f5f4f",
+    "only in the second": "#56b4e9",
+}
+ALIKE_COLORS = {
+    "free in both": "#f7f3e8",
+    "blocked in both": "#9aa2b1",
+    "no floor in both": "#d9dde3",
+}
+CHANGES, ALIKE = tuple(CHANGE_COLORS), tuple(ALIKE_COLORS)
+COLORS = CHANGE_COLORS | ALIKE_COLORS
+
+Row = tuple[str, str, str]
+"""What differs, and how the first and the second grid have it."""
 
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
-    """The sheet of two grids' difference, as `content.describe_grid` has one of a grid."""
-    levels = [
-        compare_levels(first.levels[i], second.levels[j], (i, j))
-        for i, j in match_levels(first, second)
-    ]
+    """The sheet of two grids' difference, as a report has one of a grid."""
+    pairs = match_levels(first, second)
+    levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
     columns = ("what", *names)
-    changed = sum(sum(level.counts().values()) for level in levels)
     cells = [
         (
             first.level_names[level.first],
@@ -63,27 +57,46 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         )
         for level in levels
     ]
+    alone = [
+        ("only in the first", name, "")
+        for number, name in enumerate(first.level_names)
+        if number not in [level.first for level in levels]
+    ] + [
+        ("only in the second", "", name)
+        for number, name in enumerate(second.level_names)
+        if number not in [level.second for level in levels]
+    ]
+    num_changed = sum(sum(level.counts().values()) for level in levels)
+    areas = [
+        sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
+        for grid in (first, second)
+    ]
+    area = f"{areas[0]:.2f} to {areas[1]:.2f} m² ({areas[1] - areas[0]:+.2f})"
     tables = [
         table("Cells that changed", (*names, *CHANGES), cells, numbers=range(2, 2 + len(CHANGES))),
-        table("Levels that only one has", columns, _unmatched(first, second, levels)),
-        *(
-            table(title, columns, [(row["what"], row["first"], row["second"]) for row in rows])
-            for title, rows in (
-                ("Rooms that changed", list_rooms(first, second, levels)),
-                ("Doors that changed", list_doors(first, second)),
-                ("Settings that changed", list_settings(first, second)),
-            )
-        ),
+        table("Levels that only one has", columns, alone),
+        table("Rooms that changed", columns, list_rooms(first, second, levels)),
+        table("Doors that changed", columns, list_doors(first, second)),
+        table("Settings that changed", columns, list_settings(first, second)),
     ]
+    warnings = []
+    if first.scene_id != second.scene_id:
+        warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
+    ours, theirs = (grid.levels[0].lattice.cell_size for grid in (first, second))
+    if abs(ours - theirs) > 1e-9:
+        warnings.append(
+            f"cells of {ours:g} m are compared with the cells of {theirs:g} m "
+            "in which their centres lie"
+        )
     return {
         "name": "difference",
         "facts": [
             ("first", names[0]),
             ("second", names[1]),
-            ("cells that changed", f"{changed:,}"),
-            *(("free area", _areas(first, second)) for _ in levels[:1]),
+            ("cells that changed", f"{num_changed:,}"),
+            *(("free area", area) for _ in levels[:1]),
         ],
-        "warnings": _warnings(first, second),
+        "warnings": warnings,
         "levels": [_show_level(first, second, level) for level in levels],
         "tables": [made for made in tables if made["rows"]],
     }
@@ -92,68 +105,20 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
 def _show_level(first: NavGrid, second: NavGrid, level: LevelDifference) -> Json:
     every = max(thinning(first.levels[level.first]), thinning(second.levels[level.second]))
     change = level.change[::every, ::every]
-    colors = np.array([rgb_of(color) for color in COLORS], dtype=np.uint8)
-    legend = [
-        (name, color)
-        for number, (name, color) in enumerate(zip(CHANGES + ALIKE, COLORS, strict=True))
-        if (change == number).any()
-    ]
+    colors = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
+    there = np.bincount(change.ravel(), minlength=len(COLORS)) > 0
+    legend = [entry for entry, is_there in zip(COLORS.items(), there, strict=True) if is_there]
     ours, theirs = first.level_names[level.first], second.level_names[level.second]
+    layer: Json = {"name": "changes", "title": "", "png": to_png(colors[change]), "legend": legend}
     return {
         **describe_place(ours if ours == theirs else f"{ours} / {theirs}", level.lattice),
         "every": every,
         "of": [[0, level.first], [1, level.second]],
         "change": pack(change.astype(np.int64)),
-        "kinds": CHANGES + ALIKE,
-        "layers": [
-            {
-                "name": "changes",
-                "title": "",
-                "png": to_png(colors[change]),
-                "legend": legend,
-                "scale": None,
-                "labels": [],
-                "doors": [],
-            }
-        ],
+        "kinds": [*COLORS],
+        "layers": [{**layer, "scale": None, "labels": [], "doors": []}],
         "marks": [],
     }
-
-
-def _unmatched(
-    first: NavGrid, second: NavGrid, levels: Sequence[LevelDifference]
-) -> list[tuple[str, str, str]]:
-    ours, theirs = {level.first for level in levels}, {level.second for level in levels}
-    rows = [
-        ("only in the first", name, "") for i, name in enumerate(first.level_names) if i not in ours
-    ]
-    rows += [
-        ("only in the second", "", name)
-        for i, name in enumerate(second.level_names)
-        if i not in theirs
-    ]
-    return rows
-
-
-def _areas(first: NavGrid, second: NavGrid) -> str:
-    ours, theirs = (
-        sum(float(np.count_nonzero(each.free)) * each.lattice.cell_size**2 for each in grid.levels)
-        for grid in (first, second)
-    )
-    return f"{ours:.2f} to {theirs:.2f} m² ({theirs - ours:+.2f})"
-
-
-def _warnings(first: NavGrid, second: NavGrid) -> list[str]:
-    lines = []
-    if first.scene_id != second.scene_id:
-        lines.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
-    ours, theirs = (grid.levels[0].lattice.cell_size for grid in (first, second))
-    if abs(ours - theirs) > 1e-9:
-        lines.append(
-            f"cells of {ours:g} m are compared with the cells of {theirs:g} m "
-            "in which their centres lie"
-        )
-    return lines
 
 
 class LevelDifference(NamedTuple):
@@ -300,60 +265,48 @@ def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
         if a and b:
             share = count / (int(cells_one[a]) + int(cells_other[b]) - count)
             overlaps.append((share, a, b))
-    best_of_one: dict[int, tuple[float, int]] = {}
-    best_of_other: dict[int, tuple[float, int]] = {}
-    for share, a, b in sorted(overlaps, key=lambda found: (found[0], -found[1], -found[2])):
-        best_of_one[a], best_of_other[b] = (share, b), (share, a)
-    return sorted(
-        (a, b, share) for a, (share, b) in best_of_one.items() if best_of_other[b][1] == a
-    )
+    overlaps.sort(key=lambda found: (found[0], -found[1], -found[2]))
+    best_of_one = {a: (b, share) for share, a, b in overlaps}
+    best_of_other = {b: a for _, a, b in overlaps}
+    return sorted((a, b, share) for a, (b, share) in best_of_one.items() if best_of_other[b] == a)
 
 
-def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Json]:
-    """The rooms that changed: ``what``, and the first and the second one's names and areas."""
+def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Row]:
+    """The rooms that changed: names and areas."""
     rows = []
     rooms = [{(room.level, room.index): room for room in grid.rooms} for grid in (first, second)]
+
+    def shown(room: Room) -> str:
+        return f"{room.name or room.id}, {room.area:.2f} m²"
+
     for level in levels:
         for a, b, share in level.rooms:
             one = rooms[0].pop((level.first, a), None)
             other = rooms[1].pop((level.second, b), None)
             if one is None or other is None:
                 continue
-            changed = "" if share == 1 else f"{share:.1%} of their cells are common"
-            renamed = "" if one.name == other.name else "renamed"
-            if changed or renamed:
-                what = "; ".join(part for part in (renamed, changed) if part)
-                rows.append(_room_row(what, one, other))
-    rows += [_room_row("only in the first", room, None) for room in rooms[0].values()]
-    rows += [_room_row("only in the second", None, room) for room in rooms[1].values()]
-    return rows
+            whats = ["renamed"] if one.name != other.name else []
+            whats += [f"{share:.1%} of their cells are common"] if share != 1 else []
+            if whats:
+                rows.append(("; ".join(whats), shown(one), shown(other)))
+    rows += [("only in the first", shown(room), "") for room in rooms[0].values()]
+    return rows + [("only in the second", "", shown(room)) for room in rooms[1].values()]
 
 
-def _room_row(what: str, one: Room | None, other: Room | None) -> Json:
-    def shown(room: Room | None) -> str:
-        return "" if room is None else f"{room.name or room.id}, {room.area:.2f} m²"
-
-    return {"what": what, "first": shown(one), "second": shown(other)}
-
-
-def list_doors(first: NavGrid, second: NavGrid) -> list[Json]:
+def list_doors(first: NavGrid, second: NavGrid) -> list[Row]:
     """The doors that only one of two grids has, or that are in another state."""
-    states = [{door.id: door.state for door in grid.doors} for grid in (first, second)]
-    return [
-        {"what": name, "first": states[0].get(name, ""), "second": states[1].get(name, "")}
-        for name in sorted(states[0].keys() | states[1].keys())
-        if states[0].get(name) != states[1].get(name)
-    ]
+    return _differing(*({door.id: door.state for door in grid.doors} for grid in (first, second)))
 
 
-def list_settings(first: NavGrid, second: NavGrid) -> list[Json]:
+def list_settings(first: NavGrid, second: NavGrid) -> list[Row]:
     """The settings and digests that differ, by their path in the metadata."""
-    values = [dict(flatten(_settings_of(grid))) for grid in (first, second)]
-    return [
-        {"what": key, "first": values[0].get(key, ""), "second": values[1].get(key, "")}
-        for key in sorted(values[0].keys() | values[1].keys())
-        if values[0].get(key) != values[1].get(key)
-    ]
+    return _differing(*(dict(flatten(_settings_of(grid))) for grid in (first, second)))
+
+
+def _differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:
+    keys = sorted(one.keys() | other.keys())
+    rows = [(key, one.get(key, ""), other.get(key, "")) for key in keys]
+    return [row for row in rows if row[1] != row[2]]
 
 
 def _settings_of(grid: NavGrid) -> Json:

@@ -1,9 +1,8 @@
-"""The panel of the page: what can be chosen, and what is told."""
+"""The panel of the page: what can be chosen, and what is said."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +30,8 @@ class Controls:
         gui: of the page.
         exhibit: what is shown.
         chosen: what is chosen at first.
-        change: is given how the choices change, whenever the reader changes them.
-        verify: is called when the reader asks for a verification.
+        change: is called with how the choices change, whenever the reader changes them.
+        verify: is called when the reader wants a verification.
     """
 
     def __init__(
@@ -48,182 +47,163 @@ class Controls:
         gui.reset()
         self.status = gui.add_markdown("", visible=False)
         gui.add_markdown(texts.say_grid(exhibit.grid, exhibit.note))
-        self._add_layers(chosen, verify)
-        self._add_agent(chosen)
-        self._add_click(chosen)
+        with gui.add_folder("Layer"):
+            self._add_layers(chosen, verify)
+        with gui.add_folder("Agent"):
+            self._add_agent(chosen)
+        with gui.add_folder("Click"):
+            self._add_click(chosen)
         if exhibit.grid.doors:
-            self._add_doors(chosen)
-        self._add_picture(chosen)
+            with gui.add_folder("Doors", expand_by_default=False):
+                self._add_doors()
+        with gui.add_folder("Picture"):
+            self._add_picture(chosen)
 
-    def _folder(self, name: str, *, is_open: bool = True) -> AbstractContextManager[Any]:
-        return self._gui.add_folder(name, expand_by_default=is_open)
+    def _keep(self, name: str, handle: Any, make: Callable[[Any], Change] | None = None) -> None:
+        """Keep an input; change the choices when the reader, and not this program, sets it."""
+        self._handles[name] = handle
+        if make is not None:
+            handle.on_update(
+                lambda event: event.client is not None and self._change(make(event.target.value))
+            )
 
-    def _on(self, handle: Any, make: Callable[[Any], Change]) -> None:
-        """Change the choices when the reader, and not this program, sets an input."""
-
-        def changed(event: Any) -> None:
-            if event.client is not None:
-                self._change(make(event.target.value))
-
-        handle.on_update(changed)
+    def _keep_button(self, name: str, change: Change, **options: Any) -> None:
+        self._handles[name] = button = self._gui.add_button(name, **options)
+        button.on_click(lambda _: self._change(change))
 
     def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
-        gui, grid, add = self._gui, self._exhibit.grid, self._handles
-        with self._folder("Layer"):
-            add["layer"] = gui.add_dropdown(
-                "Layer", self._exhibit.layers, initial_value=chosen.layer
-            )
-            self._on(add["layer"], lambda name: lambda now: replace(now, layer=name))
-            if grid.levels[1:]:
-                names = [ALL_LEVELS, *_unique(grid.level_names)]
-                add["level"] = gui.add_dropdown("Level", names, initial_value=_level(names, chosen))
+        gui, grid, layers = self._gui, self._exhibit.grid, self._exhibit.layers
+        layer = gui.add_dropdown("Layer", layers, initial_value=chosen.layer)
+        self._keep("layer", layer, lambda name: lambda now: replace(now, layer=name))
+        if grid.levels[1:]:
+            names = [ALL_LEVELS, *_unique(grid.level_names)]
 
-                def look(name: str) -> Change:
-                    number = None if name == ALL_LEVELS else names.index(name) - 1
-                    return lambda now: now.with_level(grid, number)
+            def look(name: str) -> Change:
+                number = None if name == ALL_LEVELS else names.index(name) - 1
+                return lambda now: now.with_level(grid, number)
 
-                self._on(add["level"], look)
-            add["legend"] = gui.add_html("")
-            add["verify"] = gui.add_button(
-                "Compare with the scene",
-                hint="Let MuJoCo and FCL look at a sample of the cells (navbake verify).",
-                visible=False,
-            )
-            add["verified"] = gui.add_markdown("", visible=False)
-            add["verify"].on_click(lambda _: verify())
+            level = gui.add_dropdown("Level", names, initial_value=_level(names, chosen))
+            self._keep("level", level, look)
+        self._keep("legend", gui.add_html(""))
+        hint = "Let MuJoCo and FCL look at a sample of the cells (navbake verify)."
+        self._keep("verify", gui.add_button("Compare with the scene", hint=hint, visible=False))
+        self._keep("verified", gui.add_markdown("", visible=False))
+        self._handles["verify"].on_click(lambda _: verify())
 
     def _add_agent(self, chosen: Choices) -> None:
-        gui, grid, add = self._gui, self._exhibit.grid, self._handles
+        gui, grid = self._gui, self._exhibit.grid
         most = max(MAX_RADIUS, 2 * grid.agent_radius)
-        radius, clearance = chosen.inflation or (grid.agent_radius, 0.0)
-        with self._folder("Agent"):
-            add["free"] = gui.add_markdown("")
-            add["radius"] = gui.add_slider(
-                "Radius [m]", 0.0, most, RADIUS_STEP, min(radius, most),
-                hint="Inflate the grid for an agent of this radius.",
-            )  # fmt: skip
-            add["clearance"] = gui.add_slider(
-                "Clearance [m]", 0.0, most, RADIUS_STEP, min(clearance, most),
-                hint="Cells so near beyond the radius cost more.",
-            )  # fmt: skip
-            add["as baked"] = gui.add_button(
-                "As baked", hint="Show the grid as it is in the file, not inflated here."
-            )
+        sizes = chosen.inflation or (grid.agent_radius, 0.0)
 
         def inflate(_: Any) -> Change:
-            sizes = float(add["radius"].value), float(add["clearance"].value)
-            return lambda now: replace(now, inflation=sizes)
+            radius, clearance = (float(self._handles[name].value) for name in names)
+            return lambda now: replace(now, inflation=(radius, clearance))
 
-        self._on(add["radius"], inflate)
-        self._on(add["clearance"], inflate)
-        add["as baked"].on_click(lambda _: self._change(lambda now: replace(now, inflation=None)))
+        names = ("radius", "clearance")
+        hints = (
+            "Inflate the grid for an agent of this radius.",
+            "Cells so near beyond cost more.",
+        )
+        self._keep("free", gui.add_markdown(""))
+        for name, size, hint in zip(names, sizes, hints, strict=True):
+            label, first = f"{name.capitalize()} [m]", min(size, most)
+            self._keep(
+                name, gui.add_slider(label, 0.0, most, RADIUS_STEP, first, hint=hint), inflate
+            )
+        hint = "Show the grid as it is in the file, not inflated here."
+        self._keep_button("As baked", lambda now: replace(now, inflation=None), hint=hint)
 
     def _add_click(self, chosen: Choices) -> None:
-        gui, add = self._gui, self._handles
-        with self._folder("Click"):
-            add["click"] = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
-            self._on(add["click"], lambda does: lambda now: replace(now, click=does))
-            add["told"] = gui.add_markdown("")
-            add["route"] = gui.add_markdown("")
-            add["forget"] = gui.add_button("Clear", visible=False)
-            add["forget"].on_click(lambda _: self._change(lambda now: now.without_clicks()))
+        gui = self._gui
+        click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
+        self._keep("click", click, lambda does: lambda now: replace(now, click=does))
+        self._keep("told", gui.add_markdown(""))
+        self._keep("route", gui.add_markdown(""))
+        self._keep_button("Clear", Choices.without_clicks, visible=False)
 
-    def _add_doors(self, chosen: Choices) -> None:
-        gui, grid, add = self._gui, self._exhibit.grid, self._handles
+    def _add_doors(self) -> None:
+        gui, grid, at = self._gui, self._exhibit.grid, self._handles
+        if "inflation" in grid.metadata:
+            gui.add_markdown(INFLATED)
+            return
         names = [door.id for door in grid.doors]
         states = sorted({state for door in grid.doors for state in door.states})
-        with self._folder("Doors", is_open=False):
-            if "inflation" in grid.metadata:
-                gui.add_markdown(INFLATED)
-                return
-            add["door"] = gui.add_dropdown("Door", [ALL_DOORS, *names])
-            add["state"] = gui.add_dropdown("State", [AS_BAKED, *states])
 
         def put(state: str) -> Change:
-            which = names if add["door"].value == ALL_DOORS else [add["door"].value]
+            which = names if at["door"].value == ALL_DOORS else [at["door"].value]
             if state != AS_BAKED:
                 return lambda now: now.with_door(grid, which, state)
             return lambda now: replace(
                 now, doors=tuple(one for one in now.doors if one[0] not in which)
             )
 
-        def show(event: Any) -> None:
-            if event.client is not None:
-                self._change(lambda now: now)
-
-        self._on(add["state"], put)
-        add["door"].on_update(show)
+        self._keep("door", gui.add_dropdown("Door", [ALL_DOORS, *names]), lambda _: lambda now: now)
+        self._keep("state", gui.add_dropdown("State", [AS_BAKED, *states]), put)
 
     def _add_picture(self, chosen: Choices) -> None:
-        gui, exhibit, add = self._gui, self._exhibit, self._handles
-        with self._folder("Picture"):
-            if exhibit.scene is not None:
-                self._add_cut(chosen)
-            count = len(exhibit.grid.levels)
-            for number, name in enumerate(_unique(exhibit.grid.level_names)):
-                if 1 < count <= MOST_SWITCHES:
-                    key = f"level {number}"
-                    add[key] = gui.add_checkbox(name, number in chosen.levels)
-                    self._on(add[key], lambda on, k=number: lambda now: _switch(now, k, on))  # type: ignore[misc]
-            add["opacity"] = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
-            self._on(add["opacity"], lambda share: lambda now: replace(now, opacity=share))
-            add["names"] = gui.add_checkbox("Names", chosen.with_names)
-            self._on(add["names"], lambda on: lambda now: replace(now, with_names=on))
-            dark = gui.add_checkbox("Dark page", False)
-            dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
+        gui, exhibit = self._gui, self._exhibit
+        if exhibit.scene is not None:
+            self._add_cut(chosen)
+        names = _unique(exhibit.grid.level_names)
+        for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
+
+            def switch(on: bool, number: int = number) -> Change:
+                others = {number} if on else set()
+                return lambda now: replace(
+                    now, levels=tuple(sorted({*now.levels} - {number} | others))
+                )
+
+            self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
+        opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
+        self._keep("opacity", opacity, lambda share: lambda now: replace(now, opacity=share))
+        with_names = gui.add_checkbox("Names", chosen.with_names)
+        self._keep("names", with_names, lambda on: lambda now: replace(now, with_names=on))
+        dark = gui.add_checkbox("Dark page", False)
+        dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
 
     def _add_cut(self, chosen: Choices) -> None:
-        gui, exhibit, add = self._gui, self._exhibit, self._handles
+        gui, exhibit = self._gui, self._exhibit
         drawing = exhibit.drawing(chosen)
         assert drawing is not None and exhibit.scene is not None
         low = float(exhibit.bounds[0, 2])
         high = max(float(drawing.bounds[1, 2]), low) + CUT_STEP
-        cut = min(high if chosen.cut is None else chosen.cut, high)
-        add["cut"] = gui.add_slider(
-            "Cut height [m]", round(low, 2), round(high, 2), CUT_STEP, round(max(cut, low), 2),
-            hint="The scene is drawn up to here, so that one sees into storeys.",
-        )  # fmt: skip
+        cut = max(low, high if chosen.cut is None else min(chosen.cut, high))
+        low, high, cut = round(low, 2), round(high, 2), round(cut, 2)
 
         def cut_at(height: float) -> Change:
-            top = height >= round(high, 2) - CUT_STEP / 2
+            top = height >= high - CUT_STEP / 2
             return lambda now: replace(now, cut=None if top else height)
 
-        self._on(add["cut"], cut_at)
-        add["scene"] = gui.add_checkbox("Scene", chosen.with_scene)
-        self._on(add["scene"], lambda on: lambda now: replace(now, with_scene=on))
+        hint = "The scene is drawn up to here, so that one sees into storeys."
+        slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
+        self._keep("cut", slider, cut_at)
+        scene = gui.add_checkbox("Scene", chosen.with_scene)
+        self._keep("scene", scene, lambda on: lambda now: replace(now, with_scene=on))
         if drawing.has_hidden:
-            add["hidden"] = gui.add_checkbox(
-                "Hidden geoms", chosen.with_hidden,
-                hint="What MuJoCo's own viewers hide: the geom groups from 3 on.",
-            )  # fmt: skip
-            self._on(add["hidden"], lambda on: lambda now: replace(now, with_hidden=on))
+            hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
+            hidden = gui.add_checkbox("Hidden geoms", chosen.with_hidden, hint=hint)
+            self._keep("hidden", hidden, lambda on: lambda now: replace(now, with_hidden=on))
 
     def show(self, chosen: Choices, route: Route | None, told: Told | None) -> None:
-        """Bring what is told, and inputs that follow from others, up to date."""
-        exhibit, at = self._exhibit, self._handles
+        """Bring what is said, and inputs that follow from others, up to date."""
+        exhibit, grid, at = self._exhibit, self._exhibit.grid, self._handles
         as_it_is = replace(chosen, doors=(), inflation=None)
         at["free"].content = texts.say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
         panels = [exhibit.panel(chosen, number) for number in chosen.levels]
         at["legend"].content = texts.write_legend(panels)
-        asks = chosen.layer == DISAGREEMENTS
-        at["verify"].visible = asks
-        at["verified"].visible = asks and exhibit.report is not None
+        at["verify"].visible = chosen.layer == DISAGREEMENTS
+        at["verified"].visible = chosen.layer == DISAGREEMENTS and exhibit.report is not None
         if exhibit.report is not None:
             at["verified"].content = texts.say_report(exhibit.report)
         is_inspecting = chosen.click == INSPECT
         at["told"].visible, at["route"].visible = is_inspecting, not is_inspecting
         at["told"].content = texts.say_cell(told, chosen.inflation)
         at["route"].content = texts.say_route(chosen, route)
-        at["forget"].visible = any((chosen.start, chosen.goal, chosen.inspected))
-        self._follow(chosen)
-
-    def _follow(self, chosen: Choices) -> None:
-        """Set the inputs that another one, or a new grid, has changed."""
-        at, grid = self._handles, self._exhibit.grid
+        at["Clear"].visible = any((chosen.start, chosen.goal, chosen.inspected))
         if chosen.inflation is None:
             at["radius"].value = min(grid.agent_radius, float(at["radius"].max))
             at["clearance"].value = 0.0
-        at["as baked"].disabled = chosen.inflation is None
+        at["As baked"].disabled = chosen.inflation is None
         if "level" in at:
             at["level"].value = _level(list(at["level"].options), chosen)
         for number in range(len(grid.levels)):
@@ -234,9 +214,9 @@ class Controls:
             at["cut"].value = float(min(max(cut, at["cut"].min), at["cut"].max))
         if "state" in at:
             states = dict(chosen.doors)
-            one = at["door"].value
-            named = states.get(one) if one != ALL_DOORS else _common(states, len(grid.doors))
-            at["state"].value = named or AS_BAKED
+            common = {*states.values()} if len(states) == len(grid.doors) else set()
+            named = states.get(at["door"].value, AS_BAKED)
+            at["state"].value = common.pop() if len(common) == 1 else named
 
     def say(self, text: str) -> None:
         """Write a line at the top of the panel; none if empty."""
@@ -255,19 +235,8 @@ def _level(names: list[str], chosen: Choices) -> str:
     return names[chosen.levels[0] + 1] if len(chosen.levels) == 1 else names[0]
 
 
-def _switch(chosen: Choices, number: int, on: bool) -> Choices:
-    levels = {*chosen.levels, number} if on else {*chosen.levels} - {number}
-    return replace(chosen, levels=tuple(sorted(levels)))
-
-
-def _common(states: dict[str, str], count: int) -> str | None:
-    """The state of all doors, where all are in one that was chosen."""
-    found = set(states.values())
-    return found.pop() if len(found) == 1 and len(states) == count else None
-
-
 def _unique(names: list[str]) -> list[str]:
-    """Names that tell apart what has one name."""
+    """Names, numbered where several are the same."""
     return [
         name if names.count(name) == 1 else f"{name} ({number})"
         for number, name in enumerate(names)

@@ -15,7 +15,14 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
-from navbake.views.viewer.overlay import Pick, draw_overlay, lay_carpet, mesh_of, pick
+from navbake.views.viewer.overlay import (
+    Pick,
+    draw_overlay,
+    floor_under,
+    lay_carpet,
+    mesh_of,
+    pick,
+)
 from navbake.views.viewer.scene_mesh import Drawing, Surface, cut_drawing, draw_scene
 
 if TYPE_CHECKING:
@@ -265,13 +272,8 @@ class Exhibit:
 
     def is_covered(self, chosen: Choices, number: int, place: tuple[float, float, float]) -> bool:
         """Whether a place on a level lies below the floor of a higher level that is shown."""
-        for other in (self.grid.levels[k] for k in chosen.levels if k > number):
-            row, col = (int(v) for v in other.lattice.rows_cols(place))
-            if 0 <= row < other.height and 0 <= col < other.width:
-                floor = float(other.floor_of(np.array(row), np.array(col)))
-                if floor > place[2] + self.grid.max_step:
-                    return True
-        return False
+        floors = (floor_under(self.grid, k, place)[1] for k in chosen.levels if k > number)
+        return any(floor > place[2] + self.grid.max_step for floor in floors)
 
     def drawing(self, chosen: Choices) -> Drawing | None:
         """The scene as triangles, its doors as chosen; None without a scene."""

@@ -246,18 +246,24 @@ def pick(
     # by whether there is a floor, whether it is below, and how far
     ranked = []
     for number in sorted(levels):
-        level = grid.levels[number]
-        row, col = (int(v) for v in level.lattice.rows_cols(place))
-        if 0 <= row < level.height and 0 <= col < level.width:
-            floor = float(level.floor_of(np.array(row), np.array(col)))
-            z = floor if np.isfinite(floor) else level.ground
+        cell, floor = floor_under(grid, number, place)
+        if cell is not None:
+            z = floor if np.isfinite(floor) else grid.levels[number].ground
             depth = float(place[2]) - z
-            rank = not np.isfinite(floor), depth < -BELOW, abs(depth)
-            ranked.append((rank, Cell(number, row, col), z))
+            ranked.append(((not np.isfinite(floor), depth < -BELOW, abs(depth)), cell, z))
     if not ranked:
         return None
     _, cell, z = min(ranked)
     return Pick(cell, (float(place[0]), float(place[1]), z), geom)
+
+
+def floor_under(grid: NavGrid, number: int, place: ArrayLike) -> tuple[Cell | None, float]:
+    """The cell of a level at a place, None beside it, and its floor, NaN for none [m]."""
+    level = grid.levels[number]
+    row, col = (int(v) for v in level.lattice.rows_cols(place))
+    if not (0 <= row < level.height and 0 <= col < level.width):
+        return None, np.nan
+    return Cell(number, row, col), float(level.floor_of(np.array(row), np.array(col)))
 
 
 def _meet(origin: Float, direction: Float, corners: NDArray[np.float32]) -> tuple[float, int]:

@@ -24,7 +24,7 @@ from navbake.views.viewer.exhibit import (
     first_choices,
     keep_choices,
 )
-from navbake.views.viewer.overlay import draw_surfaces
+from navbake.views.viewer.overlay import draw_surfaces, floor_under
 
 if TYPE_CHECKING:
     import viser
@@ -146,15 +146,11 @@ class Stage:
     def _write_names(self, exhibit: Exhibit, chosen: Choices) -> None:
         names = []
         for number in chosen.levels if chosen.with_names else ():
-            level = exhibit.grid.levels[number]
             for label in exhibit.panel(chosen, number).labels:
-                row, col = (int(v) for v in level.lattice.rows_cols((label.x, label.y)))
-                inside = 0 <= row < level.height and 0 <= col < level.width
-                floor = float(level.floor_of(np.array(row), np.array(col))) if inside else math.nan
-                z = floor if math.isfinite(floor) else level.ground
-                if exhibit.is_covered(chosen, number, (label.x, label.y, z)):
-                    continue
-                names.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
+                _, floor = floor_under(exhibit.grid, number, (label.x, label.y))
+                z = floor if math.isfinite(floor) else exhibit.grid.levels[number].ground
+                if not exhibit.is_covered(chosen, number, (label.x, label.y, z)):
+                    names.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
         chosen_names = sorted(names)[:MOST_NAMES]
         self._replace(
             NAMES,
@@ -308,7 +304,7 @@ class Page:
         self._do(compare)
 
     def _work(self) -> None:
-        self._show()
+        self._guarded(self._show)
         while True:
             with self._wake:
                 if not self._changes:
@@ -318,15 +314,12 @@ class Page:
                 changes, self._changes = self._changes, []
             for change in changes:
                 self._guarded(lambda change=change: self._apply(change))  # type: ignore[misc]
-            self._show()
+            self._guarded(self._show)
 
     def _apply(self, change: Change) -> None:
         self.chosen = change(self.chosen)
 
     def _show(self) -> None:
-        self._guarded(self._bring_up_to_date)
-
-    def _bring_up_to_date(self) -> None:
         exhibit, chosen = self.exhibit, self.chosen
         route, told = exhibit.route(chosen), exhibit.tell(chosen)
         with self.server.atomic():

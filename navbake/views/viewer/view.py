@@ -36,7 +36,6 @@ MISSING = 'the viewer needs viser: pip install "navbake[view]"'
 HOST, PORT = "127.0.0.1", 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 PERIOD = 0.5  # between two looks at files [s]
-State = dict[Path, tuple[int, int] | None]
 
 
 class Reading(NamedTuple):
@@ -225,39 +224,35 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
     return [*dict.fromkeys(path for of_one in found for path in of_one)]
 
 
-def read_state(paths: Iterable[Path]) -> State:
-    """When each file was written, and its size; None for one that isn't there."""
-    state: State = {}
-    for path in paths:
-        try:
-            status = os.stat(path)
-        except (OSError, ValueError):  # ValueError: a name with a NUL
-            state[path] = None
-        else:
-            state[path] = status.st_mtime_ns, status.st_size
-    return state
-
-
 class Watch:
-    """Tells when files have changed and rest again: whoever writes them may take some time.
+    """Notices when files have changed and rest again: whoever writes them may take some time.
 
     Args:
-        list_files: the files; asked again after each change, for a scene may name others then.
+        list_files: the files; called again after each change, for a scene may name others then.
     """
 
     def __init__(self, list_files: Callable[[], Iterable[Path]]) -> None:
         self._list_files = list_files
-        self._files = list(list_files())
-        self._known = self._last = read_state(self._files)
+        self._known = self._last = self._read()
+
+    def _read(self, files: Iterable[Path] | None = None) -> dict[Path, tuple[int, int] | None]:
+        """When each file was written, and its size; None for one that isn't there."""
+        state: dict[Path, tuple[int, int] | None] = {}
+        for path in self._list_files() if files is None else files:
+            try:
+                status = os.stat(path)
+                state[path] = status.st_mtime_ns, status.st_size
+            except (OSError, ValueError):  # ValueError: a name with a NUL
+                state[path] = None
+        return state
 
     def look(self) -> bool:
         """Whether the files are others than when this was last true, and as at the last look."""
-        now = read_state(self._files)
+        now = self._read(self._known)
         rests, self._last = now == self._last, now
         if not rests or now == self._known:
             return False
-        self._files = list(self._list_files())
-        self._known = self._last = read_state(self._files)
+        self._known = self._last = self._read()
         return True
 
 
@@ -319,15 +314,9 @@ def check_address(host: str, port: int) -> None:
     """Raise where nothing can listen at an address now."""
     if not 0 <= port <= 65535:
         raise NavbakeError(f"expected a port from 0 to 65535, got {port}")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        kind, _, _, _, address = socket.getaddrinfo(
-            host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        with socket.socket(kind, socket.SOCK_STREAM) as probe:
-            # a port that was closed a moment ago can be taken again, as the server takes it
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-            probe.listen()
+        socket.create_server((host, port), family=family).close()
     except (socket.gaierror, UnicodeError) as error:
         raise NavbakeError(f"{host!r} is no address of this machine") from error
     except OSError as error:

@@ -147,7 +147,7 @@ def doors(tmp_path_factory):
 def test_a_door_in_another_state(doors):
     first, second, name = doors
     assert list_doors(first, first) == []
-    assert list_doors(first, second) == [{"what": name, "first": "modelled", "second": "closed"}]
+    assert list_doors(first, second) == [(name, "modelled", "closed")]
     level = compare_levels(first.levels[0], second.levels[0], (0, 0))
     blocked = np.count_nonzero(first.levels[0].free & ~second.levels[0].free)
     assert level.counts().get("became blocked", 0) == blocked
@@ -178,16 +178,16 @@ def test_rooms_that_changed_are_listed():
 
     assert listed(grid("a", "1122"), grid("a", "1122")) == []
     [row] = listed(grid("a", "1111"), grid("b", "1111"))
-    assert row == {"what": "renamed", "first": "a1, 1.00 m²", "second": "b1, 1.00 m²"}
+    assert row == ("renamed", "a1, 1.00 m²", "b1, 1.00 m²")
     rows = listed(grid("a", "1123"), grid("a", "1122"))
-    assert [row["what"] for row in rows] == ["50.0% of their cells are common", "only in the first"]
+    assert [row[0] for row in rows] == ["50.0% of their cells are common", "only in the first"]
 
 
 def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
     assert list_settings(grid, grid) == []
-    changed = {row["what"]: row["second"] for row in list_settings(grid, other)}
+    changed = {what: second for what, _, second in list_settings(grid, other)}
     assert changed["inflation.0.radius"] == "0.3"
     assert all(key.startswith("inflation.0.") for key in changed)
 
