@@ -316,6 +316,7 @@ def check_address(host: str, port: int) -> None:
         raise NavbakeError(f"expected a port from 0 to 65535, got {port}")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
+        socket.getaddrinfo(host or None, port)  # whose error is another than that of a port
         socket.create_server((host, port), family=family).close()
     except (socket.gaierror, UnicodeError) as error:
         raise NavbakeError(f"{host!r} is no address of this machine") from error
