@@ -109,7 +109,9 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
         leaf = largest_side(extents, candidate.geoms)
         rooms = _rooms_beside(leaf, extents, blocked["closed"], around)
         if rooms is None and not candidate.named:
-            if _is_on_lattice(candidate.only(posed["modelled"]), around):
+            box = candidate.only(posed["modelled"]).bounds()
+            reach = around.footprints.whole.reach
+            if box is None or around.rooms.lattice.window(box, reach) is not None:
                 rejected.append(candidate)
             continue
         occupied, squares = around.occupancy.levels, around.occupancy.solid
@@ -118,7 +120,11 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
         if squares is not None:
             met = {state: levels for state, (_, levels) in by_state.items()}
             solid = {state: _only_free(levels, squares) for state, levels in met.items()}
-        travel = _describe_travel(scene, candidate)
+        travel = ""
+        if candidate.positions:
+            by = abs(candidate.positions["open"] - candidate.positions["closed"])
+            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
         names, sides = (candidate.id, candidate.joint), rooms or (None, None)
         placed.append(PlacedDoor(*names, sides, cells, blocked["closed"], solid, travel))
     return Doors(placed, rejected)
@@ -143,14 +149,6 @@ def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
         for door in doors
         if door.state(state) != state
     ]
-
-
-def _describe_travel(scene: Scene, candidate: DoorCandidate) -> str:
-    if not candidate.positions:
-        return ""
-    travel = abs(candidate.positions["open"] - candidate.positions["closed"])
-    is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-    return f"{np.degrees(travel):.3g}°" if is_hinge else f"{travel:.3g} m"
 
 
 # ---------------------------------------------------------------- what a door blocks
@@ -178,11 +176,6 @@ def _blocked_by_state(
 def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
     """For each level, the cells that nothing else occupies."""
     return [ids[~mask.ravel()[ids]] for ids, mask in zip(cells, occupied, strict=True)]
-
-
-def _is_on_lattice(shapes: Shapes, around: Surroundings) -> bool:
-    bounds, reach = shapes.bounds(), around.footprints.whole.reach
-    return bounds is None or around.rooms.lattice.window(bounds, reach) is not None
 
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:

@@ -17,15 +17,8 @@ from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import own_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
-from navbake.config.settings import (
-    DEFAULT_GEOMS,
-    DEFAULT_SITES,
-    AgentSettings,
-    RoomPolygon,
-    RoomSettings,
-)
+from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
 from navbake.errors import ConfigError
-from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells
 from navbake.types import Bool, Float, Int, Int32
 
@@ -159,14 +152,25 @@ class _Markers:
         labels = self._no_rooms()
         warnings = []
         for number, polygon in enumerate(polygons):
-            level = _find_level(polygon, number, self.levels)
-            mask = cover_cells([polygon.points, *polygon.rings], lattice)
-            if not (mask & ~np.isnan(self.levels[level].floor)).any():
-                warnings.append(
-                    f"room {_called(polygon, number)} of `rooms.polygons` has no floor on "
-                    f"{self.levels[level].name}, whose {_span(self.levels[level], lattice)}"
+            called = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
+            on = [k for k, level in enumerate(self.levels) if polygon.level in (k, level.name)]
+            if not on:
+                listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(self.levels))
+                raise ConfigError(
+                    f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are "
+                    f"{listed}"
                 )
-            labels[level][mask & (labels[level] == 0)] = number + 1
+            level, label = self.levels[on[0]], labels[on[0]]
+            mask = cover_cells([polygon.points, *polygon.rings], lattice)
+            known = ~np.isnan(level.floor)
+            if not (mask & known).any():
+                rows, cols = np.nonzero(known)
+                x, y = lattice.center_x()[cols], lattice.center_y()[rows]
+                warnings.append(
+                    f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
+                    f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
+                )
+            label[mask & (label == 0)] = number + 1
         outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
         names = [polygon.name for polygon in polygons]
         return MarkedRooms(names, labels, warnings, outdoors=outdoors)
@@ -263,24 +267,3 @@ def _match(
 def _room_name(geom: str) -> str:
     without = (geom[len(prefix) :] for prefix in FLOOR_PREFIXES if geom.startswith(prefix))
     return next(filter(None, without), geom)
-
-
-def _find_level(polygon: RoomPolygon, number: int, levels: Sequence[LevelFloor]) -> int:
-    for k, level in enumerate(levels):
-        if polygon.level in (k, level.name):
-            return k
-    listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
-    raise ConfigError(
-        f"no level {polygon.level!r} for room {_called(polygon, number)} of `rooms.polygons`: "
-        f"there are {listed}"
-    )
-
-
-def _called(polygon: RoomPolygon, number: int) -> str:
-    return repr(polygon.name) if polygon.name else f"[{number}]"
-
-
-def _span(level: LevelFloor, lattice: Lattice) -> str:
-    rows, cols = np.nonzero(~np.isnan(level.floor))
-    x, y = lattice.center_x()[cols], lattice.center_y()[rows]
-    return f"floor spans x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
