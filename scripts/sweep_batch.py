@@ -10,14 +10,13 @@ kills   a batch whose process group is killed by SIGKILL at random moments, and 
 ray     the scenes of faults on a Ray cluster of two nodes, of which one is killed half way: what
         became of each, and the grids of a batch on one machine. Left out where ray isn't installed.
 speed   what a batch adds to a loop of bakes, for scenes of 10 ms and of 1 s, and two workers
-        against one; figures count while all workers are at work. 10,000 scenes: --many 10000.
+        against one; figures count while all workers are at work.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import multiprocessing
 import os
 import random
@@ -27,16 +26,14 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the tests)
-from batch_scenes import write_scenes, wrong_rows  # noqa: E402
+from batch_scenes import draw_room, write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
 from navbake.batch.job import prepare  # noqa: E402
@@ -75,9 +72,12 @@ def show_faults(folder: Path, args: argparse.Namespace) -> bool:
     print(f"{num_ok} good grids, {len(rows) - num_ok} named with reasons, {seconds:.1f} s")
     print("\n".join(wrong) or "each as expected")
     is_fine = not wrong and status == 1 and num_ok == num_good == len(grids(folder / "out"))
+    before = {path: path.stat().st_mtime_ns for path in (folder / "out").glob("*/*.gz")}
+    (folder / "scenes" / "good-0000.xml").write_text(draw_room(1000))
     status, seconds = run(folder / "scenes", folder / "out", "--jobs", "2", "-q", *LIMITS)
-    print(f"again, what failed: {seconds:.1f} s")
-    return is_fine and status == 1
+    anew = sum(path.stat().st_mtime_ns != when for path, when in before.items())
+    print(f"again, after a scene changed: {anew} baked anew, and what failed: {seconds:.1f} s")
+    return is_fine and status == 1 and anew == 1
 
 
 def wait_for_moment(process: subprocess.Popen[bytes], out: Path, random_: random.Random) -> None:
@@ -136,13 +136,12 @@ def show_ray(folder: Path, args: argparse.Namespace) -> bool:
     if find_spec("ray") is None:
         print("left out: ray isn't installed")
         return True
-    scenes, out, cold = folder / "scenes", folder / "out", folder / "cold"
+    scenes, out = folder / "scenes", folder / "out"
     num_good = args.scenes - 23
     expected = write_scenes(scenes, num_good, broken=20, endings=True)
     _, embedded = run(scenes, folder / "one", "--jobs", "2", "-q", *LIMITS)
     whole = grids(folder / "one")
-    # the second node has no compiled code of its own
-    with two_nodes(1, PYTHONPATH=str(ROOT), NUMBA_CACHE_DIR=str(cold)) as nodes:
+    with two_nodes(1, PYTHONPATH=str(ROOT)) as nodes:
         options = ("--executor", "ray", "--ray-address", nodes.address, *LIMITS)
         begin = time.perf_counter()
         with start_list(scenes, out, *options) as process:
@@ -158,119 +157,59 @@ def show_ray(folder: Path, args: argparse.Namespace) -> bool:
     print(
         f"a node killed after {killed:.1f} s with {done} grids; {len(grids(out))} grids at the "
         f"end {'as on one machine' if is_same else 'THAT DIFFER'}, {seconds:.1f} s, on one machine "
-        f"{embedded:.1f} s; {len([*cold.rglob('*.nbc')])} files of compiled code handed on"
+        f"{embedded:.1f} s"
     )
     print("\n".join(wrong) or "each as expected")
     return is_same and is_running and not wrong and status == 1 and len(whole) == num_good
 
 
-def events(folder: Path, out: Path, *options: str) -> Iterator[tuple[dict[str, Any], int]]:
-    """The lines that a batch prints, and its process."""
-    command = [sys.executable, "-m", "navbake", "batch", "list.jsonl", "-o", str(out), "--json"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [*command, *options], cwd=folder, env=environment, stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            yield json.loads(line), process.pid
-
-
-class Pace(NamedTuple):
-    """What a scene takes: time on the wall and of processors [s]."""
-
-    wall: float
-    processor: float
-
-    @property
-    def rate(self) -> float:
-        """Scenes a second."""
-        return 1.0 / self.wall
-
-    def over(self, other: Pace) -> str:
-        """How much more it is than another one."""
-        wall, processor = 100 * (self.wall / other.wall - 1), self.processor / other.processor - 1
-        return f"{wall:+.1f} % ({100 * processor:+.1f} % of processor time)"
-
-
-def loop(paths: list[str], out: str, edge: float) -> Pace:
-    """The bake itself: what a loop over `run_bake` and `write_navgrid` takes, on one thread, warm.
+def loop(paths: list[str], out: str, edge: float) -> float:
+    """Scenes a second that are baked and written in a loop, on one thread, warm.
 
     Like a batch, it does not wait for the disk.
     """
     prepare((), False)
-    begin = Pace(0.0, 0.0)
+    begin = 0.0
     for number, path in enumerate(paths):
         if number == WARM:  # the first ones load what is left to load
-            begin = Pace(time.perf_counter(), time.process_time())
+            begin = time.perf_counter()
         with warnings.catch_warnings(), without_waiting():
             warnings.simplefilter("ignore")
             config = as_config({"scene": {"path": path}, "grid": {"cell_size": edge}})
             grid = run_bake(config, threads=1).grid
             grid.timings = {}
             write_navgrid(grid, Path(out) / f"{number}.json.gz")
-    count = len(paths) - WARM
-    return Pace(
-        (time.perf_counter() - begin.wall) / count, (time.process_time() - begin.processor) / count
-    )
+    return (len(paths) - WARM) / (time.perf_counter() - begin)
 
 
-def loop_in_its_own_process(scenes: Path, count: int, edge: float) -> Pace:
-    """See `loop`: of the first scenes of a folder."""
-    out = scenes.parent / "loop"
-    out.mkdir()
-    paths = [str(path) for path in sorted(scenes.glob("*.xml"))[:count]]
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(loop, (paths, str(out), edge))
-
-
-def processor_time(process: int) -> float:
-    """What a process and those that it started have taken of processors, on Linux [s]."""
-    children = Path(f"/proc/{process}/task/{process}/children")
-    total = 0.0
-    for each in (process, *map(int, children.read_text().split())):
-        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return total
-
-
-def measure(folder: Path, name: str, workers: int, edge: float) -> Pace:
-    """What a scene takes in a batch while all workers are at work, and whether the index grows."""
-    options = ("--jobs", str(workers), "--set", f"grid.cell_size={edge}")
+def measure(folder: Path, name: str, workers: int, edge: float) -> float:
+    """Scenes a second of a batch while all workers are at work."""
+    options = ("--json", "--jobs", str(workers), "--set", f"grid.cell_size={edge}")
     count = len((folder / "scenes" / "list.jsonl").read_text().splitlines())
+    ends = []
+    with start_list(folder / "scenes", folder / name, *options, stdout=-1) as process:
+        assert process.stdout is not None
+        ends = [time.perf_counter() for line in process.stdout if b'"event":"scene",' in line]
     first, last = WARM * workers, count - workers
-    marks, done = [], 0
-    for line, process in events(folder / "scenes", folder / name, *options):
-        done += line["event"] == "scene"
-        if done in (first, last) and line["event"] == "scene":
-            marks.append(Pace(time.perf_counter(), processor_time(process)))
-        if done % 1000 == 500 and len(read_index(folder / name)) < done:
-            sys.exit(f"{done} scenes are done, but the index has not that many lines")
-    begin, end = marks
-    num = last - first
-    return Pace((end.wall - begin.wall) / num, (end.processor - begin.processor) / num)
+    return (last - first) / (ends[last - 1] - ends[first - 1])
 
 
 def show_speed(folder: Path, args: argparse.Namespace) -> bool:
-    """Rates and overheads; judged by a person, as the machine may be busy with other things."""
+    """Rates; judged by a person, as the machine may be busy with other things."""
     for title, count, half, edge in (
         ("10 ms", args.many, 2.0, 0.2),
         ("1 s", args.few, 4.0, 0.006),
     ):
         place = folder / title.replace(" ", "-")
         write_scenes(place / "scenes", count, half=half)
-        alone = loop_in_its_own_process(place / "scenes", min(count, 500), edge)
+        (place / "loop").mkdir()
+        paths = [str(path) for path in sorted((place / "scenes").glob("*.xml"))[:500]]
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            alone = pool.apply(loop, (paths, str(place / "loop"), edge))
+        one, two = (measure(place, f"{count}", count, edge) for count in (1, 2))
         print(
-            f"{count} scenes of {1e3 * alone.wall:.1f} ms ({1e3 * alone.processor:.1f} ms of "
-            f"processor time), baked and written in a loop: {alone.rate:.2f} a second",
-            flush=True,
-        )
-        one = measure(place, "one", 1, edge)
-        print(f"a batch, one worker: {one.rate:.2f} a second, {one.over(alone)}", flush=True)
-        two = measure(place, "two", 2, edge)
-        print(
-            f"a batch, two workers: {two.rate:.2f} a second, {two.rate / one.rate:.2f} x; "
-            f"load {os.getloadavg()[0]:.1f}",
+            f"{count} scenes of {title}, a second: {alone:.2f} baked and written in a loop, "
+            f"{one:.2f} by a worker, {two:.2f} by two; load {os.getloadavg()[0]:.1f}",
             flush=True,
         )
     return True

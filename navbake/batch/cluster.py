@@ -114,23 +114,17 @@ class RayExecutor:
 
 def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
     """Do a job on a node; returns how it ended, and tries at it that failed before."""
-    where = f"no worker can work on node {socket.gethostname()}"
+    why = None
     if terms.version != __version__:
-        raise NavbakeError(
-            f"{where}: it has navbake {__version__}, and the batch is one of {terms.version}"
-        )
-    try:
-        os.chdir(terms.folder)
-    except OSError as error:
-        raise NavbakeError(
-            f"{where}: the batch runs in {printable(terms.folder)}, which can't be entered there "
-            f"({error.strerror}): run it in a folder that all nodes have"
-        ) from error
-    if terms.witness is not None and not os.path.exists(terms.witness):
-        raise NavbakeError(
-            f"{where}: what the batch has written into {os.path.dirname(terms.witness)} isn't seen "
-            "there: write into a folder that all nodes share"
-        )
+        why = f"it has navbake {__version__}, and the batch is one of {terms.version}"
+    elif not os.path.isdir(terms.folder):
+        why = f"it lacks {terms.folder}: run the batch in a folder that all nodes have"
+    elif terms.witness is not None and not os.path.exists(terms.witness):
+        why = f"it lacks {terms.witness}: write into a folder that all nodes share"
+    if why is not None:
+        node = socket.gethostname()
+        raise NavbakeError(printable(f"no worker can work on node {node}: {why}"))
+    os.chdir(terms.folder)
     # or each process that is started here would begin with importing Ray's own main module
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers

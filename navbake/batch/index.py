@@ -11,7 +11,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from navbake.batch.store import INSTALL, Folder, join, read_file, refused, remove_files, write_file
+from navbake.batch.store import (
+    INSTALL,
+    Folder,
+    MissingFileError,
+    join,
+    read_file,
+    refused,
+    remove_files,
+    write_file,
+)
 from navbake.errors import MissingDependencyError, NavbakeError
 from navbake.files import wait_for_disk, write_all
 from navbake.types import Json
@@ -117,10 +126,8 @@ def read_index(folder: Folder) -> dict[str, Json]:
     rows: dict[str, Json] = {}
     try:
         content = read_file(join(folder, NAME))
-    except NavbakeError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
-            return rows
-        raise
+    except MissingFileError:
+        return rows
     for line in content.split(b"\n"):
         try:
             row = json.loads(line, parse_constant=_refuse)

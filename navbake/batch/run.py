@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 from navbake.batch.index import Index, check_pyarrow, only_batch
 from navbake.batch.job import (
@@ -24,7 +24,7 @@ from navbake.batch.job import (
 from navbake.batch.products import parse_products
 from navbake.batch.settings import Job, check_settings
 from navbake.batch.store import Folder, FullError, is_url, shown, sizes_below
-from navbake.batch.workers import DONE, Ended, JobLimits, OnEvent, do_jobs
+from navbake.batch.workers import DONE, Ended, JobLimits, do_jobs
 from navbake.errors import ConfigError
 from navbake.files import remove_abandoned, remove_leftovers
 from navbake.types import Json
@@ -56,20 +56,8 @@ class Batch(NamedTuple):
     thumbnails: bool = False
 
 
-class Executor(Protocol):
-    """Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
-
-    def __call__(
-        self,
-        jobs: Sequence[Any],
-        work: Callable[[Any], Any],
-        count: Any,
-        *,
-        limits: JobLimits,
-        prepare: Callable[[], None] | None,
-        on_event: OnEvent,
-    ) -> Generator[Ended, None, None]:
-        """Yields how each job ended; the workers are gone when it is closed, or at the end."""
+Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
+"""Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
 
 
 class Means(NamedTuple):
@@ -200,22 +188,16 @@ def _run(plan: Plan, batch: Batch, index: Index, means: Means, watch: Watch) -> 
 
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows of scenes that are done already, by id."""
-    sizes: Mapping[str, int] | None = None
-    if isinstance(plan.folder, str):
-        sizes = sizes_below(plan.folder)
-    find = partial(find_record, plan, sizes=sizes)
-    if sizes is None and not any(map(plan.urls, jobs)):
-        found = [find(job) for job in jobs]
-    else:
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            found = [*pool.map(find, jobs)]
+    sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
+    is_here = sizes is None and not any(map(plan.urls, jobs))
+    with ThreadPoolExecutor(1 if is_here else AT_ONCE) as pool:
+        found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
 
 
 def _refuse_unshared(plan: Plan, jobs: Sequence[Job]) -> None:
     """Refuse URLs of files that processes don't share."""
-    urls = {url for job in jobs for url in plan.urls(job)}
-    for url in sorted(urls | ({plan.folder} if isinstance(plan.folder, str) else set())):
+    for url in [str(plan.folder), *(url for job in jobs for url in plan.urls(job))]:
         if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
             raise ConfigError(
                 f"expected files that all processes share, got {shown(url)}: each process has a "

@@ -43,7 +43,6 @@ TIMES = (
     "updated",
     "created",
 )
-MISSING = "there is no such file"
 # What the system says of a file system that takes no more files, and what helps
 REMEDIES = {
     errno.ENOSPC: "free space",
@@ -54,6 +53,10 @@ REMEDIES = {
 
 class FullError(NavbakeError):
     """An output folder takes no more files, so that no scene can be kept in it."""
+
+
+class MissingFileError(NavbakeError):
+    """There is no such file."""
 
 
 # ---------------------------------------------------------------- URLs
@@ -369,13 +372,14 @@ def _naming(doing: str, path: Folder) -> Iterator[None]:
             raise refused(f"into {name}", error) from error
         if full is not None:
             raise refused(f"into {name}", full) from error
+        cause = None if name != str(path) else error  # a library's message may have the password
         if isinstance(error, FileNotFoundError):
-            why = MISSING
-        elif name != str(path):  # a library's message may have the password
+            raise MissingFileError(f"cannot {doing} {name}: there is no such file") from cause
+        if cause is None:
             why = type(error).__name__
         else:
             text = " ".join(str(error).split()) or type(error).__name__
             why = printable(URL_IN_TEXT.sub(lambda found: shown(found[0]), text)[:400])
         # fsspec names the package that a kind of store needs
         kind = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
-        raise kind(f"cannot {doing} {name}: {why}") from (None if name != str(path) else error)
+        raise kind(f"cannot {doing} {name}: {why}") from cause

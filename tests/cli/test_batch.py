@@ -400,4 +400,5 @@ def test_thumbnails_without_room_are_no_fault_of_the_grids(folder, run, here, mo
         status, _, err = run(*options)
     assert status == 0 and err == f"navbake: warning: cannot write thumbnails into out: {NO_ROOM}\n"
     Path("out/room/grid.json.gz").write_bytes(b"")
-    assert run("report", "out")[2] == "navbake: warning: 1 thumbnail can't be made of its grid\n"
+    lacking = "1 thumbnails can't be made of their grids"
+    assert run("report", "out")[2] == f"navbake: warning: {lacking}\n"

@@ -233,12 +233,8 @@ class _Watch:
         """Note that the batch ended early, by a signal or because it can't go on."""
         from navbake.batch.page.page import write_page  # not every batch has a page
 
-        counts = {
-            "baked": self._done - self._failed,
-            "skipped": self._skipped,
-            "failed": self._failed,
-            "left": self._total - self._done,
-        }
+        baked, left = self._done - self._failed, self._total - self._done
+        counts = _counts(baked, self._skipped, self._failed, left)
         why = str(error) if isinstance(error, Exception) else "interrupted"
         if self._total and not self._wholly.as_json and not isinstance(error, Exception):
             say_unless_quiet(f"interrupted: {_in_words(counts)}; the same command goes on")
@@ -254,12 +250,8 @@ class _Watch:
         from navbake.batch.page.page import write_page
         from navbake.batch.store import shown
 
-        counts = {
-            "baked": result.count("ok") - result.skipped,
-            "skipped": result.skipped,
-            "failed": result.count("failed"),
-            "left": result.count("left"),
-        }
+        baked, left = result.count("ok") - result.skipped, result.count("left")
+        counts = _counts(baked, result.skipped, result.count("failed"), left)
         seconds, as_json = time.perf_counter() - self._begin, self._wholly.as_json
         try:
             self._log.end(counts, result.stopped, seconds)
@@ -285,6 +277,10 @@ class _Watch:
         say_unless_quiet(f"{_in_words(counts)}{notes} in {seconds:.1f} s: {files}")
 
 
+def _counts(baked: int, skipped: int, failed: int, left: int) -> Json:
+    return {"baked": baked, "skipped": skipped, "failed": failed, "left": left}
+
+
 def _in_words(counts: Json) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
@@ -302,10 +298,7 @@ def draw_missing_thumbnails(folder: Folder) -> None:
         print_warnings([str(error)])
         return
     if lacking:
-        what = "thumbnail can't be made of its grid"
-        if lacking > 1:
-            what = "thumbnails can't be made of their grids"
-        print_warnings([f"{lacking} {what}"])
+        print_warnings([f"{lacking} thumbnails can't be made of their grids"])
 
 
 def _warm_up() -> None:
