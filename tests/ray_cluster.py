@@ -64,7 +64,7 @@ def main() -> None:
     """Start the nodes, and do what is said."""
     from ray.cluster_utils import Cluster  # as VARIABLES are set
 
-    os.makedirs("/tmp/ray", exist_ok=True)  # where Ray notes the address, whatever folder it is given
+    os.makedirs("/tmp/ray", exist_ok=True)  # Ray notes the address there
     count, variables = int(sys.argv[1]), dict(pair.split("=", 1) for pair in sys.argv[2:])
     folder = tempfile.mkdtemp(prefix="navbake-ray-", dir="/tmp")  # short, as paths of sockets are
     common = {"num_cpus": count, "object_store_memory": STORE, "include_dashboard": False}

@@ -11,6 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import filelock
+
 from navbake.batch.store import (
     INSTALL,
     Folder,
@@ -24,11 +26,6 @@ from navbake.batch.store import (
 from navbake.errors import MissingDependencyError, NavbakeError
 from navbake.files import wait_for_disk, write_all
 from navbake.types import Json
-
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks: there, two batches in one folder are not noticed
-    fcntl = None  # type: ignore[assignment]
 
 NAME = "index.jsonl"
 TABLE = "index.parquet"
@@ -44,24 +41,22 @@ def only_batch(folder: Path) -> Iterator[None]:
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
+    lock = filelock.FileLock(folder / LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        lock.acquire()
+    except filelock.Timeout:
+        raise NavbakeError(
+            f"another batch writes into {folder}: wait for it, or choose another folder"
+        ) from None
+    except NotImplementedError:  # a file system without locks
+        pass
     except OSError as error:
         raise refused(f"into {folder}", error) from error
     try:
-        if fcntl is not None:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise NavbakeError(
-                    f"another batch writes into {folder}: wait for it, or choose another folder"
-                ) from None
-            except OSError:  # a file system without locks
-                pass
         yield
     finally:
-        os.close(descriptor)
+        lock.release()
 
 
 class Index:
