@@ -76,9 +76,12 @@ class Index:
         self._file: int | None = None
         if isinstance(folder, Path):
             try:
-                flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+                flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
                 self._file = os.open(folder / NAME, flags, 0o666)
-                os.write(self._file, b"\n" * bool(self.rows))  # ends a line that was cut off
+                if os.lseek(self._file, 0, os.SEEK_END):
+                    os.lseek(self._file, -1, os.SEEK_END)
+                    if os.read(self._file, 1) != b"\n":  # a line that was cut off
+                        os.write(self._file, b"\n")
             except OSError as error:
                 raise refused(f"into {folder}", error) from error
 
