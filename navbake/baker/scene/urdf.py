@@ -29,8 +29,18 @@ def read_urdf(
     """
     try:
         root = ElementTree.parse(path).getroot()
-        _set_compiler(root)
-        left_out = [] if _visuals_count(root, geoms) else _drop_missing_visuals(root, path)
+        compiler = root
+        for tag in ("mujoco", "compiler"):
+            found = compiler.find(tag)
+            compiler = ElementTree.SubElement(compiler, tag) if found is None else found
+        own = {"discardvisual": "false", "fusestatic": "false"}
+        compiler.attrib = {**own, **compiler.attrib, "meshdir": ""}
+        compiler.attrib.pop("assetdir", None)
+        has_collision = root.find("link/collision/geometry") is not None
+        visuals_count = geoms in ("visual", "all") or not has_collision
+        if compiler.get("discardvisual") == "true":
+            visuals_count = False
+        left_out = [] if visuals_count else _drop_missing_visuals(root, path)
         if left_out and warnings is not None:
             more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
             warnings.append(
@@ -41,27 +51,18 @@ def read_urdf(
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
             name = mesh.get("filename", "")
-            found = _find_mesh(path, name)
-            if found is None:
+            file = _find_mesh(path, name)
+            if file is None:
                 raise SceneError(_not_found(path, name))
-            if found not in keys:  # MuJoCo names a mesh by the stem of its file
-                keys[found] = f"{unique_name(found.stem, taken)}.mesh"
-            mesh.set("filename", keys[found])
+            if file not in keys:  # MuJoCo names a mesh by the stem of its file
+                keys[file] = f"{unique_name(file.stem, taken)}.mesh"
+            mesh.set("filename", keys[file])
         text = ElementTree.tostring(root, encoding="unicode")
-        return text, {key: found for found, key in keys.items()}
+        return text, {key: file for file, key in keys.items()}
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise SceneError(f"broken XML in {path}: {error}") from error
     except RecursionError as error:
         raise SceneError(f"broken XML in {path}: it is nested too deep") from error
-
-
-def _visuals_count(root: ElementTree.Element, geoms: str) -> bool:
-    """Whether visuals take part in a bake."""
-    compiler = root.find("mujoco/compiler")
-    if compiler is not None and compiler.get("discardvisual") == "true":
-        return False
-    has_collision = root.find("link/collision/geometry") is not None
-    return geoms in ("visual", "all") or not has_collision
 
 
 def _drop_missing_visuals(root: ElementTree.Element, path: Path) -> list[str]:
@@ -93,12 +94,3 @@ def _not_found(urdf: Path, filename: str) -> str:
         f"mesh {filename!r} of {urdf} not found there, in {urdf.absolute().parent} or in the "
         f"folders above it: {also}{package}write its path from the URDF's folder"
     )
-
-
-def _set_compiler(root: ElementTree.Element) -> None:
-    place = root
-    for tag in ("mujoco", "compiler"):
-        found = place.find(tag)
-        place = ElementTree.SubElement(place, tag) if found is None else found
-    place.attrib = {"discardvisual": "false", "fusestatic": "false", **place.attrib, "meshdir": ""}
-    place.attrib.pop("assetdir", None)
