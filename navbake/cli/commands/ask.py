@@ -25,7 +25,7 @@ from navbake.cli.printing import print_json, say
 from navbake.errors import QueryError
 
 if TYPE_CHECKING:
-    from navbake.runtime.paths import path as paths
+    from navbake.runtime import paths
 
 # Functions import views when they run: --help loads no numpy.
 
