@@ -9,12 +9,13 @@ from grid_maps import level_from, random_house
 from navbake.errors import QueryError
 from navbake.runtime.path_finder import PathFinder
 
+LEVEL = "#....#\n######\n..####"
+
 
 def finder_and_positions(seed, count=60):
     rng = np.random.default_rng(seed)
-    finder = PathFinder(
-        random_house(rng, num_levels=1 + seed % 3, share=[0.02, 0.2, 0.7][seed % 3])
-    )
+    share = [0.02, 0.2, 0.7][seed % 3]
+    finder = PathFinder(random_house(rng, num_levels=1 + seed % 3, share=share))
     return rng, finder, rng.uniform((-1.5, -2, -1), (4, 4, 6), size=(count, 3))
 
 
@@ -24,45 +25,32 @@ def same(found, expected):
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(
-    "options", [{}, {"same_level": False}, {"level": 0}, {"max_distance": 0.2}, {"island": 1}]
-)
-def test_snap(seed, options):
-    _, finder, positions = finder_and_positions(seed)
-    found = finder.many.snap(positions, **options)
-    same(found, [finder.snap(position, **options) for position in positions])
-
-
-def test_snap_on_one_level_takes_x_and_y():
-    finder = PathFinder(level_from("#....#\n######\n..####"))
-    places = np.random.default_rng(1).uniform(-2, 2, size=(4, 5, 2))
-    found = finder.many.snap(places)
-    assert found.shape == (4, 5, 3)
-    same(found, [finder.snap(place) for place in places.reshape(-1, 2)])
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_clearance(seed):
-    _, finder, positions = finder_and_positions(seed, 300)
+def test_places_are_those_of_one_by_one(seed):
+    rng, finder, positions = finder_and_positions(seed)
+    more = ({}, {"same_level": False}, {"level": 0}, {"max_distance": 0.2}, {"island": 1})
+    for options in more:
+        found = finder.many.snap(positions, **options)
+        same(found, [finder.snap(position, **options) for position in positions])
     inside = np.array([p for p in positions if finder.cell_at(p) is not None])
     for options in ({}, {"max_distance": 0.15}):
         expected = [finder.clearance(position, **options) for position in inside]
         np.testing.assert_array_equal(finder.many.clearance(inside, **options), expected)
-
-
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("slide", [True, False])
-def test_try_step(seed, slide):
-    rng, finder, _ = finder_and_positions(seed)
     starts = finder.random_point(rng, 60, anywhere=True)
     ends = starts + rng.normal(size=starts.shape)
     ends[0] = (1e9, 0, 0)
-    expected = [finder.try_step(a, b, slide=slide) for a, b in zip(starts, ends, strict=True)]
-    same(finder.many.try_step(starts, ends, slide=slide), expected)
-    same(
-        finder.many.try_step(starts, ends[1], slide=slide),
-        [finder.try_step(a, ends[1], slide=slide) for a in starts],
-    )
+    for slide in (True, False):
+        expected = [finder.try_step(a, b, slide=slide) for a, b in zip(starts, ends, strict=True)]
+        same(finder.many.try_step(starts, ends, slide=slide), expected)
+        expected = [finder.try_step(a, ends[1], slide=slide) for a in starts]
+        same(finder.many.try_step(starts, ends[1], slide=slide), expected)
+
+
+def test_snap_on_one_level_takes_x_and_y():
+    finder = PathFinder(level_from(LEVEL))
+    places = np.random.default_rng(1).uniform(-2, 2, size=(4, 5, 2))
+    found = finder.many.snap(places)
+    assert found.shape == (4, 5, 3)
+    same(found, [finder.snap(place) for place in places.reshape(-1, 2)])
 
 
 def test_find_path():
@@ -81,30 +69,29 @@ def test_find_path():
     np.testing.assert_allclose(costs, finder.distances(starts, goals[0]), rtol=1e-5)
 
 
-def test_what_is_wrong_is_named():
-    finder = PathFinder(level_from("#....#\n######\n..####"))
-    free = finder.random_point()
-    with pytest.raises(QueryError, match="9, 0, 0 lies beside the grid"):
-        finder.many.clearance([free, (9, 0, 0)])
-    with pytest.raises(QueryError, match="no agent can stand at 9, 0, 0"):
-        finder.many.try_step([free, (9, 0, 0)], free)
-    with pytest.raises(QueryError, match=r"an end for each start, \(2,\) of them, got \(3,\)"):
-        finder.many.try_step([free, free], [free] * 3)
-    with pytest.raises(QueryError, match=r"starts of shape \(n, 3\)"):
-        finder.many.find_path(free, free)
-    with pytest.raises(QueryError, match=r"goals of shape \(2, 3\) .* got shape \(3, 3\)"):
-        finder.many.find_path([free, free], [free] * 3)
-    with pytest.raises(QueryError, match="finite"):
-        finder.many.snap([free, (np.nan, 0, 0)])
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda m, p: m.clearance([p, (9, 0, 0)]), "9, 0, 0 lies beside the grid"),
+        (lambda m, p: m.try_step([p, (9, 0, 0)], p), "no agent can stand at 9, 0, 0"),
+        (lambda m, p: m.try_step([p, p], [p] * 3), r"end for each start, \(2,\) of them, got \(3,"),
+        (lambda m, p: m.find_path(p, p), r"starts of shape \(n, 3\)"),
+        (lambda m, p: m.find_path([p, p], [p] * 3), r"goals of shape \(2, 3\) .* shape \(3, 3\)"),
+        (lambda m, p: m.snap([p, (np.nan, 0, 0)]), "finite"),
+    ],
+)
+def test_what_is_wrong_is_named(ask, message):
+    finder = PathFinder(level_from(LEVEL))
+    with pytest.raises(QueryError, match=message):
+        ask(finder.many, finder.random_point())
 
 
 def test_no_positions_are_no_answers():
-    finder = PathFinder(level_from("#....#\n######\n..####"))
-    none = np.empty((0, 3))
-    assert finder.many.snap(none).shape == (0, 3)
-    assert finder.many.clearance(none).shape == (0,)
-    assert finder.many.try_step(none, (0, 0, 0)).shape == (0, 3)
-    assert finder.many.find_path(none, (0, 0, 0)) == []
+    many, none = PathFinder(level_from(LEVEL)).many, np.empty((0, 3))
+    assert many.snap(none).shape == (0, 3)
+    assert many.clearance(none).shape == (0,)
+    assert many.try_step(none, (0, 0, 0)).shape == (0, 3)
+    assert many.find_path(none, (0, 0, 0)) == []
 
 
 def test_without_a_generator_places_are_random():
@@ -114,5 +101,3 @@ def test_without_a_generator_places_are_random():
     assert finder.random_point(count=4).shape == (4, 3)
     assert finder.random_point_near(None, places[0], 0.3).shape == (3,)
     assert finder.random_pose().position.shape == (3,)
-    with pytest.raises(QueryError, match=r"numpy\.random\.Generator, or None, got 7"):
-        finder.random_point(7)
