@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from navbake import samples, tensors
     from navbake.arena.explored import ExploredMap
     from navbake.auditor.audit import audit
-    from navbake.baker.live.baker import Baker
     from navbake.baker.pipeline import bake
+    from navbake.baker.update.baker import Baker
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
     from navbake.formats.nav2 import read_nav2 as from_nav2
@@ -78,7 +78,7 @@ _LAZY = {
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
-    "Baker": "navbake.baker.live.baker:Baker",
+    "Baker": "navbake.baker.update.baker:Baker",
     "ExploredMap": "navbake.arena.explored:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",

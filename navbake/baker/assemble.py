@@ -36,7 +36,7 @@ class Standing(NamedTuple):
     notes: ContentNotes | None
     user_data: Callable[[int, Window], UserData] | None
     floors: list[NDArray[np.float32]] | None = None
-    weigh: Callable[[Bool], Float] | None = None
+    weigh: Callable[[int, Bool], Float] | None = None
 
     @classmethod
     def of(cls, stages: Stages) -> Standing:
@@ -109,7 +109,7 @@ def _level_grid(
         cell_size=part.cell_size,
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=box,
-        weights=(standing.weigh or weigh)(occupied),
+        weights=standing.weigh(number, occupied) if standing.weigh else weigh(occupied),
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,

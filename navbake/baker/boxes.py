@@ -13,11 +13,13 @@ row beyond the last for its own.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.floors.levels import LevelFloor
+from navbake.baker.kernels.lists import count_heights
 from navbake.baker.lattice import Window, bounding_window
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
@@ -51,11 +53,17 @@ class LevelBoxes(NamedTuple):
 
 
 class _Open(NamedTuple):
-    """The free cells of one level, doors being open: place on the lattice, and floor as written."""
+    """The free cells of one level, doors being open, by their floors; a height may repeat.
 
-    row: Int
-    col: Int
+    Attributes:
+        z: heights as written [m].
+        cells: how many have each.
+        inside: whether these cells lie in the windows of all levels, shape (n, levels), bool.
+    """
+
     z: Float
+    cells: Int
+    inside: Bool
 
 
 def find_level_boxes(
@@ -92,13 +100,14 @@ def find_level_boxes(
     top = max(float(np.nanmax(floor)) for floor in written) + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
-    cells = [_open_cells(*pair) for pair in zip(written, occupied, strict=True)]
+    cells = [_open_cells(*pair, windows) for pair in zip(written, occupied, strict=True)]
     tops, lost = _find_tops(cells, windows, bottoms, round(top, DIGITS))
     sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
     boxes = [_to_file(*box) for box in zip(sides, bottoms, tops, strict=True)]
-    counts = [int(np.count_nonzero(mask)) for mask in lost]
+    counts = [int(own.cells[mask].sum()) for own, mask in zip(cells, lost, strict=True)]
     lost_on = [number for number, count in enumerate(counts) if count]
-    return LevelBoxes(windows, boxes, sum(len(c.z) for c in cells), sum(counts), lost_on)
+    free = sum(int(level.cells.sum()) for level in cells)
+    return LevelBoxes(windows, boxes, free, sum(counts), lost_on)
 
 
 def written_ground(level: LevelFloor) -> float:
@@ -117,9 +126,13 @@ def _find_tops(
     tops, lost = [], [np.zeros(len(level.z), dtype=np.bool_) for level in cells]
     for k, (level, window, bottom) in enumerate(zip(cells, windows, bottoms, strict=True)):
         above = range(k + 1, len(cells))
-        inside = {j: _is_inside(cells[j], window) & (cells[j].z >= bottom) for j in above}
-        others = [cells[j].z[inside[j] & ~lost[j]] for j in above]
-        last = _last_floor(level.z[~lost[k]], np.concatenate([np.empty(0), *others]))
+        inside = {j: cells[j].inside[:, k] & (cells[j].z >= bottom) for j in above}
+        kept = {j: inside[j] & ~lost[j] for j in above}
+        others = [cells[j].z[kept[j]] for j in above]
+        counts = [cells[j].cells[kept[j]] for j in above]
+        own = level.z[~lost[k]], level.cells[~lost[k]]
+        heights = np.concatenate([np.empty(0), *others])
+        last = _last_floor(*own, heights, np.concatenate([np.empty(0, dtype=np.int64), *counts]))
         # the box ends below what it doesn't hold: boxes, or floors of levels that interleave
         limits = [bottoms[j] for j in above if _share_cells(window, windows[j])]
         limits = [height for height in limits if height > last]
@@ -133,14 +146,16 @@ def _find_tops(
     return tops, lost
 
 
-def _last_floor(own: Float, others: Float) -> float:
+def _last_floor(own: Float, own_count: Int, others: Float, others_count: Int) -> float:
     """The floor that a box from the bottom up ends with; -inf if it had better hold none.
 
     It holds the most of its own floors over those of others (the last of several such ends).
     """
     heights, where = np.unique(own, return_inverse=True)
-    num_own = np.bincount(where, minlength=len(heights)).cumsum()
-    num_others = np.searchsorted(np.sort(others), heights, side="right")
+    num_own = np.bincount(where, own_count, minlength=len(heights)).cumsum()
+    order = np.argsort(others)
+    before = np.concatenate([[0], np.cumsum(others_count[order])])
+    num_others = before[np.searchsorted(others[order], heights, side="right")]
     gain = np.append(0, num_own - num_others)[::-1]
     return float(np.append(-np.inf, heights)[::-1][int(np.argmax(gain))])
 
@@ -150,16 +165,32 @@ def _just_below(height: float) -> float:
     return float(min(round(height - GAP, GAP_DIGITS), np.nextafter(height, -np.inf)))
 
 
-def _open_cells(written: Float, occupied: Bool) -> _Open:
-    row, col = np.nonzero(~np.isnan(written) & ~occupied)
-    return _Open(row, col, written[row, col])
-
-
-def _is_inside(cells: _Open, window: Window) -> Bool:
-    rows, cols = window
-    inside: Bool = (cells.row >= rows.start) & (cells.row < rows.stop)
-    inside &= (cells.col >= cols.start) & (cells.col < cols.stop)
-    return inside
+def _open_cells(written: Float, occupied: Bool, windows: Sequence[Window]) -> _Open:
+    """Count the free cells by height, in each rectangle that the windows' sides cut out."""
+    height, width = written.shape
+    sides = [
+        np.unique(
+            [0, end, *(s for window in windows for s in (window[axis].start, window[axis].stop))]
+        )
+        for axis, end in ((0, height), (1, width))
+    ]
+    heights, counts, inside = (
+        [np.empty(0)],
+        [np.empty(0, np.int64)],
+        [np.empty((0, len(windows)), bool)],
+    )
+    for row0, row1 in pairwise(sides[0].tolist()):
+        for col0, col1 in pairwise(sides[1].tolist()):
+            part = np.s_[row0:row1, col0:col1]
+            z, count = count_heights(written[part], occupied[part])
+            is_in = [
+                rows.start <= row0 < rows.stop and cols.start <= col0 < cols.stop
+                for rows, cols in windows
+            ]
+            heights.append(z)
+            counts.append(count)
+            inside.append(np.tile(is_in, (len(z), 1)))
+    return _Open(*(np.concatenate(arrays) for arrays in (heights, counts, inside)))
 
 
 def _share_cells(one: Window, other: Window) -> bool:

@@ -18,7 +18,7 @@ from navbake.baker.columns import (
     empty_crossings,
     split_rows,
 )
-from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import cracks as kernels
 from navbake.baker.kernels.arrays import AgentLimits, Crossings, Tiles
 from navbake.baker.kernels.constants import SLACK

@@ -28,7 +28,8 @@ from navbake.baker.doors.doors import (
     warn_immovable_doors,
     warn_walkable_doors,
 )
-from navbake.baker.floors.levels import Floors, Judged, find_floors
+from navbake.baker.floors.levels import FloorFinder, Floors, find_floors
+from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -187,8 +188,8 @@ class Stages:
     @cached_property
     def whole(self) -> WholeScene:
         """The scene on which floors are judged, also where `grid.bounds` show less of it."""
-        config, (lattice, window) = self.config, self.judged
-        tiled = self.tiled if lattice == self.lattice else self._tile(lattice)
+        config, (_, window) = self.config, self.judged
+        tiled = self._judged_shapes
         columns = ColumnBlocks(tiled, config.agent, config.floors.crack, self.clock)
         return WholeScene(tiled, window, columns)
 
@@ -213,7 +214,7 @@ class Stages:
         _ = self.whole  # columns take all threads; most of what floors take then is one thread's
         if self._asks_contents:
             _ = self._known_geoms
-        return self.judge_floors(None)
+        return self.judge_floors()[0]
 
     @property
     def _asks_contents(self) -> bool:
@@ -224,22 +225,39 @@ class Stages:
         """What contents need of the geoms alone, found beside what is asked for next."""
         return run_beside(KnownGeoms.of, self.doorless, self.tiled)
 
-    def judge_floors(self, notes: list[Judged] | None) -> Floors:
-        """Find `floors`; `notes` receives what was decided about sheets of the whole scene."""
+    def judge_floors(self) -> tuple[Floors, FloorFinder]:
+        """Find `floors`, and what keeps those of the whole scene up to date."""
         config, (tiled, window, columns) = self.config, self.whole
         given = None if config.levels == "auto" else list(config.levels)
-        # how a sheet ends does not depend on how wide the agent is
-        point = config.agent.model_copy(update={"radius": 0.0})
+        with self.clock.stage("floors"), self._errors_say_where():
+            is_occupied = self.occupancy_test(columns)
+            asked = columns, tiled.shapes, config.agent, config.floors, given, is_occupied
+            floors, finder = find_floors(*asked)
+            if columns.lattice != self.lattice:
+                floors = crop_floors(floors, window)
+            return floors, finder
+
+    def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
+        """Tells which cells of the lattice on which floors are judged are occupied.
+
+        How a sheet ends does not depend on how wide the agent is.
+        """
+        point = self.config.agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, self.lattice.cell_size)
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            return check_occupancy(columns.at(cells), tiled, volume, cells, floors).occupied
+            return check_occupancy(
+                columns.at(cells), self._judged_shapes, volume, cells, floors
+            ).occupied
 
-        with self.clock.stage("floors"), self._errors_say_where():
-            asked = columns, tiled.shapes, config.agent, config.floors, given, is_occupied
-            floors = find_floors(*asked, notes)
-            return floors if columns.lattice == self.lattice else crop_floors(floors, window)
+        return is_occupied
+
+    @cached_property
+    def _judged_shapes(self) -> TiledShapes:
+        """The geometry by tiles of the lattice on which floors are judged."""
+        lattice, _ = self.judged
+        return self.tiled if lattice == self.lattice else self._tile(lattice)
 
     @cached_property
     def occupancy(self) -> Occupancy:
@@ -343,7 +361,8 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        for name in ("tiled", "whole", "columns", "_known_geoms", "_cells", "room_flags"):
+        names = "tiled", "whole", "columns", "_judged_shapes", "_known_geoms", "_cells"
+        for name in (*names, "room_flags"):
             self.__dict__.pop(name, None)
 
     @contextmanager

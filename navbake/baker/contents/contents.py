@@ -30,7 +30,7 @@ from navbake.baker.contents.walls import (
     wall_candidates,
 )
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.gathered import Gathered
 from navbake.baker.kernels import contents as kernels
 from navbake.baker.kernels.arrays import Probe, StoreyCells

@@ -5,16 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from navbake.baker.columns import Columns
-from navbake.baker.floors.kernels.enclosed import count_ends, find_holders
-from navbake.baker.floors.kernels.sheets import group_members, join_by_steps
+from navbake.baker.floors.kernels.enclosed import (
+    count_ends,
+    find_holders,
+    group_members,
+    join_by_steps,
+)
+from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.patch import Patch
-from navbake.baker.floors.sheets import AreaTest, Footing, agent_limits, middle_of
-from navbake.baker.gathered import Gathered
+from navbake.baker.floors.sheets import AreaTest, middle_of
+from navbake.baker.floors.surfaces import agent_limits
+from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import CLOSED_SURFACE
-from navbake.baker.scene.shapes import Shapes
+from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
+from navbake.types import Float, Int, Int32
 
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
 GOES_ON = 0.25
@@ -23,7 +30,7 @@ BUILDING = 50.0
 
 
 class EnclosedFinder:
-    """Finds floors that closed meshes hold, so that nobody can stand on them; block by block.
+    """Finds floors that closed meshes hold, so that nobody can stand on them.
 
     They face up within the slope, have headroom, and are large enough to be floors. Where such
     a floor goes on outside at its height, a closed thing only stands on it, like a crate, unless
@@ -31,33 +38,48 @@ class EnclosedFinder:
 
     Args:
         lattice: the cells.
-        shapes: the geometry that the columns were cast at.
         agent: who would stand there.
     """
 
-    def __init__(self, lattice: Lattice, shapes: Shapes, agent: AgentSettings) -> None:
-        self._lattice, self._planes, self._limits = lattice, shapes.planes, agent_limits(agent)
-        ids, heights = np.empty(0, dtype=np.int32), np.empty(0)
-        self.holds_floor = False  # anything as large as one
-        self._held = Gathered(ids, heights, ids)  # cell, height and holder of each surface
+    def __init__(self, lattice: Lattice, agent: AgentSettings) -> None:
+        self._lattice, self._limits = lattice, agent_limits(agent)
+        # cell, height and holder of each surface, in the order of cells
+        self._held = np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=np.int32)
 
-    def add(self, columns: Columns) -> None:
-        """Look at the columns of a block; blocks come in the order of their rows."""
-        if not (columns.crossings.closed == CLOSED_SURFACE).any():
-            return
-        holder = np.empty(len(columns.z), dtype=np.int32)
+    def add(self, columns: Columns, planes: Planes) -> None:
+        """Look at the columns of a block of rows."""
         first, end = columns.known_rows.cells(self._lattice)
-        asked = self._lattice, columns.crossings, self._planes, self._limits, holder
-        run_in_bands(find_holders, end - first, *asked, begin=first)
-        surface = np.flatnonzero(holder >= 0)
-        column = columns.start[first : end + 1]
-        cell = first + np.searchsorted(column, surface, side="right") - 1
-        self._held.add(cell, columns.z[surface], holder[surface])
+        crossings = columns.crossings._replace(start=columns.start[first : end + 1])
+        self._join(self._find(np.arange(first, end), crossings, planes))
 
-    def found(self, footing: Footing, settings: FloorSettings) -> list[Patch]:
+    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
+        """Look at the columns of some cells again; crossings are numbered as these are."""
+        kept = ~np.isin(self._held[0], cells)
+        self._held = tuple(array[kept] for array in self._held)  # type: ignore[assignment]
+        self._join(self._find(cells, crossings, planes))
+
+    def _find(self, cells: Int, crossings: Crossings, planes: Planes) -> tuple[Int, Float, Int32]:
+        if not (crossings.closed == CLOSED_SURFACE).any():
+            return self._held[0][:0], self._held[1][:0], self._held[2][:0]
+        holder = np.empty(len(crossings.z), dtype=np.int32)
+        asked = self._lattice, cells, crossings, planes, self._limits, holder
+        run_in_bands(find_holders, len(cells), *asked)
+        surface = np.flatnonzero(holder >= 0)
+        cell = cells[np.searchsorted(crossings.start, surface, side="right") - 1]
+        return cell, crossings.z[surface], holder[surface]
+
+    def _join(self, more: tuple[Int, Float, Int32]) -> None:
+        if len(more[0]):
+            cell = np.concatenate([self._held[0], more[0]])
+            z = np.concatenate([self._held[1], more[1]])
+            holder = np.concatenate([self._held[2], more[2]])
+            order = np.argsort(cell, kind="stable")
+            self._held = cell[order], z[order], holder[order]
+
+    def found(self, surfaces: Surfaces, settings: FloorSettings) -> list[Patch]:
         """The floors, the largest first; the geom of each is the mesh that holds it."""
         lattice, step = self._lattice, self._limits.step
-        cell, z, geom = self._held.take()
+        cell, z, geom = self._held
         if not len(cell):
             return []
         start = np.searchsorted(cell, np.arange(lattice.width * lattice.height + 1))
@@ -70,10 +92,9 @@ class EnclosedFinder:
             members = member[first[number] : first[number + 1]]
             if not test.passes(cell[members]):
                 continue
-            self.holds_floor = True
             area = len(members) * lattice.cell_size**2
-            surfaces = cell[members], z[members]
-            edges, goes_on = count_ends(lattice, *surfaces, footing, step, at_cell)
+            held = cell[members], z[members]
+            edges, goes_on = count_ends(lattice, *held, surfaces, step, at_cell)
             if area >= BUILDING or goes_on < GOES_ON * edges:
                 place = middle_of(lattice, cell[members], z[members])
                 found.append(Patch(int(geom[members[0]]), area, place, cell[members]))

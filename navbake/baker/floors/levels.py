@@ -1,20 +1,19 @@
 """Levels and floors: from the surfaces of all columns to the floors of each storey."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns import ColumnSource
+from navbake.baker.blocks import Blocks, Rows
+from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.floors.enclosed import EnclosedFinder
-from navbake.baker.floors.grounds import assign_levels, find_grounds, lower_grounds
-from navbake.baker.floors.kernels.sheets import (
-    count_options,
-    find_links,
-    grow_floor,
-    list_options,
-)
-from navbake.baker.floors.outline import OccupancyTest, Site, find_cropped
+from navbake.baker.floors.facts import SheetFacts
+from navbake.baker.floors.growth import FloorChanges, FloorGrowth
+from navbake.baker.floors.kernels.members import count_edges
+from navbake.baker.floors.outline import KnownEdges, OccupancyTest, Site, find_cropped
 from navbake.baker.floors.patch import Patch, describe_sheets
 from navbake.baker.floors.reach import (
     Unreached,
@@ -22,15 +21,17 @@ from navbake.baker.floors.reach import (
     find_unreached,
     largest_of_lowest,
 )
-from navbake.baker.floors.rejected import GIVEN_TOLERANCE, find_rejected, given_levels
-from navbake.baker.floors.sheets import Footing, Standable, StandableFinder, drop_furniture
-from navbake.baker.floors.stairs import find_stairs
-from navbake.baker.kernels.constants import SLACK
-from navbake.baker.scene.shapes import Shapes
+from navbake.baker.floors.rejected import Changed, Rejected, find_rejected
+from navbake.baker.floors.sheets import AreaTest, Sheets
+from navbake.baker.floors.storeys import Placed, Storeys
+from navbake.baker.floors.surfaces import SurfaceStore
+from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.threads import run_beside, run_in_bands
-from navbake.types import Bool, Float, Int, Int32
+from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
+from navbake.types import Bool, Float, Int
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
 # walls and eaves alone make it larger than the floor under it, but not by a third
@@ -81,22 +82,203 @@ class Floors:
     enclosed: list[Patch]
 
 
-class Judged(NamedTuple):
-    """What was decided about the sheets on the way to the floors.
+class FloorFinder:
+    """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
+
+    All standable surfaces → the sheets that are large enough → those of them that count, without
+    tops, shelves and roofs → their levels → those that are reached → floors, level by level. What
+    is local is found block by block, and again where something changed; what is global is merged.
+
+    Args:
+        lattice: the cells.
+        given: the levels of the configuration, or None to find them.
 
     Attributes:
-        every: all standable surfaces.
-        large: those of the sheets that are large enough for floors.
-        counted: those that are floors.
-        candidate: of each footing, whether a floor may go on there, bool.
-        holds_floor: whether a closed mesh holds anything as large as a floor.
+        changed: what the last update changed on each level; None where all may be new.
     """
 
-    every: Standable
-    large: Standable
-    counted: Standable
-    candidate: Bool
-    holds_floor: bool
+    def __init__(
+        self,
+        lattice: Lattice,
+        agent: AgentSettings,
+        settings: FloorSettings,
+        given: Sequence[LevelSettings] | None,
+    ) -> None:
+        self._lattice, self._agent, self._settings, self._given = lattice, agent, settings, given
+        self._blocks, self._now = Blocks(lattice), 0
+        self._store, self._enclosed = SurfaceStore(lattice, agent), EnclosedFinder(lattice, agent)
+        self._sheets = Sheets(self._store, self._blocks, agent)
+        self._facts, self._sizes, self._known = SheetFacts(), SheetFacts(), KnownEdges()
+        self._last = np.zeros(self._blocks.num, dtype=np.int64)  # the update that changed a block
+        nothing = np.empty(0, dtype=np.int64)
+        self._seen = Rows(self._blocks.num, np.empty(0, dtype=np.bool_))
+        self._edges = Rows(self._blocks.num, nothing, nothing)
+        self._cropped: Bool | None = None
+        # where what is reached decides, surfaces are placed before and after that
+        self._storeys, self._kept_storeys = (
+            Storeys(self._sheets, agent, settings) for _ in range(2)
+        )
+        self._placed_by: Storeys | None = None
+        self._growth = FloorGrowth(self._sheets, agent)
+        self._stale = self._blocks.all()
+        self.changed: list[FloorChanges] | None = None
+
+    def add(self, columns: Columns, planes: Planes) -> None:
+        """Take the columns of a block of rows; these come in their order."""
+        self._store.add(columns, planes)
+        self._enclosed.add(columns, planes)
+
+    def finish(self) -> None:
+        """Note that all columns have been added."""
+        self._store.finish()
+
+    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
+        """Replace the columns of some cells, ascending; crossings are numbered as these are."""
+        changed = self._store.replace(cells, crossings, planes)
+        self._enclosed.replace(cells, crossings, planes)
+        self._stale |= self._blocks.holding(changed)
+
+    def find(
+        self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest, near: Bool
+    ) -> Floors:
+        """Find the floors.
+
+        Args:
+            columns: as they are now.
+            shapes: the geometry that they were cast at.
+            near: the blocks near which geometry differs from the last time.
+
+        Raises:
+            SceneError: there is no floor at all, none on a given level, or none at a place that one
+                starts from.
+        """
+        self._now += 1
+        surfaces, sheets, settings = self._store.surfaces, self._sheets, self._settings
+        stale, self._stale = self._stale, np.zeros_like(self._stale)
+        enclosed = self._enclosed.found(surfaces, settings)
+        sheets.update(stale)
+        if not len(sheets.key):
+            raise SceneError(_no_floor(self._store, self._agent))
+        is_large, drops, changed = self._judge(stale, near)
+        cropped = find_cropped(self._lattice, shapes.bounds())
+        self._known.begin(self._last, self._now)
+        agent = self._agent
+        site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, self._known)
+        if self._cropped is None or not np.array_equal(cropped, self._cropped):
+            self._cropped, self._facts = cropped, SheetFacts()
+        self._facts.begin(sheets.digest, self._now)
+        rejected = find_rejected(site, drops, changed, self._facts, self._given)
+        starts = find_starts(site, self._store, rejected, settings.starts)
+        counts = is_large & ~rejected.any | starts
+        if not counts.any():
+            raise SceneError(_no_large_floor(settings))
+        placed, left_out, unreached = self._place_reached(columns, counts, starts, stale)
+        bars = is_large | starts
+        self._growth.update(placed, bars, stale)
+        self.changed = self._growth.changed
+        return Floors(
+            [self._level_floor(k, *level) for k, level in enumerate(self._names(placed))],
+            self._growth.links,
+            *self._describe(site, rejected, starts, counts),
+            unreached=unreached,
+            left_out=left_out,
+            enclosed=enclosed,
+        )
+
+    def _judge(self, stale: Bool, near: Bool) -> tuple[Bool, Int, Changed]:
+        """Which sheets are large, how they drop to others, and when what is near them changed.
+
+        Args:
+            stale: the blocks with other surfaces.
+            near: those with other geometry.
+        """
+        sheets, blocks, agent = self._sheets, self._blocks, self._agent
+        is_large = self._find_large()
+        reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
+        rows = np.where(is_large, sheets.key, -1)[sheets.of_part]
+        other = stale | self._seen.put_all(sheets.labels.count, rows)
+        chosen = np.flatnonzero(blocks.around(other, reach))
+        counts = sheets.labels.count[chosen]
+        offset = np.cumsum(counts) - counts
+        edges, drops = np.zeros((2, int(counts.sum())), dtype=np.int64)
+        asked = sheets.labelled(is_large), agent.traversable_floor_height, reach, chosen, offset
+        run_in_bands(count_edges, len(chosen), *asked, edges, drops)
+        self._edges.put(chosen, counts, edges, drops)
+        self._last[blocks.around(other | near, reach + 1)] = self._now
+        edges, drops = self._edges.take()
+        block, last = sheets.labels.block, np.zeros((2, len(is_large)), dtype=np.int64)
+        np.maximum.at(last[0], sheets.of_part, self._last[block])
+        at_edge = edges > 0
+        np.maximum.at(last[1], sheets.of_part[at_edge], self._last[block[at_edge]])
+        return is_large, sheets.sum(drops), Changed(last[0], last[1], np.zeros_like(last[0]))
+
+    def _find_large(self) -> Bool:
+        """Which sheets are large enough after shrinking."""
+        sheets = self._sheets
+        least = AreaTest(self._lattice, self._settings).needed
+        asked = sheets.size >= least
+        never = np.zeros(len(asked), dtype=np.int64)
+        self._sizes.begin(sheets.digest, self._now)
+        return self._sizes.mask(
+            "large", asked, never, lambda some: sheets.left(some, self._settings)
+        )
+
+    def _place_reached(
+        self, columns: ColumnSource, counted: Bool, starts: Bool, stale: Bool
+    ) -> tuple[Placed, list[Patch], list[Unreached]]:
+        """Place the surfaces that count on levels; of all, or of those that steps lead to.
+
+        What is reached is decided before levels are given, from the lowest level that there is.
+
+        Returns:
+            The surfaces on their levels, the sheets that are left out because no step leads to
+            them, and what no step leads to of those that are not.
+        """
+        sheets, given, settings = self._sheets, self._given, self._settings
+        by_steps, patches = settings.reach == "steps", list[Patch]()
+        placed, reached, source = None, starts, self._storeys
+        if not starts.any() or (given is None and not by_steps):
+            placed, _ = self._storeys.update(counted, stale, (), False)
+            if not starts.any():
+                reached = largest_of_lowest(placed.counts, len(counted))
+        else:
+            self._storeys.miss(stale)
+        kept = counted & reached if by_steps else counted
+        if given is not None or placed is None or not np.array_equal(kept, counted):
+            source = self._kept_storeys
+            placed, found = source.update(kept, stale, given or (), given is not None)
+            if given is not None and not found.all():
+                raise SceneError(_no_floor_on(given, int(np.argmin(found)), columns))
+            if not (placed.key >= 0).any():
+                raise SceneError(_no_reached(bool(starts.any())))
+        else:
+            self._kept_storeys.miss(stale)
+        if source is not self._placed_by:
+            self._placed_by, placed = source, placed._replace(changed=self._blocks.all())
+        if by_steps:
+            left = counted & ~reached
+            patches = describe_sheets(sheets, left, self._facts, given)
+        return placed, patches, find_unreached(sheets, placed, reached)
+
+    def _names(self, placed: Placed) -> list[tuple[str, float]]:
+        return list(zip(placed.labels, placed.grounds, strict=True))
+
+    def _level_floor(self, k: int, label: str, ground: float) -> LevelFloor:
+        floor, ring = self._growth.levels[k]
+        shape = self._lattice.shape
+        return LevelFloor(label, ground, floor.reshape(shape), (ring == 0).reshape(shape))
+
+    def _describe(
+        self, site: Site, rejected: Rejected, starts: Bool, counts: Bool
+    ) -> tuple[list[Patch], list[Patch], list[Patch]]:
+        """Tops, roofs, and starts that are too small for floors."""
+        sheets, facts = self._sheets, self._facts
+        is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
+        return (
+            describe_sheets(sheets, (rejected.tops | rejected.shelves) & ~starts, facts),
+            describe_sheets(sheets, rejected.roofs & ~starts & is_told, facts),
+            describe_sheets(sheets, starts & ~site.is_large, facts),
+        )
 
 
 def find_floors(
@@ -104,221 +286,34 @@ def find_floors(
     shapes: Shapes,
     agent: AgentSettings,
     settings: FloorSettings,
-    given: list[LevelSettings] | None,
+    given: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
-    notes: list[Judged] | None = None,
-) -> Floors:
-    """Find the storeys, the floor of each, and the steps between them.
-
-    All standable surfaces → the sheets that are large enough → those of them that count, without
-    tops, shelves and roofs → their levels → those that are reached → floors, level by level.
-
-    Args:
-        shapes: the geometry that the columns were cast at.
-        given: the levels of the configuration, or None to find them.
-        notes: receives what was decided on the way, which takes memory.
-
-    Raises:
-        SceneError: there is no floor at all, none on a given level, or none at a place that one
-            starts from.
-    """
-    lattice = columns.lattice
-    finder = StandableFinder(lattice, shapes, agent)
-    enclosing = EnclosedFinder(lattice, shapes, agent)
+) -> tuple[Floors, FloorFinder]:
+    """Find the floors of a scene, and what keeps them up to date; see `FloorFinder`."""
+    finder = FloorFinder(columns.lattice, agent, settings, given)
     for block in columns.blocks():
-        finder.add(block)
-        enclosing.add(block)
-    every, footing = finder.found()
-    enclosed = enclosing.found(footing, settings)
-    holds_floor = enclosing.holds_floor
-    if not len(every.z):
-        raise SceneError(_no_floor(finder.num_surfaces, len(footing.z), agent))
-    del finder, enclosing  # they hold the arrays of `every`, too
-    large = drop_furniture(every, settings)
-    cropped = find_cropped(columns.lattice, shapes.bounds())
-    site = Site(every, large, columns, agent, settings, is_occupied, cropped)
-    rejected = find_rejected(site, given)
-    starts = find_starts(site, rejected, settings.starts)
-    is_large = large.sheet_size > 0
-    counts = is_large & ~rejected.any | starts
-    # mostly they are all: one copy of them is enough
-    counted = large if (counts == is_large).all() else every.only_sheets(counts)
-    if not len(counted.z):
-        raise SceneError(_no_large_floor(settings))
-    large_or_start = every.surface[(is_large | starts)[every.sheet]]
-    is_told = large.sheet_size > LARGE_ROOF * counted.sheet_size.max()
-    tops = describe_sheets(large, (rejected.tops | rejected.shelves) & ~starts)
-    roofs = describe_sheets(large, rejected.roofs & ~starts & is_told)
-    small_starts = describe_sheets(every, starts & ~is_large)
-    judged = None if notes is None else (every, large)
-    del every, large, site  # as many as cells: the rest is about those that count
-    placed, left_out, unreached = _place_reached(counted, starts, columns, agent, settings, given)
-    candidate = _mark_candidates(placed.standable, large_or_start, footing, agent)
-    if notes is not None and judged is not None:
-        notes.append(Judged(*judged, placed.standable, candidate, holds_floor))
-    links = run_beside(_cell_links, placed, agent)
-    levels = [
-        LevelFloor(label, ground, *_level_floor(k, placed, footing, candidate, agent))
-        for k, (label, ground) in enumerate(zip(placed.labels, placed.grounds, strict=True))
-    ]
-    return Floors(
-        levels,
-        links(),
-        tops=tops,
-        roofs=roofs,
-        small_starts=small_starts,
-        unreached=unreached,
-        left_out=left_out,
-        enclosed=enclosed,
+        finder.add(block, shapes.planes)
+    finder.finish()
+    every = Blocks(columns.lattice).all()
+    return finder.find(columns, shapes, is_occupied, every), finder
+
+
+def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSource) -> str:
+    level = given[number]
+    name = f"level {level.name!r}" if level.name else f"level {number}"
+    above = given[number + 1].ground if given[number + 1 :] else np.inf
+    top = above if level.top is None else min(above, level.top)
+    spans = [(block.z.min(), block.z.max()) for block in columns.blocks() if len(block.z)]
+    low, high = float(np.min(spans)), float(np.max(spans))
+    return (
+        f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
+        f"the scene's surfaces span {low:g} to {high:g} m"
     )
 
 
-class _Placed(NamedTuple):
-    """The surfaces that count, the level of each, the grounds and the names of the levels."""
-
-    standable: Standable
-    level: Int
-    grounds: list[float]
-    labels: list[str]
-
-
-def _place_reached(
-    counted: Standable,
-    starts: Bool,
-    columns: ColumnSource,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    given: list[LevelSettings] | None,
-) -> tuple[_Placed, list[Patch], list[Unreached]]:
-    """Place the surfaces that count on levels; of all, or of those that steps lead to.
-
-    What is reached is decided before levels are given, from the lowest level that there is.
-
-    Returns:
-        The surfaces on their levels, the sheets that are left out because no step leads to them,
-        and what no step leads to of those that are not.
-    """
-    placed = _place_on_levels(counted, agent, settings, None)
-    reached = starts if starts.any() else largest_of_lowest(placed.standable, placed.level)
-    kept = counted if given is None else _within_given(counted, given, columns)
-    left_out = []
-    if settings.reach == "steps":
-        left_out = describe_sheets(kept, (kept.sheet_size > 0) & ~reached)
-        kept = kept.only_sheets(reached)
-        if not len(kept.z):
-            what = "the largest floor of the lowest level"
-            if starts.any():
-                what = "what `floors.from` names"
-            raise SceneError(f"no floor: {what} lies outside of the `levels`")
-    if given is not None or kept is not counted:
-        placed = _place_on_levels(kept, agent, settings, given)
-    return placed, left_out, find_unreached(placed.standable, placed.level, reached)
-
-
-def _place_on_levels(
-    standable: Standable,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    given: list[LevelSettings] | None,
-) -> _Placed:
-    """Place the surfaces on the levels that are given, or found."""
-    is_stair = find_stairs(standable, agent)
-    if given is None:
-        grounds = find_grounds(standable, is_stair, agent, settings)
-        grounds = lower_grounds(standable, is_stair, grounds, agent)
-        return _Placed(standable, *assign_levels(standable, is_stair, grounds, [], SLACK))
-    grounds, names = [level.ground for level in given], [level.name for level in given]
-    placed = assign_levels(standable, is_stair, grounds, names, GIVEN_TOLERANCE)
-    return _Placed(standable, *placed)
-
-
-def _within_given(
-    standable: Standable, given: list[LevelSettings], columns: ColumnSource
-) -> Standable:
-    """Keep the surfaces between the grounds and the tops of the given levels."""
-    kept = np.zeros(len(standable.z), dtype=np.bool_)
-    on_levels = given_levels(standable, given)
-    for number, (level, on_level) in enumerate(zip(given, on_levels, strict=True)):
-        if not on_level.any():
-            name = f"level {level.name!r}" if level.name else f"level {number}"
-            above = given[number + 1].ground if given[number + 1 :] else np.inf
-            top = above if level.top is None else min(above, level.top)
-            spans = [(block.z.min(), block.z.max()) for block in columns.blocks() if len(block.z)]
-            low, high = float(np.min(spans)), float(np.max(spans))
-            raise SceneError(
-                f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
-                f"the scene's surfaces span {low:g} to {high:g} m"
-            )
-        kept |= on_level
-    return standable.only(kept)
-
-
-def _mark_candidates(
-    counted: Standable, large: Int32, footing: Footing, agent: AgentSettings
-) -> Bool:
-    """Mark the footings at which a floor may go on under things, shape (n,).
-
-    It goes on only where no other floor is, nor a roof, nor the top of furniture: nor at any of
-    the `large` surfaces, those that count among them.
-    """
-    candidate = np.ones(len(footing.z), dtype=np.bool_)
-    candidate[counted.surface] = False
-    dropped = large[candidate[large]]
-    candidate[large] = False
-    candidate[_just_below(footing, dropped, agent.traversable_floor_height)] = False
-    return candidate
-
-
-def _just_below(footing: Footing, surface: Int32, step: float) -> Int32:
-    """The footings a step at most below some others, in their columns.
-
-    An agent there would walk on those above, as on a roof in which a wall's top is hidden.
-    """
-    cell = np.searchsorted(footing.start, surface, side="right") - 1
-    found, k = [surface[:0]], 1
-    while len(surface):
-        near = surface - k >= footing.start[cell]
-        near[near] = (footing.z[surface] - footing.z[surface - k])[near] <= step + SLACK
-        surface, cell = surface[near], cell[near]
-        found.append(surface - k)
-        k += 1
-    return np.concatenate(found)
-
-
-def _level_floor(
-    k: int, placed: _Placed, footing: Footing, goes_on: Bool, agent: AgentSettings
-) -> tuple[Float, Bool]:
-    """The floor of level `k`, continued where `goes_on`; and where it is standable."""
-    standable, level = placed.standable, placed.level
-    lattice, cells, z = standable.lattice, standable.cell, standable.z
-    floor = np.full(lattice.width * lattice.height, np.nan)
-    here = level == k
-    floor[cells[here]] = z[here]
-    is_standable = ~np.isnan(floor)
-    lowest, highest = np.full(floor.shape, -np.inf), np.full(floor.shape, np.inf)
-    below, above = np.flatnonzero(level < k), np.flatnonzero(level > k)[::-1]
-    # of several in a column, the last one written stays: here the highest, there the lowest
-    lowest[cells[below]] = z[below] + agent.height - SLACK
-    highest[cells[above]] = z[above] - agent.height + SLACK
-    start = np.zeros_like(footing.start)
-    run_in_bands(count_options, len(floor), footing, goes_on, floor, lowest, highest, start[1:])
-    np.cumsum(start, out=start)
-    height = np.empty(start[-1])
-    run_in_bands(list_options, len(floor), footing, goes_on, lowest, highest, start, height)
-    grow_floor(lattice, start, height, floor, agent.traversable_floor_height)
-    return floor.reshape(lattice.shape), is_standable.reshape(lattice.shape)
-
-
-def _cell_links(placed: _Placed, agent: AgentSettings) -> Int:
-    standable, level = placed.standable, placed.level
-    step = agent.traversable_floor_height
-    steps = find_links(standable.lattice, standable.start, standable.z, level, step)
-    slopes = standable.slopes
-    upside_down = level[slopes[:, 0]] > level[slopes[:, 1]]
-    slopes = np.where(upside_down[:, None], slopes[:, ::-1], slopes)
-    a, b = np.concatenate([steps, slopes]).T
-    links = np.stack([level[a], standable.cell[a], level[b], standable.cell[b]], axis=1)
-    return links[np.lexsort(links.T[::-1])]
+def _no_reached(has_starts: bool) -> str:
+    what = "what `floors.from` names" if has_starts else "the largest floor of the lowest level"
+    return f"no floor: {what} lies outside of the `levels`"
 
 
 def _no_large_floor(settings: FloorSettings) -> str:
@@ -329,16 +324,16 @@ def _no_large_floor(settings: FloorSettings) -> str:
     )
 
 
-def _no_floor(num_surfaces: int, num_footings: int, agent: AgentSettings) -> str:
-    if not num_surfaces:
+def _no_floor(store: SurfaceStore, agent: AgentSettings) -> str:
+    if not store.num_surfaces:
         return "no floor at all: no vertical line through a cell's centre meets a geom"
-    if not num_footings:
+    if not store.num_floor_like:
         return (
-            f"no floor at all: none of {num_surfaces} surfaces faces up within "
+            f"no floor at all: none of {store.num_surfaces} surfaces faces up within "
             f"{agent.max_slope:g}° (a mesh may be inside out, or `scene.up` wrong)"
         )
     return (
-        f"no floor at all: none of {num_footings} surfaces that face up has "
+        f"no floor at all: none of {store.num_floor_like} surfaces that face up has "
         f"{agent.height:g} m of headroom (a wrong unit, or everything lies inside of a solid: "
         f"`scene.meshes: shell` makes closed meshes hollow)"
     )

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.blocks import Rows, gather_rows
 from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.connect import label_parts
-from navbake.baker.floors.kernels.outline import list_edges, look_out
-from navbake.baker.floors.sheets import Standable, mask_window
+from navbake.baker.floors.kernels.members import Labelled, list_edges
+from navbake.baker.floors.sheets import Sheets
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # How an edge of a sheet ends, see `find_endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
@@ -40,57 +41,32 @@ class OccupancyTest(Protocol):
         """
 
 
-class Site(NamedTuple):
-    """What the rules that tell tops, roofs and shelves from floors ask about.
-
-    Attributes:
-        every: all standable surfaces, furniture included.
-        large: those of the sheets that are large enough for floors, see `drop_furniture`.
-        columns: all surfaces.
-        agent: who walks there.
-        settings: of the floors.
-        is_occupied: tells which cells are occupied.
-        cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
-            shape (4,), bool.
-    """
-
-    every: Standable
-    large: Standable
-    columns: ColumnSource
-    agent: AgentSettings
-    settings: FloorSettings
-    is_occupied: OccupancyTest
-    cropped: Bool
-
-    @property
-    def reach(self) -> int:
-        """How many cells one looks out from a sheet for floors beside it.
-
-        The side of the thing itself, or a post, may block the cell at its edge: one more.
-        """
-        return int(np.ceil(self.settings.shrink / self.large.lattice.cell_size)) + 1
-
-
 class Edges(NamedTuple):
     """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
 
     Attributes:
-        surface: index of the standable surface that ends there, shape (edges,), int64.
+        sheet: the sheet that ends there, shape (edges,), int32.
+        cell: the cell on this side, shape (edges,), int64.
+        z: the sheet's height in it, shape (edges,), float64 [m].
         way: the way out: east (0), south (1), west (2), north (3), shape (edges,), int64.
         cells: the cells beyond, the nearest first, -1 from where the lattice ends or the sheet
             begins again, shape (edges, reach), int64.
         floors: the highest floor of another sheet that is more than a step lower in each of these
             cells, NaN for none, shape (edges, reach), float64 [m].
+        landing: the sheets of these floors, -1 for none, shape (edges, reach), int32.
     """
 
-    surface: Int
+    sheet: Int32
+    cell: Int
+    z: Float
     way: Int
     cells: Int
     floors: Float
+    landing: Int32
 
     def only(self, kept: Bool | Int) -> Edges:
         """The edges that are kept: a mask, shape (edges,), or their indices."""
-        return Edges(self.surface[kept], self.way[kept], self.cells[kept], self.floors[kept])
+        return Edges._make(array[kept] for array in self)
 
 
 class Endings(NamedTuple):
@@ -100,32 +76,118 @@ class Endings(NamedTuple):
         kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
         cell: the cell that a drop leads to, -1 for the others, shape (edges,), int64.
         landing: the height of the floor there, NaN for the others, shape (edges,), float64 [m].
+        floor: the sheet of that floor, -1 for the others, shape (edges,), int32.
     """
 
     kind: NDArray[np.uint8]
     cell: Int
     landing: Float
+    floor: Int32
 
 
-def find_edges(standable: Standable, chosen: Bool, step: float, reach: int) -> Edges:
-    """Find the edges of sheets, and the floors below them.
+class KnownEdges:
+    """The edges of sheets that were asked for, found again in blocks where something changed."""
 
-    Args:
-        standable: the surfaces that count.
-        chosen: the sheets that are asked for, shape (sheets,), bool.
-        step: the largest step [m].
-        reach: how many cells to look out for floors below, >= 1.
+    def __init__(self) -> None:
+        self._rows: dict[Any, tuple[int, Rows]] = {}
+        self._kept: dict[Any, tuple[int, Rows]] = {}
+
+    def begin(self, last: Int, now: int) -> None:
+        """Begin an update; what was not asked for in the last one is forgotten.
+
+        Args:
+            last: in which update something last changed in or near each block.
+            now: the number of the update.
+        """
+        self._kept, self._rows, self._last, self._now = self._rows, {}, last, now
+
+    def find(
+        self, sheets: Sheets, asked: tuple[Labelled, Bool, float, int], among_large: bool
+    ) -> Edges:
+        """The edges of chosen sheets, see `list_edges`; they are kept if `among_large`."""
+        _, chosen, _, reach = asked
+        name = reach, tuple(sheets.key[chosen].tolist())
+        tick, rows = self._kept.get(name, (-1, None))
+        if rows is None or not among_large:
+            tick, rows = -1, Rows(sheets.blocks.num, *_no_edges(reach))
+        stale = np.flatnonzero((self._last > tick) & (sheets.blocks_of(chosen) | (tick >= 0)))
+        counts, *found = gather_rows(list_edges, len(stale), *asked, stale)
+        sheet, *others, landing = found
+        # keys stay, numbers do not
+        keys = np.where(landing >= 0, sheets.key[landing], -1)
+        rows.put(stale, counts, sheets.key[sheet], *others, keys)
+        if among_large:
+            self._rows[name] = self._now, rows
+        sheet, *others, keys = rows.take()
+        landing = np.where(keys >= 0, np.searchsorted(sheets.key, keys), -1)
+        number = np.searchsorted(sheets.key, sheet)
+        return Edges._make([number.astype(np.int32), *others, landing.astype(np.int32)])
+
+
+def _no_edges(reach: int) -> list[NDArray[Any]]:
+    ids, heights = np.empty(0, dtype=np.int64), np.empty(0)
+    cells = np.empty((0, reach), dtype=np.int64)
+    return [ids, ids, heights, ids, cells, np.empty((0, reach)), cells]
+
+
+class Site(NamedTuple):
+    """What the rules that tell tops, roofs and shelves from floors ask about.
+
+    Attributes:
+        sheets: all sheets, furniture included.
+        is_large: which of them are large enough for floors, shape (sheets,), bool.
+        columns: all surfaces.
+        agent: who walks there.
+        settings: of the floors.
+        is_occupied: tells which cells are occupied.
+        cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
+            shape (4,), bool.
+        known: the edges that are known.
     """
-    surface, way = list_edges(standable, chosen)
-    shape = len(surface), reach
-    cells, floors = np.empty(shape, dtype=np.int64), np.empty(shape)
-    look_out(standable, surface, way, step, cells, floors)
-    return Edges(surface, way, cells, floors)
+
+    sheets: Sheets
+    is_large: Bool
+    columns: ColumnSource
+    agent: AgentSettings
+    settings: FloorSettings
+    is_occupied: OccupancyTest
+    cropped: Bool
+    known: KnownEdges
+
+    @property
+    def reach(self) -> int:
+        """How many cells one looks out from a sheet for floors beside it.
+
+        The side of the thing itself, or a post, may block the cell at its edge: one more.
+        """
+        return int(np.ceil(self.settings.shrink / self.sheets.lattice.cell_size)) + 1
+
+    def edges(self, chosen: Bool, reach: int, among: Bool | None = None) -> Edges:
+        """Find the edges of chosen sheets, and the floors below them.
+
+        Args:
+            reach: how many cells to look out for floors below, >= 1.
+            among: the sheets that count, the large ones if None.
+        """
+        counts, step = (
+            self.is_large if among is None else among,
+            self.agent.traversable_floor_height,
+        )
+        asked = self.sheets.labelled(counts), chosen, step, reach
+        return self.known.find(self.sheets, asked, counts is self.is_large)
+
+    def outer_edges(self, chosen: Bool, reach: int) -> Edges:
+        """The edges of some sheets along their outlines, without those of the holes in them."""
+        edges = self.edges(chosen, reach)
+        return edges.only(find_rims(edges, self.sheets) == 0)
+
+    def endings(self, edges: Edges, agent: AgentSettings | None = None) -> Endings:
+        """Tell how sheets end at edges, see `find_endings`, for the agent or another one."""
+        return find_endings(edges, self.columns, agent or self.agent, self.is_occupied)
 
 
 def find_endings(
     edges: Edges,
-    standable: Standable,
     columns: ColumnSource,
     agent: AgentSettings,
     is_occupied: OccupancyTest,
@@ -145,7 +207,7 @@ def find_endings(
     - BORDER: the lattice ends.
     - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
     """
-    z, inner = standable.z[edges.surface], standable.cell[edges.surface].astype(np.int64)
+    z, inner = edges.z, edges.cell
     step = agent.traversable_floor_height
     feet, head = probe_bands(agent)
     outer = edges.cells[:, 0]
@@ -157,7 +219,7 @@ def find_endings(
         inner[at_feet], outer[at_feet], z[at_feet], head, is_occupied
     )
     ending, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
-    cell = np.full(len(z), -1, dtype=np.int64)
+    cell, floor = np.full(len(z), -1, dtype=np.int64), np.full(len(z), -1, dtype=np.int32)
     ending[outer < 0] = BORDER
     ending[at_feet] = BARRIER
     ending[at_head] = WALL
@@ -174,9 +236,9 @@ def find_endings(
         goes_on = ground[below] > floors + agent.height + SLACK
         lands = below[~goes_on & ~is_occupied(cells, floors)]
         ending[lands], landing[lands] = DROP, edges.floors[lands, k]
-        cell[lands] = edges.cells[lands, k]
+        cell[lands], floor[lands] = edges.cells[lands, k], edges.landing[lands, k]
         looking = looking[ending[looking] == OPEN]
-    return Endings(ending, cell, landing)
+    return Endings(ending, cell, landing, floor)
 
 
 def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
@@ -192,15 +254,14 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
     return np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > SLACK
 
 
-def share_of_known(standable: Standable, edges: Edges, which: Bool, known: Bool) -> Float:
+def share_of_known(num_sheets: int, edges: Edges, which: Bool, known: Bool) -> Float:
     """The share of each sheet's known edges that are of some kind, shape (sheets,).
 
     NaN where none is known.
     """
-    sheet, count = standable.sheet[edges.surface], len(standable.sheet_size)
-    of_kind = np.bincount(sheet, which & known, count)
-    whole = np.bincount(sheet, known, count)
-    share = np.full(count, np.nan)
+    of_kind = np.bincount(edges.sheet, which & known, num_sheets)
+    whole = np.bincount(edges.sheet, known, num_sheets)
+    share = np.full(num_sheets, np.nan)
     np.divide(of_kind, whole, out=share, where=whole > 0)
     return share
 
@@ -214,7 +275,7 @@ def is_known(edges: Edges, kind: NDArray[np.uint8], cropped: Bool) -> Bool:
     return known
 
 
-def find_rims(edges: Edges, standable: Standable) -> Int:
+def find_rims(edges: Edges, sheets: Sheets) -> Int:
     """Number the rims of sheets: 0 is the outer one, 1 and up those of the holes in the sheet.
 
     What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it.
@@ -222,16 +283,16 @@ def find_rims(edges: Edges, standable: Standable) -> Int:
     Returns:
         The rim of its sheet that each edge belongs to, shape (edges,), int64.
     """
-    sheet, outer = standable.sheet[edges.surface], edges.cells[:, 0]
-    rim, order = np.zeros(len(outer), dtype=np.int64), np.argsort(sheet, kind="stable")
-    asked = np.unique(sheet)
-    bounds = np.searchsorted(sheet[order], [*asked, len(standable.sheet_size)])
-    for k, (_, members) in enumerate(standable.members(asked)):
+    lattice, outer = sheets.lattice, edges.cells[:, 0]
+    rim, order = np.zeros(len(outer), dtype=np.int64), np.argsort(edges.sheet, kind="stable")
+    asked = np.unique(edges.sheet)
+    bounds = np.searchsorted(edges.sheet[order], [*asked, len(sheets.key)])
+    for k, sheet in enumerate(asked.tolist()):
         own = order[bounds[k] : bounds[k + 1]]
         own = own[outer[own] >= 0]
-        mask, row0, col0 = mask_window(standable.cell[members], standable.lattice, margin=1)
+        mask, row0, col0 = sheets.mask(sheet, margin=1)
         outside, _ = label_parts(~mask)  # in the order of rows, so the outside is the first
-        row, col = np.divmod(outer[own], standable.lattice.width)
+        row, col = np.divmod(outer[own], lattice.width)
         rim[own] = outside[row - row0, col - col0] - 1
     return rim
 

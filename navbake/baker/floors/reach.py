@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.floors.outline import DROP, Site, find_edges, find_endings
-from navbake.baker.floors.patch import Patch, describe_patch
-from navbake.baker.floors.rejected import Rejected
-from navbake.baker.floors.sheets import Standable
-from navbake.baker.floors.tops import LARGE_TOP
+from navbake.baker.floors.outline import DROP, Site
+from navbake.baker.floors.patch import Patch, describe_members
+from navbake.baker.floors.rejected import LARGE_TOP, Rejected
+from navbake.baker.floors.sheets import Members, Sheets
+from navbake.baker.floors.storeys import Placed
+from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.kernels.constants import SLACK
 from navbake.errors import SceneError
 from navbake.types import Bool, Int
@@ -37,7 +38,9 @@ class Unreached:
     whole: bool
 
 
-def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
+def find_starts(
+    site: Site, store: SurfaceStore, rejected: Rejected, positions: list[list[float]]
+) -> Bool:
     """Find the sheets that one stands on at some positions.
 
     A position within 2 cm of a surface lies on it, whatever it is. Elsewhere one stands on the
@@ -56,19 +59,21 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     Raises:
         SceneError: there is no floor at a position.
     """
-    every, step = site.every, site.agent.traversable_floor_height
-    size = site.large.sheet_size
-    is_large_top = rejected.tops & (size * every.lattice.cell_size**2 >= LARGE_TOP)
-    counts = (size > 0) & ~rejected.shelves & (~rejected.tops | is_large_top)
-    starts = np.zeros(len(size), dtype=np.bool_)
+    sheets, surfaces, step = site.sheets, store.surfaces, site.agent.traversable_floor_height
+    lattice, is_large = sheets.lattice, site.is_large
+    is_large_top = rejected.tops & (sheets.size * lattice.cell_size**2 >= LARGE_TOP)
+    counts = is_large & ~rejected.shelves & (~rejected.tops | is_large_top)
+    starts = np.zeros(len(is_large), dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
-        row, col = (int(i) for i in every.lattice.rows_cols([x, y]))
-        first = last = 0
-        if 0 <= row < every.lattice.height and 0 <= col < every.lattice.width:
-            cell = row * every.lattice.width + col
-            first, last = every.start[cell : cell + 2]
-        heights, sheets = every.z[first:last], every.sheet[first:last]
-        below = sheets[heights <= z + step + SLACK]
+        row, col = (int(i) for i in lattice.rows_cols([x, y]))
+        here = np.empty(0, dtype=np.int64)
+        if 0 <= row < lattice.height and 0 <= col < lattice.width:
+            here = store.at(row * lattice.width + col)
+            here = here[sheets.labels.part[here] >= 0]
+            offset = sheets.labels.offset[sheets.blocks.of(np.array([row * lattice.width + col]))]
+        heights = surfaces.z[here]
+        found = sheets.of_part[offset + sheets.labels.part[here]] if len(here) else here
+        below = found[heights <= z + step + SLACK]
         if not len(below):
             there = ", ".join(f"{height:.2f}" for height in heights)
             raise SceneError(
@@ -76,7 +81,7 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
                 f"an agent can stand on, at most a step higher; "
                 + (f"floors there are at {there} m" if there else "there is none in that cell")
             )
-        exactly = sheets[abs(heights - z) <= ON_SURFACE + SLACK]
+        exactly = found[abs(heights - z) <= ON_SURFACE + SLACK]
         floors = below[counts[below]]
         if len(exactly):
             starts[exactly[-1]] = True
@@ -90,23 +95,25 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
 def _floor_beside(site: Site, counts: Bool, furniture: int) -> int:
     """The floor that a sheet of furniture drops to along most of its outline, else itself."""
     is_thing = np.arange(len(counts)) == furniture
-    standable = site.every.only_sheets(counts | is_thing)
-    edges = find_edges(standable, is_thing, site.agent.traversable_floor_height, site.reach)
-    endings = find_endings(edges, standable, site.columns, site.agent, site.is_occupied)
-    drops = endings.kind == DROP
-    floors = standable.sheets_at(endings.cell[drops], endings.landing[drops])
+    endings = site.endings(site.edges(is_thing, site.reach, among=counts | is_thing))
+    floors = endings.floor[endings.kind == DROP]
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
 
-def largest_of_lowest(standable: Standable, level: Int) -> Bool:
-    """The sheet with the largest floor on the lowest level, as a mask, shape (sheets,)."""
-    size = np.bincount(standable.sheet[level == 0], minlength=len(standable.sheet_size))
-    reached = np.zeros(len(size), dtype=np.bool_)
+def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
+    """The sheet with the largest floor on the lowest level, as a mask, shape (sheets,).
+
+    Args:
+        counts: rows of sheet, level and how many surfaces it has there; they may repeat.
+    """
+    sheet, level, count = counts.T
+    size = np.bincount(sheet[level == 0], count[level == 0], minlength=num_sheets)
+    reached = np.zeros(num_sheets, dtype=np.bool_)
     reached[size.argmax()] = True
     return reached
 
 
-def find_unreached(standable: Standable, level: Int, reached: Bool) -> list[Unreached]:
+def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
     """Find the floors that no step leads to, one entry a level, lowest first.
 
     Of a level where a part is reached, only the sheets count that have at least 6 m² there.
@@ -114,17 +121,26 @@ def find_unreached(standable: Standable, level: Int, reached: Bool) -> list[Unre
     Args:
         reached: which sheets are reached, shape (sheets,), bool.
     """
-    unreached = []
-    is_reached = reached[standable.sheet]
+    unreached, (sheet, level, count) = [], placed.counts.T
+    is_reached = reached[sheet]
     for number in np.unique(level[~is_reached]).tolist():
-        members = np.flatnonzero((level == number) & ~is_reached)
+        here = (level == number) & ~is_reached
+        size = np.bincount(sheet[here], count[here], minlength=len(reached))
         whole = not (is_reached & (level == number)).any()
-        area = np.bincount(standable.sheet[members]) * standable.lattice.cell_size**2
+        told = size > 0
         if not whole:
-            members = members[area[standable.sheet[members]] >= TOLD_AREA - SLACK]
-        if len(members):
-            largest = members[standable.sheet[members] == area.argmax()]
-            place = describe_patch(standable, largest).place
-            patch = replace(describe_patch(standable, members), place=place)
+            told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
+        if told.any():
+            members = [
+                part.only(placed.number[placed.level[part.place]] == number)
+                for part in (
+                    part.only(placed.level[part.place] >= 0)
+                    for part in map(sheets.members, np.flatnonzero(told).tolist())
+                )
+            ]
+            largest = members[int(np.flatnonzero(told).tolist().index(int(size.argmax())))]
+            every = Members(*(np.concatenate(arrays) for arrays in zip(*members, strict=True)))
+            place = describe_members(sheets.lattice, largest).place
+            patch = replace(describe_members(sheets.lattice, every), place=place)
             unreached.append(Unreached(number, patch, whole))
     return unreached

@@ -2,30 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.floors.outline import Site
-from navbake.baker.floors.roofs import find_roofs, find_shelves, measure_shares
-from navbake.baker.floors.sheets import Standable
-from navbake.baker.floors.tops import find_tops
-from navbake.baker.kernels.constants import SLACK
-from navbake.config.settings import LevelSettings
-from navbake.types import Bool
+from navbake.baker.floors.facts import SheetFacts
+from navbake.baker.floors.kernels.members import look_below
+from navbake.baker.floors.outline import (
+    DROP,
+    WALL,
+    Edges,
+    OccupancyTest,
+    Site,
+    find_rims,
+    is_known,
+    probe_bands,
+    share_of_known,
+)
+from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
+from navbake.baker.kernels.occupancy import lines_blocked
+from navbake.config.settings import AgentSettings, LevelSettings
+from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
+from navbake.types import Bool, Float, Int
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
+
+# A top drops to a floor along at least this share of its outline
+DROP_SHARE = 0.25
+# With room for an agent under more than this share of it, a sheet is a mezzanine, no top
+ROOM_SHARE = 0.5
+# Beds, counters and desks are smaller. A larger top has to lie on a floor that is larger [m²]
+LARGE_TOP = 6.0
+
+# The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side,
+# and a carport's roof goes on over the tops of walls that are under the roof of the house
+SKY_SHARE = 0.5
+# The share of a roof or a shelf that lies over a floor; and the share of its outline that has
+# walls if it is a storey, or that drops if it is a shelf
+HALF = 0.5
+# Where thick walls and eaves leave less of a roof over a floor: the least share that does, and the
+# share that lies over a floor or a wall. The rest are eaves.
+FLOOR_SHARE, WALLED_SHARE = 0.25, 2 / 3
+# Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
+MIN_WALL = 1.5
+# Steps by row and column against the ways of edges: east, south, west, north
+INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
+# No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
+SHELF_DEPTH = 2.5
 
 
 class Rejected(NamedTuple):
     """The large sheets that are no floors; masks, shape (sheets,), of which one sheet is in one.
 
     Attributes:
-        tops: tops of what stands on a floor, see `find_tops`.
-        shelves: see `find_shelves`.
-        roofs: see `find_roofs`.
+        tops: tops of what stands on a floor, see `_Tops`.
+        shelves: see `_find_shelves`.
+        roofs: see `_find_roofs`.
     """
 
     tops: Bool
@@ -39,38 +74,274 @@ class Rejected(NamedTuple):
         return rejected
 
 
-def find_rejected(site: Site, given: Sequence[LevelSettings] | None) -> Rejected:
+class Changed(NamedTuple):
+    """In which update something last changed, by sheet.
+
+    Attributes:
+        near: near any of its surfaces.
+        at_edges: near any of its edges.
+        own: the sheet itself: never, as facts are about sheets with certain surfaces.
+    """
+
+    near: Int
+    at_edges: Int
+    own: Int
+
+
+def find_rejected(
+    site: Site,
+    drops: Int,
+    changed: Changed,
+    facts: SheetFacts,
+    given: Sequence[LevelSettings] | None,
+) -> Rejected:
     """Find the large sheets that are no floors, each judged by itself among all the others.
 
     A roof counts as a floor nevertheless where it is the only one there is: in the whole scene,
     or on a level that is given.
 
     Args:
+        drops: how many edges of each sheet have a floor more than a step below before them.
+        changed: what facts rest on.
+        facts: those that are known.
         given: the levels of the configuration, or None where they are to be found.
     """
-    none = np.zeros(len(site.large.sheet_size), dtype=np.bool_)
+    sheets, is_large = site.sheets, site.is_large
+    none = np.zeros(len(is_large), dtype=np.bool_)
     tops = shelves = roofs = none
-    shares = measure_shares(site)
+    above, below, count = sheets.stacks()
+    size = np.maximum(sheets.size, 1)
+    sky = sheets.tops / size
+    # that may be furniture: what stands in a hall does not take the floor away below its roof
+    over = np.bincount(above, count * (above != below), len(is_large)) / size
     if not site.settings.tops:
-        tops, shelves = find_tops(site), find_shelves(site, shares)
+        tops = _find_tops(site, drops, changed, facts)
+        narrow = is_large & (sky < SKY_SHARE) & (over >= HALF)
+        shelves = _find_shelves(site, narrow, changed, facts)
     if not site.settings.roofs:
-        roofs = find_roofs(site, shares)
-    is_floor = (site.large.sheet_size > 0) & ~(tops | shelves | roofs)
+        open_above = is_large & (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
+        roofs = _find_roofs(site, open_above, over, changed, facts)
+    is_floor = is_large & ~(tops | shelves | roofs)
     if not is_floor.any():
         roofs = none
-    for level in given_levels(site.large, given or ()):
-        on_level = np.bincount(site.large.sheet[level], minlength=len(none)) > 0
+    for low, high in given_spans(given or ()):
+        on_level = is_large & sheets.between(low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
     return Rejected(tops & ~roofs, shelves & ~roofs, roofs)
 
 
-def given_levels(standable: Standable, given: Sequence[LevelSettings]) -> Iterator[Bool]:
-    """Tell which surfaces lie on each of the given levels, from its ground to its top, shape (n,).
+def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
+    """From which height to below which one the surfaces of each given level lie [m].
 
     A level begins a little below its ground, since a hand that writes 3.0 means a floor at 2.99.
     """
+    spans = []
     for number, level in enumerate(given):
         above = given[number + 1].ground - GIVEN_TOLERANCE if given[number + 1 :] else np.inf
         top = above if level.top is None else min(above, level.top)
-        yield (standable.z >= level.ground - GIVEN_TOLERANCE) & (standable.z < top - SLACK)
+        spans.append((level.ground - GIVEN_TOLERANCE, top - SLACK))
+    return spans
+
+
+class _Top(NamedTuple):
+    """What decides whether a sheet is a top.
+
+    Attributes:
+        floors: the keys of the sheets that it drops to along a quarter of its outline; empty
+            where it does not drop that much, or where there is room for an agent under it.
+        winds: whether a floor winds through it.
+    """
+
+    floors: list[int]
+    winds: bool
+
+
+def _find_tops(site: Site, drops: Int, changed: Changed, facts: SheetFacts) -> Bool:
+    """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
+
+    A sheet that no step reaches is such a top when
+
+    - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
+      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls. Holes
+      in a sheet belong to its outline only where they drop;
+    - it has at most 6 m², or the largest floor that it drops to is larger than itself: what is
+      larger than all that lies lower is the ground, and what lies lower a pool, a ditch, a track
+      bed or a yard in front of a dock. A floor that winds through the sheet makes it a block with
+      corridors nevertheless, whatever their sizes: the rim of a hole that it drops to is longer
+      there than its outer outline, which a pit's is not;
+    - there is no room for an agent under most of it, from the height of that floor up: so a
+      mezzanine is none, because one can stand below.
+    """
+    sheets, result = site.sheets, np.zeros(len(drops), dtype=np.bool_)
+    may_drop = site.is_large & (drops > 0)
+    if not site.cropped.any():
+        # an outline is at least as long as the box around it: most sheets drop along less of it
+        height, width = (sheets.box[:, k + 2] - sheets.box[:, k] for k in (0, 1))
+        may_drop &= drops >= DROP_SHARE * 2 * (height + width)
+    found = facts.of("top", may_drop, changed.near, lambda asked: _judge_tops(site, asked))
+    area = sheets.lattice.cell_size**2
+    for sheet, top in zip(np.flatnonzero(may_drop).tolist(), found, strict=True):
+        if top.floors:
+            size, others = sheets.size[sheet], np.searchsorted(sheets.key, top.floors)
+            lies = size * area <= LARGE_TOP or sheets.size[others].max() > size
+            result[sheet] = lies or top.winds
+    return result
+
+
+def _judge_tops(site: Site, asked: Bool) -> list[_Top]:
+    """See `_find_tops`."""
+    sheets, num = site.sheets, len(asked)
+    edges = site.edges(asked, site.reach)
+    has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
+    rim = find_rims(edges, sheets)
+    certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & (rim == 0)
+    share = share_of_known(num, edges, has_floor, certain | has_floor)
+    chosen = (~(share < DROP_SHARE))[edges.sheet]
+    edges, rim = edges.only(chosen), rim[chosen]
+    endings = site.endings(edges)
+    drops, known = endings.kind == DROP, is_known(edges, endings.kind, site.cropped)
+    # other holes are where things stand on the sheet, such as pillows
+    known &= (rim == 0) | drops
+    is_top = share_of_known(num, edges, drops, known) >= DROP_SHARE
+    found = []
+    for sheet in np.flatnonzero(asked).tolist():
+        own = edges.sheet == sheet
+        landing = np.sort(endings.landing[own & drops])
+        floors: list[int] = []
+        if is_top[sheet] and len(landing):
+            # the lower one of two in the middle
+            beside = float(landing[(len(landing) - 1) // 2])
+            if _count_over_room(site, sheet, beside) <= ROOM_SHARE * sheets.size[sheet]:
+                floors = sheets.key[np.unique(endings.floor[own & drops])].tolist()
+        drops_in = np.bincount(rim[own], drops[own])
+        winds = bool(drops_in[1:].max(initial=0) > (rim[own] == 0).sum())
+        found.append(_Top(floors, winds))
+    return found
+
+
+def _count_over_room(site: Site, sheet: int, floor: float) -> int:
+    """Count the cells of a sheet under which there is room for an agent.
+
+    It stands there at the height of the floor beside, or on a floor above that [m].
+    """
+    agent, members = site.agent, site.sheets.members(sheet)
+    step, cells = agent.traversable_floor_height, members.cell
+    below, _ = look_below(site.sheets.labelled(site.is_large), cells, members.place)
+    has_floor = below >= floor - step - SLACK
+    blocked = np.zeros(len(cells), dtype=np.bool_)
+    low, high = (
+        np.full(len(cells), z) for z in (floor + step + TOUCH, floor + agent.height - TOUCH)
+    )
+    lines = cells, low, high, site.columns.at(cells).crossings, blocked
+    run_in_bands(lines_blocked, len(cells), *lines, least=1000)
+    return int(np.count_nonzero(has_floor | ~blocked))
+
+
+def _find_roofs(
+    site: Site, candidates: Bool, over: Float, changed: Changed, facts: SheetFacts
+) -> Bool:
+    """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
+
+    A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
+    along more than half of its outline, and is none. Its walls may stand a little inside of its
+    slab's rim, even where they are too thin to part its floor. Parapets are too low, and a lower
+    roof beside a higher part of the house has a wall on one side only. What is closed below, or
+    open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
+    upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
+    there. Most of a roof lies over a floor; or two thirds over a floor and thick walls around it,
+    and a quarter over the floor at least. No step reaches a roof: the sheet of one that stairs
+    lead to includes the floors below, which are not open to the sky.
+
+    Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
+    Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
+    """
+    half_over = candidates & (over < HALF)
+    over_walls = facts.mask(
+        "over walls", half_over, changed.near, lambda asked: _lie_over_walls(site, asked)
+    )
+    candidates = candidates & (~half_over | over_walls)
+    return facts.mask(
+        "no walls", candidates, changed.at_edges, lambda asked: _have_no_walls(site, asked)
+    )
+
+
+def _have_no_walls(site: Site, asked: Bool) -> Bool:
+    """Whether walls stand along no more than half of the outlines of some sheets."""
+    if not asked.any():
+        return asked
+    agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
+    lattice = site.sheets.lattice
+    edges = site.outer_edges(asked, reach=1)
+    kind = site.endings(edges, agent).kind
+    is_wall, known = kind == WALL, is_known(edges, kind, site.cropped)
+    reach = int(np.ceil(site.settings.shrink / lattice.cell_size))
+    ends = known & ~is_wall
+    is_wall[ends] = _find_inner_walls(edges.only(ends), lattice, agent, reach, site.is_occupied)
+    return asked & (share_of_known(len(asked), edges, is_wall, known) <= HALF)
+
+
+def _find_shelves(site: Site, candidates: Bool, changed: Changed, facts: SheetFacts) -> Bool:
+    """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
+
+    A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
+    drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
+    deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
+    left to stand in of an attic. What is open to the sky is left to `_find_roofs`.
+    """
+    deep = {"min_area": site.sheets.lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
+    settings = site.settings.model_copy(update=deep)
+    candidates = candidates & ~facts.mask(
+        "deep", candidates, changed.own, lambda asked: site.sheets.left(asked, settings)
+    )
+
+    def open_at_sides(asked: Bool) -> Bool:
+        edges = site.outer_edges(asked, site.reach)
+        kind = site.endings(edges).kind
+        known = is_known(edges, kind, site.cropped)
+        return asked & (share_of_known(len(asked), edges, kind == DROP, known) > HALF)
+
+    return facts.mask("open at sides", candidates, changed.at_edges, open_at_sides)
+
+
+def _lie_over_walls(site: Site, asked: Bool) -> Bool:
+    """Which sheets lie over another sheet, or over a wall, as far as a roof has to.
+
+    A wall's top is a surface that faces up, with less than a step of room above: a roof that lies
+    on it, or that it ends within.
+    """
+    result, step = np.zeros_like(asked), site.agent.traversable_floor_height
+    every = site.sheets.labelled(np.ones_like(asked))
+    for sheet in np.flatnonzero(asked).tolist():
+        cell, z, _, place = site.sheets.members(sheet)
+        _, below_sheet = look_below(every, cell, place)
+        columns, is_over = site.columns.at(cell), (below_sheet >= 0) & (below_sheet != sheet)
+        first, end = columns.start[cell], columns.start[cell + 1]
+        for k in range(int((end - first).max(initial=0)) - 1):
+            deep = np.flatnonzero(first + k + 1 < end)
+            below, above = columns.z[first[deep] + k], columns.z[first[deep] + k + 1]
+            is_top = (columns.normal[first[deep] + k, 2] > 0) & (above - below < step)
+            is_over[deep] |= is_top & (below < z[deep] - SAME)
+        result[sheet] = np.count_nonzero(is_over) / len(cell) >= WALLED_SHARE
+    return result
+
+
+def _find_inner_walls(
+    edges: Edges, lattice: Lattice, agent: AgentSettings, reach: int, is_occupied: OccupancyTest
+) -> Bool:
+    """Whether a wall stands on a sheet near each of some edges, at most `reach` cells inside."""
+    z, bands = edges.z, probe_bands(agent)
+    row, col = np.divmod(edges.cell, lattice.width)
+    inward_row, inward_col = INWARD[edges.way].T
+    has_wall = np.zeros(len(z), dtype=np.bool_)
+    for k in range(1, reach + 1):
+        beside_row, beside_col = row + k * inward_row, col + k * inward_col
+        inside = (beside_row >= 0) & (beside_row < lattice.height)
+        inside &= (beside_col >= 0) & (beside_col < lattice.width)
+        asked = np.flatnonzero(inside & ~has_wall)
+        cells = beside_row[asked] * lattice.width + beside_col[asked]
+        for band in bands:
+            stands = is_occupied(cells, z[asked], band)
+            asked, cells = asked[stands], cells[stands]
+        has_wall[asked] = True
+    return has_wall

@@ -47,3 +47,52 @@ def _are_equal(start, value, a, b):
     while k < num and value[start[a] + k] == value[start[b] + k]:
         k += 1
     return k == num
+
+
+@kernel(nogil=True)
+def count_heights(floor, occupied):
+    """The different heights of free cells, and how many cells have each; in any order.
+
+    `floor`, (rows, columns) float64, is NaN where there is none.
+    """
+    size, count = 64, 0
+    table = np.full(size, -1, np.int64)
+    height, number = np.empty(size), np.zeros(size, np.int64)
+    last = np.int64(-1)
+    for row in range(floor.shape[0]):
+        for col in range(floor.shape[1]):
+            z = floor[row, col]
+            if occupied[row, col] or np.isnan(z):
+                continue
+            if last < 0 or height[last] != z:
+                if 2 * count >= size:  # at most half full, so that probing stays short
+                    size *= 2
+                    table = np.full(size, -1, np.int64)
+                    height, number = np.concatenate((height, height)), _widen(number)
+                    for k in range(count):
+                        table[_place(table, height, height[k])] = k
+                place = _place(table, height, z)
+                if table[place] < 0:
+                    table[place], height[count] = count, z
+                    count += 1
+                last = table[place]
+            number[last] += 1
+    return height[:count].copy(), number[:count].copy()
+
+
+@part
+def _widen(number):
+    wide = np.zeros(2 * number.shape[0], np.int64)
+    wide[: number.shape[0]] = number
+    return wide
+
+
+@part(inline="always")
+def _place(table, height, z):
+    """Where a height is in a hash table, or where it belongs."""
+    size = table.shape[0]
+    key = np.uint64(np.int64(z * 1e7)) * np.uint64(0x9E3779B97F4A7C15)
+    place = np.int64((key >> np.uint64(40)) & np.uint64(size - 1))
+    while table[place] >= 0 and height[table[place]] != z:
+        place = (place + 1) & (size - 1)
+    return place

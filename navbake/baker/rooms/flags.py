@@ -12,7 +12,7 @@ from navbake.baker.columns import Columns, ColumnSource
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows

@@ -17,8 +17,8 @@ from navbake.baker.contents.contents import LevelContents, name_contents
 from navbake.baker.contents.structure import FloorSupport
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS
 from navbake.baker.lattice import Window
-from navbake.baker.live.kernels import contents as kernels
-from navbake.baker.live.kernels.contents import Entries, EntryPool
+from navbake.baker.update.kernels import contents as kernels
+from navbake.baker.update.kernels.contents import Entries, EntryPool
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData
 from navbake.types import Bool, Float, Int, Int32

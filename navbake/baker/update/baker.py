@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from navbake.baker.arguments import LeftOut, take_input
 from navbake.baker.assemble import Standing, build_grid
 from navbake.baker.clock import StageClock
-from navbake.baker.live.doors import CandidateSearch
-from navbake.baker.live.following import FollowedScene, Moved
-from navbake.baker.live.not_local import NotLocal
-from navbake.baker.live.poses import Poses
-from navbake.baker.live.stages import LiveStages
 from navbake.baker.scene.scene import open_file
 from navbake.baker.stages import Stages, take_first_look
+from navbake.baker.update.doors import CandidateSearch
+from navbake.baker.update.following import FollowedScene, Moved
+from navbake.baker.update.full_bake import FullBake
+from navbake.baker.update.poses import Poses
+from navbake.baker.update.stages import LiveStages
 from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
 from navbake.navgrid.grid import NavGrid
@@ -173,14 +173,14 @@ class Baker:
         """Bring the stages up to date, or find them anew; with why."""
         try:
             if passes is None:
-                raise NotLocal("the last update failed")
+                raise FullBake("the last update failed")
             differ = self._search.follow(moved.scene, moved.every)
             for one in passes:
                 rejected = {candidate.id for candidate in one.stages.doors.rejected}
                 one.follow(moved, differ)
                 if rejected != {candidate.id for candidate in one.stages.doors.rejected}:
-                    raise NotLocal("another body is a door, or none any more")
-        except NotLocal as why:
+                    raise FullBake("another body is a door, or none any more")
+        except FullBake as why:
             LOG.debug("all is baked again: %s", why)
             opened = self._opened._replace(data=moved.scene.data)
             return self._bake(take_first_look(self._config, StageClock(), opened=opened)), str(why)
@@ -202,9 +202,7 @@ class Baker:
             contents = live.contents
             named = None
             if self._config.names.enabled:
-
-                def named(level: int, window: Any) -> Any:
-                    return contents.user_data(window)
+                named = contents.user_data
 
             standing = Standing(contents.notes(), named, live.floor_layers, live.weigh)
         return build_grid(live.stages, standing)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import (
     Columns,
@@ -18,29 +17,28 @@ from navbake.baker.columns import (
 )
 from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.cracks import GapRoom, count_gaps
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
-from navbake.baker.live.kernels import pool as kernels
-from navbake.baker.live.kernels.cracks import (
+from navbake.baker.rooms.flags import Overhead, keep_holes
+from navbake.baker.scene.shapes import Shapes, Solids, Triangles
+from navbake.baker.update.full_bake import FullBake
+from navbake.baker.update.kernels import pool as kernels
+from navbake.baker.update.kernels.cracks import (
     count_gaps_in,
     mark_region_standable,
     write_gaps_in,
 )
-from navbake.baker.live.kernels.pool import FLOOR_LIKE, STANDABLE, Pool
-from navbake.baker.live.kernels.regions import (
+from navbake.baker.update.kernels.pool import Pool
+from navbake.baker.update.kernels.regions import (
     are_in,
     cells_of_boxes,
     grow_cells,
     join_cells,
     near_tiles,
 )
-from navbake.baker.live.kernels.sheets import mark_region
-from navbake.baker.live.not_local import NotLocal
-from navbake.baker.rooms.flags import Overhead, keep_holes
-from navbake.baker.scene.shapes import Planes, Shapes, Solids, Triangles
 from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -155,23 +153,18 @@ class LiveColumns:
     Args:
         columns: of all cells.
         moved: the cells whose line was moved, see `close_cracks`.
-        planes: the endless planes of the scene.
     """
 
-    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved, planes: Planes) -> None:
+    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved) -> None:
         self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
         self._crack = config.floors.crack
         self._limits = agent_limits(config.agent)
         self._known: Boxed | None = None
         self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
         self._is_cracked[moved.cells] = True
-        every = Region(np.arange(len(self._is_cracked)), columns.crossings)
-        no_sheet = np.full(len(columns.z), -1, dtype=np.int32)
-        self._fill(columns.crossings, self._marks(every, planes), no_sheet, 0)
+        self._fill(columns.crossings, 0)
 
-    def _fill(
-        self, crossings: Crossings, marks: NDArray[np.uint8], sheet: Int32, more: int
-    ) -> None:
+    def _fill(self, crossings: Crossings, more: int) -> None:
         """Make the pool of columns, with room for `more` crossings at least."""
         count = np.diff(crossings.start).astype(np.int32)
         self.used = len(crossings.z)
@@ -183,18 +176,8 @@ class LiveColumns:
             return wide
 
         _, z, normal, geom, closed = crossings
-        layers = widen(z), widen(normal), widen(geom), widen(closed), widen(marks), widen(sheet)
+        layers = widen(z), widen(normal), widen(geom), widen(closed)
         self.pool = Pool(crossings.start[:-1].copy(), count, count.copy(), *layers)
-
-    def _marks(self, region: Region, planes: Planes) -> NDArray[np.uint8]:
-        """Tell of each surface of a region whether it is FLOOR_LIKE and STANDABLE."""
-        floor_like, standable = np.zeros((2, len(region.columns.z)), dtype=np.bool_)
-        known = region.cells, region.by_id(self.scratch), planes, self._limits
-        work = mark_region, len(region.cells), self.lattice
-        run_in_bands(*work, *known, (floor_like, standable), self.scratch.count, least=LEAST_CELLS)
-        marks: NDArray[np.uint8] = floor_like * np.uint8(FLOOR_LIKE)
-        marks |= standable * np.uint8(STANDABLE)
-        return marks
 
     def gather(self, cells: Int) -> Region:
         """The columns of some cells, ascending."""
@@ -212,16 +195,21 @@ class LiveColumns:
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known."""
         region = self.gather(np.unique(cells).astype(np.int64))
-        return Columns(self.lattice, region.by_id(self.scratch))
+        start = np.zeros(len(self.pool.first) + 1, dtype=np.int64)
+        kernels.point_at(region.cells, region.columns.start, start)
+        return Columns(self.lattice, region.columns._replace(start=start))
 
-    def overhead(self, level: LevelFloor, agent: AgentSettings) -> Overhead:
+    def overhead(self, levels: Sequence[LevelFloor], agent: AgentSettings) -> Overhead:
         """What `OverheadFinder` finds."""
         top, up = np.full(len(self.pool.first), np.nan), np.zeros(len(self.pool.first), np.float32)
         kernels.find_tops(self.pool, top, up)
-        holes = np.isnan(level.floor)
-        bare = self.at(np.flatnonzero(holes))
-        keep_holes(holes.ravel(), bare.start, level.ground, bare, agent)
-        return Overhead(self, top, up, [holes])
+        every = []
+        for level in levels:
+            holes = np.isnan(level.floor)
+            bare = self.at(np.flatnonzero(holes))
+            keep_holes(holes.ravel(), bare.start, level.ground, bare, agent)
+            every.append(holes)
+        return Overhead(self, top, up, every)
 
     def near(self, shapes: Shapes, cells: Int, reach: float, heights: Band) -> TiledShapes:
         """The part of the geometry that is near some cells, listed by tiles; all planes.
@@ -288,7 +276,7 @@ class LiveColumns:
         return found.only(found.cells[is_new])
 
     def check_planes(self, shapes: Shapes, old: Band, new: Band) -> None:
-        """NotLocal where level planes are crossed at other heights by lines that begin elsewhere.
+        """FullBake where level planes are crossed at other heights by lines that begin elsewhere.
 
         They are so by rounding alone, as `heights` of all geometry changes.
         """
@@ -302,17 +290,14 @@ class LiveColumns:
             return cast_points(tiled, cell, center).z
 
         if not np.array_equal(cast(old), cast(new)):
-            raise NotLocal("lines cross a plane at another height, by rounding")
+            raise FullBake("lines cross a plane at another height, by rounding")
 
-    def put(self, region: Region, planes: Planes) -> None:
-        """Replace columns; their surfaces belong to no sheet yet."""
-        marks = self._marks(region, planes)
-        if self.used + len(marks) > len(self.pool.z):
+    def put(self, region: Region) -> None:
+        """Replace columns."""
+        if self.used + len(region.columns.z) > len(self.pool.z):
             kept = self.gather(np.arange(len(self.pool.first))).columns
-            shift = np.repeat(self.pool.first - kept.start[:-1], self.pool.length)
-            place = shift + np.arange(len(shift))
-            self._fill(kept, self.pool.marks[place], self.pool.sheet[place], len(marks))
-        self.used = kernels.put(self.pool, *region, marks, self.used)
+            self._fill(kept, len(region.columns.z))
+        self.used = kernels.put(self.pool, *region, self.used)
 
     def _region_of_cracks(self, boxes: Float) -> Int:
         """The cells in which cracks may be others, with all that decide together with them."""

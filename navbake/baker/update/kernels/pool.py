@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Int, Int32
 
-# What a surface is: one that floors may go on at, one that an agent can stand on
-FLOOR_LIKE, STANDABLE = 1, 2
-
 
 class Pool(NamedTuple):
     """The columns of all cells; cell i holds ``[first[i], first[i] + length[i])``.
@@ -27,8 +24,6 @@ class Pool(NamedTuple):
         length: (cells,) int32.
         room: how long each column may become where it is, (cells,) int32.
         z, normal, geom, closed: as in `Crossings`, with room at the end.
-        marks: FLOOR_LIKE and STANDABLE, see `mark_surfaces`, (n,) uint8.
-        sheet: the sheet of each surface that an agent can stand on, -1 for the others, (n,) int32.
     """
 
     first: Int
@@ -38,8 +33,6 @@ class Pool(NamedTuple):
     normal: NDArray[np.float32]
     geom: Int32
     closed: NDArray[np.uint8]
-    marks: NDArray[np.uint8]
-    sheet: Int32
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -61,28 +54,6 @@ def copy_columns(source, at, columns, begin, end):
             for axis in range(3):
                 normal[i, axis] = source.normal[j, axis]
             j += 1
-
-
-@kernel(nogil=True)
-def gather_standable(pool, cells):
-    """The surfaces of some cells that an agent can stand on.
-
-    Returns where those of each cell begin, (cells + 1,) int64, as `cells` are numbered; and of each
-    surface its height [m] and its place in the pool, int64.
-    """
-    length, first, marks = pool.length, pool.first, pool.marks
-    most = 0
-    for cell in cells:
-        most += length[cell]
-    start, z = np.zeros(cells.shape[0] + 1, np.int64), np.empty(most)
-    place, at = np.empty(most, np.int64), 0
-    for n in range(cells.shape[0]):
-        for j in range(first[cells[n]], first[cells[n]] + length[cells[n]]):
-            if marks[j] & STANDABLE:
-                z[at], place[at] = pool.z[j], j
-                at += 1
-        start[n + 1] = at
-    return start, z[:at].copy(), place[:at].copy()
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -118,10 +89,10 @@ def differs(pool, cells, new, result, first, end):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def put(pool, cells, new, marks, used):
+def put(pool, cells, new, used):
     """Write new columns of some cells, numbered as `cells` are; those too long behind `used`.
 
-    Their surfaces belong to no sheet yet. Returns how much of the pool is used now.
+    Returns how much of the pool is used now.
     """
     first, length, room = pool.first, pool.length, pool.room
     for n in range(cells.shape[0]):
@@ -132,7 +103,6 @@ def put(pool, cells, new, marks, used):
         length[cell], j = count, first[cell]
         for i in range(new.start[n], new.start[n + 1]):
             pool.z[j], pool.geom[j], pool.closed[j] = new.z[i], new.geom[i], new.closed[i]
-            pool.marks[j], pool.sheet[j] = marks[i], -1
             for axis in range(3):
                 pool.normal[j, axis] = new.normal[i, axis]
             j += 1

@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.columns import Columns
+from navbake.baker.floors.growth import FloorChanges
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.contents import LiveContents
-from navbake.baker.live.kernels.regions import are_in, join_cells
-from navbake.baker.rooms.flags import Blocked, read_flags
+from navbake.baker.rooms.flags import Blocked, keep_holes, read_flags
 from navbake.baker.rooms.rooms import (
     NamedRoom,
     RoomIndex,
@@ -26,6 +25,9 @@ from navbake.baker.rooms.segmentation import mark_steep
 from navbake.baker.rooms.sources import match_geoms, match_sites
 from navbake.baker.scene.names import names_at
 from navbake.baker.scene.scene import Scene
+from navbake.baker.update.columns import LiveColumns, Region
+from navbake.baker.update.contents import LiveContents
+from navbake.baker.update.kernels.regions import are_in
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
@@ -74,90 +76,130 @@ class Seen(NamedTuple):
 
     Attributes:
         old, new: the columns of the same cells, before and now.
-        heights: the cells whose floor has another height, or has one where there was none, or
-            none, ascending.
-        before: the floor that these had, NaN for none [m].
+        changes: of the floors, by level.
     """
 
     old: Region
     new: Region
-    heights: Int
-    before: Float
+    changes: list[FloorChanges]
 
 
 class LiveRooms:
-    """The rooms of the one level of a scene, where floors and walls are known."""
+    """The rooms of a scene, where floors and walls are known."""
 
     def __init__(
         self, config: BakeConfig, scene: Scene, columns: LiveColumns, floors: Floors
     ) -> None:
         self._config, self._columns = config, columns
         self.marks = RoomMarks(config, scene)
-        self._have_stairs = self._find_stairs(floors.levels[0])
+        self._have_stairs = self._find_stairs(floors)
 
     def find(self, scene: Scene, floors: Floors, contents: LiveContents | None) -> Rooms:
         """Find all rooms again; the scene is without doors."""
-        config, shape, level = self._config, floors.levels[0].floor.shape, floors.levels[0]
-        none = np.zeros(shape, dtype=np.bool_)
-        blocked = Blocked(none, none)
-        if contents is not None:
-            blocked = Blocked(contents.wall.reshape(shape), contents.low.reshape(shape))
-        overhead = self._columns.overhead(level, config.agent)
-        flags = read_flags(scene, overhead, floors, [blocked], config.rooms, config.agent)
+        config, shape = self._config, self._columns.lattice.shape
+        if contents is None:
+            none = np.zeros(shape, dtype=np.bool_)
+            blocked = [Blocked(none, none) for _ in floors.levels]
+        else:
+            blocked = [
+                Blocked(wall.reshape(shape), low.reshape(shape))
+                for wall, low in zip(contents.wall, contents.low, strict=True)
+            ]
+        overhead = self._columns.overhead(floors.levels, config.agent)
+        flags = read_flags(scene, overhead, floors, blocked, config.rooms, config.agent)
         rooms = find_rooms(flags, config.rooms, config.agent.traversable_floor_height)
-        self._have_stairs = self._find_stairs(level)
+        self._have_stairs = self._find_stairs(floors)
         return rooms
 
-    def follow(self, rooms: Rooms, floors: Floors, seen: Seen) -> Rooms | None:
+    def follow(self, rooms: Rooms, was: Floors, floors: Floors, seen: Seen) -> Rooms | None:
         """The rooms with other columns and floors, where walls and marks are as they were.
 
         None where they are to be found again. Those that know all that `find_rooms` reads to be the
         same need not: of cells with a floor, whether they are under the sky, if that was asked, and
         the surfaces of geoms that mark rooms. Of cells without a floor, beside these, and at the
         lattice's edge, it reads more. Heights of floors decide where rooms have stairs, where they
-        open to each other, and how high their middles are.
+        open to each other, and how high their middles are. Links between levels join rooms.
         """
-        level, lattice = floors.levels[0], self._columns.lattice
-        changed = join_cells(seen.new.cells, seen.heights)
-        if not len(changed):
+        heights = [change.heights for change in seen.changes]
+        if not len(seen.new.cells) and not any(map(len, heights)):
             return rooms
-        if _is_at_edge(level, changed, lattice).any() or np.isnan(seen.before).any():
-            return None
-        if not self._same_sky(level, seen):
+        if not np.array_equal(was.links, floors.links):
             return None
         if not _same_marks(seen.old.columns, seen.new.columns, self.marks.geoms):
             return None
-        if not len(seen.heights):
+        for level, change in zip(floors.levels, seen.changes, strict=True):
+            if np.isnan(change.before).any() or self._reads_other(level, change, seen):
+                return None
+            if not self._same_sky(level, change, seen):
+                return None
+        if not any(map(len, heights)):
             return rooms
-        if self.marks.are_there or _are_between_rooms(rooms.index[0], seen.heights, lattice):
+        lattice = self._columns.lattice
+        if self.marks.are_there or any(
+            _are_between_rooms(index, cells, lattice)
+            for index, cells in zip(rooms.index, heights, strict=True)
+        ):
             return None
-        if self._have_stairs or self._find_stairs(level):
+        if self._have_stairs or self._find_stairs(floors):
             return None
+        (index,) = rooms.index
         named = [NamedRoom(room.name, str(room.source), room.outdoors) for room in rooms.table]
-        table = describe_rooms(rooms.index, [named], [level.floor], lattice)
+        heights_of = [level.floor for level in floors.levels]
+        table = describe_rooms([index], [named], heights_of, lattice)
         return replace(rooms, table=name_neighbours(table, rooms.openings, rooms.links, {}))
 
-    def _find_stairs(self, level: LevelFloor) -> bool:
+    def _find_stairs(self, floors: Floors) -> bool:
         """Whether any part of a space may be as steep as a stair."""
-        cell_size = self._columns.lattice.cell_size
+        if len(floors.levels) > 1:
+            return True
+        level, size = floors.levels[0], self._columns.lattice.cell_size
         label = (~np.isnan(level.floor)).astype(np.int32)
-        return bool(mark_steep(label, level.floor, cell_size).any())
+        return bool(mark_steep(label, level.floor, size).any())
 
-    def _same_sky(self, level: LevelFloor, seen: Seen) -> bool:
+    def _reads_other(self, level: LevelFloor, change: FloorChanges, seen: Seen) -> bool:
+        """Whether rooms read something else at the edge of the floor, or where there is none."""
+        lattice, agent = self._columns.lattice, self._config.agent
+        if _is_at_edge(level, change.heights, lattice).any():
+            return True
+        cells = seen.new.cells
+        has_floor = ~np.isnan(level.floor.reshape(-1)[cells])
+        if _is_at_edge(level, cells[has_floor], lattice).any():
+            return True
+        told = []
+        for region in (seen.old, seen.new):
+            columns = region.columns
+            bare = np.flatnonzero(~has_floor)
+            holes, is_empty = ~has_floor, columns.start[bare] == columns.start[bare + 1]
+            asked = Columns(lattice, columns)
+            keep_holes(holes, columns.start, level.ground, asked, agent)
+            last = columns.start[bare + 1] - 1
+            top = np.where(is_empty, np.nan, columns.z[last]) if len(columns.z) else np.empty(0)
+            up = np.where(is_empty, 0, columns.normal[last, 2]) if len(columns.z) else np.empty(0)
+            told.append((holes, is_empty, top, up))
+        return not all(
+            np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+            for one, other in zip(*told, strict=True)
+        )
+
+    def _same_sky(self, level: LevelFloor, change: FloorChanges, seen: Seen) -> bool:
         """Whether the same cells are under the sky, of those with other columns or floors."""
         floor, height = level.floor.reshape(-1).copy(), self._config.agent.height
-        cells, asked = seen.new.cells, seen.heights
+        cells, asked = seen.new.cells, change.heights
         rest = self._columns.gather(asked[~are_in(asked, cells)])
         now = [_is_under_sky(region, floor, height) for region in (seen.new, rest)]
-        floor[asked] = seen.before
+        floor[asked] = change.before
         was = [_is_under_sky(region, floor, height) for region in (seen.old, rest)]
         return all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
 
 
 def _is_under_sky(region: Region, floor: Float, height: float) -> Bool:
     """Whether nothing is above the heads of agents in cells with a floor."""
-    top = region.columns.z[region.columns.start[1:] - 1]
-    return np.asarray(top <= floor[region.cells] + height + SLACK)
+    start, z = region.columns.start, region.columns.z
+    floors = floor[region.cells]
+    filled = ~np.isnan(floors) & (start[1:] > start[:-1])
+    result = np.zeros(len(floors), dtype=np.bool_)
+    result[filled] = z[start[1:][filled] - 1] <= floors[filled] + height + SLACK
+    return result
 
 
 def _are_between_rooms(index: RoomIndex, cells: Int, lattice: Lattice) -> bool:

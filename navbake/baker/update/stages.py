@@ -1,14 +1,13 @@
 """The stages of a bake, kept up to date: what each reads decides whether its value still holds.
 
 A stage's value is used again only where all that it reads is as it was. Columns, occupancy and
-contents read what is near a cell, and are asked again there. Floors are brought up to date near
-what moved where that is all there is to it, see `LiveFloors`. Rooms, doors and boxes are found
+again there. Floors are found block by block, see `FloorFinder`. Rooms, doors and boxes are found
 again as soon as anything that they read has changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,27 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.assemble import weigh
+from navbake.baker.blocks import Blocks
 from navbake.baker.columns import Columns, TiledShapes, height_range
 from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Surroundings
-from navbake.baker.floors.levels import Judged
-from navbake.baker.floors.outline import find_cropped
+from navbake.baker.floors.growth import FloorChanges
+from navbake.baker.floors.levels import FloorFinder, Floors
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import lay_lattice, lay_whole
-from navbake.baker.live.columns import LEAST_CELLS, Asked, LiveColumns, Region, Scratch
-from navbake.baker.live.contents import LiveContents
-from navbake.baker.live.doors import LiveDoors
-from navbake.baker.live.floors import LiveFloors
-from navbake.baker.live.following import Moved
-from navbake.baker.live.kernels.regions import cells_of_boxes, join_cells
-from navbake.baker.live.kinds import NearMoved
-from navbake.baker.live.not_local import NotLocal
-from navbake.baker.live.rooms import LiveRooms, Seen
 from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.flags import find_ends
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.stages import Stages
+from navbake.baker.update.columns import LEAST_CELLS, Asked, LiveColumns, Region, Scratch
+from navbake.baker.update.contents import LiveContents
+from navbake.baker.update.doors import LiveDoors
+from navbake.baker.update.following import Moved
+from navbake.baker.update.full_bake import FullBake
+from navbake.baker.update.kernels.regions import cells_of_boxes, join_cells
+from navbake.baker.update.kinds import NearMoved
+from navbake.baker.update.rooms import LiveRooms, Seen
+from navbake.errors import SceneError
 from navbake.threads import limit_threads, run_beside
 from navbake.types import Bool, Float, Int
 
@@ -45,7 +45,7 @@ class Parts(NamedTuple):
     """What is kept of the stages beside their values."""
 
     columns: LiveColumns
-    floors: LiveFloors
+    floors: FloorFinder
     contents: LiveContents | None
     rooms: LiveRooms
     doors: LiveDoors
@@ -70,29 +70,26 @@ class LiveStages:
 
     def __init__(self, stages: Stages) -> None:
         self.stages, self.contents, self.reason = stages, None, ""
-        notes: list[Judged] = []
-        floors = stages.judge_floors(notes)
+        floors, finder = stages.judge_floors()
         stages.__dict__["floors"] = floors
         self._parts: Parts | None = None
-        self._floor_layer: NDArray[np.float32] | None = None
-        self._weighed: Weighed | None = None
-        self._copied: Callable[[], Float] | None = None  # gives a copy of those weights
+        self._floor_layers: list[NDArray[np.float32]] | None = None
+        self._weighed: dict[int, Weighed] = {}
         found = stages.contents
         doors = stages.doors
         if not doors.rejected:
             _ = stages.boxes
         try:
             if stages.judged[0] != stages.lattice:
-                raise NotLocal("the scene goes on beyond the grid")
+                raise FullBake("the scene goes on beyond the grid")
             planes = stages.doorless.shapes.planes
             if len(planes.geom) and not _are_level(planes.mat):
-                raise NotLocal("a plane is not level")
+                raise FullBake("a plane is not level")
             moved = stages.whole.columns.moved
             if moved is None:
-                raise NotLocal("the grid has too many cells for their columns to be kept")
-            columns = LiveColumns(stages.config, stages.columns, moved, planes)
-            live_floors = LiveFloors(stages.config, floors, notes[0], stages.columns, columns)
-        except NotLocal as why:
+                raise FullBake("the grid has too many cells for their columns to be kept")
+            columns = LiveColumns(stages.config, stages.columns, moved)
+        except FullBake as why:
             self.reason = str(why)
         else:
             if found is not None:
@@ -100,10 +97,10 @@ class LiveStages:
                 self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
             rooms = LiveRooms(stages.config, stages.scene, columns, floors)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
-            self._parts = Parts(columns, live_floors, self.contents, rooms, live_doors)
+            self._parts = Parts(columns, finder, self.contents, rooms, live_doors)
+            self._blocks = Blocks(stages.lattice)
         shapes = stages.doorless.shapes
         self._heights = height_range(shapes, stages.lattice)
-        self._cropped = find_cropped(stages.lattice, shapes.bounds())
         stages.free_geometry()
 
     def follow(self, moved: Moved, differ: Mapping[str, DoorCandidate]) -> None:
@@ -114,13 +111,11 @@ class LiveStages:
             differ: the candidates for doors that differ now, by their ids.
 
         Raises:
-            NotLocal: all is to be found anew. Nothing here is to be used any more.
+            FullBake: all is to be found anew. Nothing here is to be used any more.
         """
         if self._parts is None:
-            raise NotLocal(self.reason)
+            raise FullBake(self.reason)
         parts, was, scene = self._parts, self.stages, moved.scene
-        if self._weighed is not None:
-            self._copied = run_beside(self._weighed.weights.copy)
         candidates = [differ.get(one.id, one) for one in was.candidates]
         stages = replace(was, scene=scene, candidates=candidates)
         is_door = np.zeros(scene.model.ngeom, dtype=np.bool_)
@@ -135,12 +130,12 @@ class LiveStages:
         if "boxes" in was.__dict__:
             stages.__dict__["boxes"] = was.boxes
         stages.__dict__["contents"] = None
-        self._check_box(was, stages)
+        same_ends = self._check_box(was, stages)
         touched: Int = np.empty(0, dtype=np.int64)
         rooms: Rooms | None = was.rooms
         if len(boxes):
             touched, rooms = self._follow_cells(parts, stages, boxes, own)
-        if parts.rooms.marks.have_moved(scene, moved.every):
+        if parts.rooms.marks.have_moved(scene, moved.every) or not same_ends:
             rooms = None
         parts.rooms.marks.keep(scene)
         rooms_same = rooms is not None
@@ -158,7 +153,8 @@ class LiveStages:
             stages.__dict__["room_table"] = was.room_table
         stages.__dict__["stated_settings"] = was.stated_settings
         if was.doors.rejected and not stages.doors.rejected:
-            raise NotLocal("all that looks like a door is one now")
+            raise FullBake("all that looks like a door is one now")
+        stages.free_geometry()
         self.stages = stages
 
     @property
@@ -166,50 +162,44 @@ class LiveStages:
         """The floor as it is written, the same array as long as it stays the same."""
         if self._parts is None:
             return None
-        if self._floor_layer is None:
-            self._floor_layer = self.stages.floors.levels[0].floor.astype(np.float32)
-        return [self._floor_layer]
+        if self._floor_layers is None:
+            levels = self.stages.floors.levels
+            self._floor_layers = [level.floor.astype(np.float32) for level in levels]
+        return self._floor_layers
 
-    def weigh(self, occupied: Bool) -> Float:
-        """The weights of the one level's cells, an array of their own.
+    def weigh(self, level: int, occupied: Bool) -> Float:
+        """The weights of a level's cells, an array of their own.
 
-        To copy those of the last grid takes a quarter of the time that it takes to make them, and
-        other work goes on beside it.
+        To copy those of the last grid takes a quarter of the time that it takes to make them.
         """
-        known, copied = self._weighed, self._copied
-        self._copied = None
+        known = self._weighed.get(level)
         if known is None or known.occupied.shape != occupied.shape:
-            self._weighed = known = Weighed(occupied.copy(), weigh(occupied))
+            self._weighed[level] = known = Weighed(occupied.copy(), weigh(occupied))
             return known.weights.copy()
         changed = np.flatnonzero(occupied != known.occupied)
-        weights = known.weights.copy() if copied is None else copied()
+        weights = known.weights.copy()
         marks = occupied.reshape(-1)[changed]
         known.occupied.reshape(-1)[changed] = marks
         for one in (known.weights, weights):
             one.reshape(-1)[changed] = weigh(marks)
         return weights
 
-    def _check_box(self, was: Stages, now: Stages) -> None:
-        """NotLocal where the box round the scene changes what depends on it."""
+    def _check_box(self, was: Stages, now: Stages) -> bool:
+        """Whether the scene ends at the same sides; FullBake where its box changes the grid."""
         old, new, config = was.scene.bounds, now.scene.bounds, now.config
-        bounds = now.doorless.shapes.bounds()
-        cropped = find_cropped(now.lattice, bounds)
-        if not np.array_equal(cropped, self._cropped):
-            raise NotLocal("the scene goes on beyond the grid at another side")
         if old is None and new is None:
-            return
+            return True
         if old is None or new is None:
-            raise NotLocal("the scene has become endless, or is no longer")
+            raise FullBake("the scene has become endless, or is no longer")
         if np.array_equal(old, new):
-            return
+            return True
         lattice = lay_lattice(now.scene, config)
         if lattice != was.lattice or lay_whole(lattice, new, config.grid.max_cells) != was.judged:
-            raise NotLocal("the grid is another one: the box round the scene has changed")
+            raise FullBake("the grid is another one: the box round the scene has changed")
         if old[1, 2] != new[1, 2] and self.contents is not None:
-            raise NotLocal("the top of the scene has another height")
-        if not np.array_equal(find_ends(lattice, old), find_ends(lattice, new)):
-            raise NotLocal("the scene ends at other sides of the grid")
+            raise FullBake("the top of the scene has another height")
         now.__dict__.pop("boxes", None)
+        return np.array_equal(find_ends(lattice, old), find_ends(lattice, new))
 
     def _follow_cells(
         self, parts: Parts, stages: Stages, boxes: Float, own: Bool
@@ -222,7 +212,7 @@ class LiveStages:
         columns, shapes = parts.columns, stages.doorless.shapes
         lattice, flag = columns.lattice, columns.scratch.flag
         if own[shapes.planes.geom].any():
-            raise NotLocal("a plane moves")
+            raise FullBake("a plane moves")
         heights = height_range(shapes, lattice)
         if heights != self._heights and len(shapes.planes.geom):
             columns.check_planes(shapes, self._heights, heights)
@@ -239,54 +229,83 @@ class LiveStages:
         self, parts: Parts, stages: Stages, own: Bool, touched: Int, asked: Asked
     ) -> tuple[Int, Rooms | None]:
         """See `_follow_cells`; what moved may stand in the `touched` cells."""
-        columns, floors, contents = parts[:3]
+        columns, finder, contents = parts[:3]
         doorless, scratch, heights = stages.doorless, columns.scratch, self._heights
         shapes = doorless.shapes
         reach = max(stages.footprints.whole.reach, crack_reach(stages.config.floors.crack))
         near = columns.near(shapes, join_cells(touched, asked.every), reach, heights)
         found = columns.cast(near, asked)
-        old = columns.gather(found.cells)
-        changes = floors.follow(found, touched, shapes.planes)
-        touched = join_cells(touched, join_cells(found.cells, changes.heights))
-        if len(changes.heights):
+        old, was = columns.gather(found.cells), stages.floors
+        columns.put(found)
+        floors, changes = self._find_floors(stages, finder, columns, found, touched)
+        stages.__dict__["floors"] = floors
+        changed: Int = np.empty(0, dtype=np.int64)
+        for change in changes:
+            changed = join_cells(changed, change.heights)
+        touched = join_cells(touched, join_cells(found.cells, changed))
+        if len(changed):
             near = columns.near(shapes, touched, reach, heights)
         region = columns.gather(touched)
         _check_cells(stages, region, near, scratch)
-        seen = Seen(old, found, changes.heights, changes.before)
-
-        def follow_rooms() -> Rooms | None:
-            """What reads no contents; NotLocal where the floors are not what they were."""
-            floors.check(changes)
-            return parts.rooms.follow(stages.rooms, stages.floors, seen)
-
-        rooms, walls = run_beside(follow_rooms), False
+        seen, walls = Seen(old, found, changes), False
+        rooms = run_beside(parts.rooms.follow, stages.rooms, was, floors, seen)
         try:
             if contents is not None:
-                moved = NearMoved(doorless, own, region, stages.floors, changes)
-                walls = any(contents.follow(moved, near, stages.occupancy.levels[0]))
+                moved = NearMoved(doorless, own, region, floors, changes)
+                walls = any(contents.follow(moved, near, stages.occupancy.levels))
         finally:  # nothing goes on after an error here
             found_rooms = rooms()
-        if len(changes.heights):
+        if len(changed):
+            self._floor_layers = None
+        if len(changed) or len(floors.levels) > 1:
             stages.__dict__.pop("boxes", None)
-            self._floor_layer = None
         return touched, None if walls else found_rooms
+
+    def _find_floors(
+        self,
+        stages: Stages,
+        finder: FloorFinder,
+        columns: LiveColumns,
+        found: Region,
+        touched: Int,
+    ) -> tuple[Floors, list[FloorChanges]]:
+        """Find floors again; FullBake where there are other levels.
+
+        Args:
+            found: the cells with other columns.
+            touched: those near what moved.
+        """
+        was, shapes = stages.floors, stages.doorless.shapes
+        finder.replace(*found, shapes.planes)
+        near = self._blocks.holding(join_cells(touched, found.cells))
+        try:
+            floors = finder.find(columns, shapes, stages.occupancy_test(columns), near)
+        except SceneError as error:  # which a full bake raises, with more to say
+            raise FullBake(str(error)) from error
+        before, now = (
+            [(level.name, level.ground) for level in one.levels] for one in (was, floors)
+        )
+        if finder.changed is None or before != now:
+            raise FullBake("there are other levels")
+        return floors, finder.changed
 
 
 def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scratch) -> None:
     """Check the occupancy of some cells again, in place."""
-    level, occupancy = stages.floors.levels[0], stages.occupancy
-    floor = level.floor.reshape(-1)[region.cells]
-    has_floor = ~np.isnan(floor)
-    asked = region.cells[has_floor], floor[has_floor]
+    occupancy = stages.occupancy
     columns = Columns(stages.lattice, region.by_id(scratch))
-    answers = check_footprints(columns, near, stages.footprints, *asked)
-    layers = [(occupancy.levels[0], answers.occupied)]
-    if occupancy.solid is not None:
-        layers.append((occupancy.solid[0], answers.solid))
-    for layer, found in layers:
-        flat = layer.reshape(-1)
-        flat[region.cells] = True
-        flat[asked[0]] = found
+    for k, level in enumerate(stages.floors.levels):
+        floor = level.floor.reshape(-1)[region.cells]
+        has_floor = ~np.isnan(floor)
+        asked = region.cells[has_floor], floor[has_floor]
+        answers = check_footprints(columns, near, stages.footprints, *asked)
+        layers = [(occupancy.levels[k], answers.occupied)]
+        if occupancy.solid is not None:
+            layers.append((occupancy.solid[k], answers.solid))
+        for layer, taken in layers:
+            flat = layer.reshape(-1)
+            flat[region.cells] = True
+            flat[asked[0]] = taken
 
 
 def _are_level(mat: Float) -> bool:

@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 
-from navbake.baker.floors.kernels.sheets import neighbour
 from navbake.compiled import kernel, part
-from navbake.navgrid.kernels.union_find import find_root, unite
 
 
 @part(inline="always")
@@ -138,29 +136,3 @@ def near_tiles(boxes, reach, lattice, tile, summed, result):
             count = summed[row1, col1] - summed[row0, col1] - summed[row1, col0]
             count += summed[row0, col0]
         result[n] = count > 0
-
-
-@kernel(nogil=True)
-def label_cells(lattice, cells, local):
-    """The connected part of each cell of a region over edges, (n,) int64.
-
-    `local`, (all cells,) int32, is -1 everywhere, and so again afterwards.
-    """
-    for n in range(cells.shape[0]):
-        local[cells[n]] = n
-    parent = np.arange(cells.shape[0])
-    for n in range(cells.shape[0]):
-        for way in range(2):
-            other = neighbour(lattice, cells[n], way)
-            if other >= 0 and local[other] >= 0:
-                unite(parent, n, local[other])
-    part, num = np.empty(cells.shape[0], np.int64), 0
-    for n in range(cells.shape[0]):
-        root = find_root(parent, n)
-        if root == n:
-            part[n] = num
-            num += 1
-        else:
-            part[n] = part[root]
-        local[cells[n]] = -1
-    return part

@@ -6,11 +6,12 @@ floors. All geoms are told apart again only where something that decides this ha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.contents.contents import Contents, classify_geoms, measure_over_floors
+from navbake.baker.contents.contents import Contents, classify_geoms
 from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers
 from navbake.baker.contents.walls import (
     NEAR_FLOOR,
@@ -19,19 +20,19 @@ from navbake.baker.contents.walls import (
     is_static,
     is_surface,
 )
+from navbake.baker.floors.growth import FloorChanges
 from navbake.baker.floors.levels import Floors, LevelFloor
-from navbake.baker.floors.sheets import agent_limits
+from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.contents import describe_floors
-from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.entries import LiveEntries
-from navbake.baker.live.following import boxes_of
-from navbake.baker.live.growth import FloorChanges
-from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, join_cells
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
+from navbake.baker.update.columns import LiveColumns, Region
+from navbake.baker.update.entries import LiveEntries
+from navbake.baker.update.following import boxes_of
+from navbake.baker.update.kernels.regions import are_in, cells_of_boxes, join_cells
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int, Int32
 
@@ -44,14 +45,14 @@ class NearMoved(NamedTuple):
         moved: the geoms whose geometry differs, shape (ngeom,), bool.
         region: all cells near what moved, and all others whose column or floor changed.
         floors: up to date.
-        changes: of the floors.
+        changes: of the floors, by level.
     """
 
     scene: Scene
     moved: Bool
     region: Region
     floors: Floors
-    changes: FloorChanges
+    changes: list[FloorChanges]
 
 
 class LiveKinds:
@@ -61,7 +62,8 @@ class LiveKinds:
         kinds: shape (ngeom,), uint8.
         warnings: of telling the geoms apart.
         candidates: the geoms that may be walls, see `candidates_of`.
-        support: what carries the floor in each cell; where that changes, `geom` is a new array.
+        supports: by level, what carries the floor in each cell; where that changes, `geom` is a
+            new array.
         carried, stood_on: in how many cells each geom carries a floor, and one that can be stood
             on, shape (ngeom,), int64.
     """
@@ -74,28 +76,36 @@ class LiveKinds:
         floors: Floors,
         crossings: Crossings,
         live: LiveColumns,
+        entries: Sequence[LiveEntries],
     ) -> None:
         """Take over what a bake found; the scene is without doors."""
         self._config, self._live = config, live
         # its own, as rooms are found beside it
         self._flag = np.zeros(len(live.pool.first), dtype=np.bool_)
         self.kinds, self.warnings = contents.kinds, contents.warnings
-        self.support, num = self._describe(floors.levels[0], crossings), len(scene.geoms)
+        self.supports = [self._describe(level, crossings) for level in floors.levels]
+        num = len(scene.geoms)
         self._extents = measure_geoms(scene.shapes, num)
         self._is_static = is_static(scene)
         self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, self._extents)
-        over = measure_over_floors(contents.levels, floors, self._extents)
-        cells = live.lattice.cell_size**2
-        area, upper_area = (
-            np.rint(area / cells).astype(np.int64) for area in (over.area, over.upper_area)
-        )
-        self._measured: tuple[Float, Float, Int, Int] = over.base, over.rise, area, upper_area
-        self._carriers = self._find_carriers(floors)
-        geom, stands = self.support.geom, floors.levels[0].standable.ravel()
-        self.carried = self._count_by_geom(geom)
-        self.stood_on = self._count_by_geom(geom[stands])
+        self._base, self._rise = np.full(num, np.inf), np.full(num, -np.inf)
+        # by level, the cells that each geom stands in, and those where it does in the walls' band
+        self._cells, self._upper_cells = np.zeros((2, len(floors.levels), num), dtype=np.int64)
+        self._carriers, self._links = self._find_carriers(floors), floors.links
+        self.carried, self.stood_on = np.zeros((2, num), dtype=np.int64)
+        for support, level in zip(self.supports, floors.levels, strict=True):
+            self.carried += self._count_by_geom(support.geom)
+            self.stood_on += self._count_by_geom(support.geom[level.standable.ravel()])
         self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
+        every, sizes = np.arange(len(live.pool.first)), (self._extents.low, self._extents.high)
+        for k, (listed, level) in enumerate(zip(entries, floors.levels, strict=True)):
+            asked = every, level.floor.reshape(-1), sizes, np.ones(num, dtype=np.bool_)
+            listed.measure(*asked, self._measured(k))
+
+    def _measured(self, level: int) -> tuple[Float, Float, Int, Int]:
+        """What is measured of geoms, where cells are counted on one level."""
+        return self._base, self._rise, self._cells[level], self._upper_cells[level]
 
     def measure_moved(self, scene: Scene, moved: Bool) -> None:
         """Measure the geoms that moved."""
@@ -108,7 +118,7 @@ class LiveKinds:
             self._reports, self._is_surface = scene.geoms, is_surface(scene)
         self.candidates = candidates_of(self._is_static, self._is_surface, extents)
 
-    def follow(self, near: NearMoved, marked: Bool, listed: LiveEntries) -> bool:
+    def follow(self, near: NearMoved, marked: Bool, listed: Sequence[LiveEntries]) -> bool:
         """Bring all up to date.
 
         Args:
@@ -121,7 +131,7 @@ class LiveKinds:
         carried = self._follow_support(near)
         decided = (self._is_static | self._is_surface) & marked
         was = self._decisive(decided)
-        self._measure_marked(near.scene, marked, near.floors.levels[0], listed)
+        self._measure_marked(near.scene, marked, near.floors, listed)
         now = self._decisive(decided)
         as_before = all(np.array_equal(one, other) for one, other in zip(was, now, strict=True))
         if not carried:
@@ -137,49 +147,54 @@ class LiveKinds:
         How deep a geom reaches under a floor does not: all that begins so low may be a wall, and
         none of it is a ceiling.
         """
-        base, *others = (array[geoms] for array in self._measured)
         low = min(NEAR_FLOOR, self._config.agent.height / 2)
-        return [np.maximum(base, low), *others]
+        counts = (cells.max(axis=0)[geoms] for cells in (self._cells, self._upper_cells))
+        return [np.maximum(self._base[geoms], low), self._rise[geoms], *counts]
 
     def _measure_marked(
-        self, scene: Scene, marked: Bool, level: LevelFloor, listed: LiveEntries
+        self, scene: Scene, marked: Bool, floors: Floors, listed: Sequence[LiveEntries]
     ) -> None:
         """Measure geoms again over all cells that they may be in."""
         lattice, agent = self._live.lattice, self._config.agent
-        for array, nothing in zip(self._measured, (np.inf, -np.inf, 0, 0), strict=True):
-            array[marked] = nothing
+        self._base[marked], self._rise[marked] = np.inf, -np.inf
+        self._cells[:, marked] = self._upper_cells[:, marked] = 0
         footprint = Footprint.of(agent, lattice.cell_size)
         reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
         boxes, _ = boxes_of(scene.shapes.only(marked))
         cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._flag)
         sizes = self._extents.low, self._extents.high
-        listed.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured)
+        for k, (one, level) in enumerate(zip(listed, floors.levels, strict=True)):
+            one.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured(k))
 
     def _follow_support(self, near: NearMoved) -> bool:
         """Find what carries floors again; whether all that carriers rest on is as it was."""
-        cells, changes, level = near.region.cells, near.changes, near.floors.levels[0]
-        support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
-        floor = level.floor.reshape(-1)[cells]
-        min_up = agent_limits(self._config.agent).min_up
-        describe_floors(floor, near.region.columns, min_up, support)
-        was = self.support.geom[cells]
-        differs = support.geom != was
-        is_other = differs | (support.gap != self.support.gap[cells])
-        holds = not is_other.any() and not len(changes.heights)
-        holds &= not (self.stood_on[near.moved].any() or self.carried[near.moved].any())
-        others, stood_on = cells[differs], self.stood_on > 0
-        self.carried += self._count_by_geom(support.geom[differs])
-        self.carried -= self._count_by_geom(was[differs])
-        shifted = join_cells(others, changes.standable)
-        before = self.support.geom[shifted]
-        if is_other.any():
-            geom, gap = self.support.geom.copy(), self.support.gap  # no grid has the gaps
-            geom[cells], gap[cells] = support.geom, support.gap
-            self.support = FloorSupport(geom, gap)
-        stands = level.standable.reshape(-1)[shifted]
-        self.stood_on += self._count_by_geom(self.support.geom[shifted][stands])
-        stands ^= are_in(shifted, changes.standable)  # as it was
-        self.stood_on -= self._count_by_geom(before[stands])
+        cells = near.region.cells
+        min_up, stood_on = agent_limits(self._config.agent).min_up, self.stood_on > 0
+        moved = near.moved
+        holds = not (self.stood_on[moved].any() or self.carried[moved].any())
+        holds &= np.array_equal(self._links, near.floors.links)
+        self._links = near.floors.links
+        for k, (level, changes) in enumerate(zip(near.floors.levels, near.changes, strict=True)):
+            support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
+            floor = level.floor.reshape(-1)[cells]
+            describe_floors(floor, near.region.columns, min_up, support)
+            known = self.supports[k]
+            was = known.geom[cells]
+            differs = support.geom != was
+            is_other = differs | (support.gap != known.gap[cells])
+            holds &= not is_other.any() and not len(changes.heights)
+            self.carried += self._count_by_geom(support.geom[differs])
+            self.carried -= self._count_by_geom(was[differs])
+            shifted = join_cells(cells[differs], changes.standable)
+            before = known.geom[shifted]
+            if is_other.any():
+                geom, gap = known.geom.copy(), known.gap  # no grid has the gaps
+                geom[cells], gap[cells] = support.geom, support.gap
+                self.supports[k] = FloorSupport(geom, gap)
+            stands = level.standable.reshape(-1)[shifted]
+            self.stood_on += self._count_by_geom(self.supports[k].geom[shifted][stands])
+            stands ^= are_in(shifted, changes.standable)  # as it was
+            self.stood_on -= self._count_by_geom(before[stands])
         return holds and bool(((self.stood_on > 0) == stood_on).all())
 
     def _count_by_geom(self, carrier: Int32) -> Int:
@@ -194,7 +209,7 @@ class LiveKinds:
 
     def _find_carriers(self, floors: Floors) -> Carriers:
         step = self._config.agent.traversable_floor_height
-        return find_carriers(floors, [self.support], self._extents, step, self._live.lattice)
+        return find_carriers(floors, self.supports, self._extents, step, self._live.lattice)
 
     def _may_be_others(self, moved: Bool) -> bool:
         """Whether geoms may be walls now, or none any more, by what moved.
@@ -210,10 +225,9 @@ class LiveKinds:
 
     def _classify(self, scene: Scene) -> bool:
         """Tell what each geom is; whether that is the same as before."""
-        base, rise, area, upper_area = self._measured
         size = self._live.lattice.cell_size**2
-        areas: list[Float] = [np.asarray(cells * size) for cells in (area, upper_area)]
-        over = GeomsOverFloors(base, rise, *areas)
+        areas = (cells.max(axis=0) * size for cells in (self._cells, self._upper_cells))
+        over = GeomsOverFloors(self._base, self._rise, *areas)
         agent, names = self._config.agent, self._config.names
         was = self.kinds
         self.kinds, self.warnings = classify_geoms(

@@ -68,7 +68,7 @@ def compare_entries(pool, cells, new, changed, marked):
         cells: ascending, and
         new: `Entries` of them.
         changed: receives whether they differ, (cells,) bool.
-        marked: by geom id, bool; receives True for all geoms in cells that differ.
+        marked: by geom id, bool; receives True for all geoms whose entries differ.
     """
     start, geom, flags = new
     for n in range(cells.shape[0]):
@@ -79,11 +79,20 @@ def compare_entries(pool, cells, new, changed, marked):
                 break
             i, j = start[n] + k, first + k
             changed[n] = geom[i] != pool.geom[j] or flags[i] != pool.flags[j]
-        if changed[n]:
-            for i in range(start[n], start[n + 1]):
+        if not changed[n]:
+            continue
+        i, j, end = start[n], first, first + pool.length[cells[n]]
+        while i < start[n + 1] or j < end:  # a merge
+            if j == end or (i < start[n + 1] and geom[i] < pool.geom[j]):
                 marked[geom[i]] = True
-            for j in range(first, first + pool.length[cells[n]]):
+                i += 1
+            elif i == start[n + 1] or pool.geom[j] < geom[i]:
                 marked[pool.geom[j]] = True
+                j += 1
+            else:
+                if flags[i] != pool.flags[j]:
+                    marked[geom[i]] = True
+                i, j = i + 1, j + 1
 
 
 @kernel(nogil=True, **UNCOUNTED)

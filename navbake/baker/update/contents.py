@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +16,14 @@ from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
 from navbake.baker.kernels.tiles import tile_of
 from navbake.baker.lattice import Window
-from navbake.baker.live.columns import LiveColumns, Region
-from navbake.baker.live.entries import LiveEntries
-from navbake.baker.live.kernels.contents import Entries, count_in_tiles, list_in_tiles
-from navbake.baker.live.kernels.pool import point_at
-from navbake.baker.live.kinds import LiveKinds, NearMoved
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.names import find_free_bodies
 from navbake.baker.scene.scene import Scene
+from navbake.baker.update.columns import LiveColumns, Region
+from navbake.baker.update.entries import LiveEntries
+from navbake.baker.update.kernels.contents import Entries, count_in_tiles, list_in_tiles
+from navbake.baker.update.kernels.pool import point_at
+from navbake.baker.update.kinds import LiveKinds, NearMoved
 from navbake.baker.warn import ContentNotes
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.user_data import UserData
@@ -41,10 +42,10 @@ class WallChanges(NamedTuple):
 
 
 class LiveContents:
-    """The contents of the one level of a scene, kept up to date.
+    """The contents of the levels of a scene, kept up to date.
 
     Attributes:
-        wall, low: see `Contents.wall_cells` and `Contents.low_cells`, shape (cells,).
+        wall, low: by level, see `Contents.wall_cells` and `Contents.low_cells`, shape (cells,).
     """
 
     def __init__(
@@ -59,33 +60,39 @@ class LiveContents:
         """Take over the contents of a bake; the scene is without doors."""
         self._config, self._live, self.names = config, live, contents.names
         free_body, num = find_free_bodies(scene.model), int(scene.model.nbody)
-        self._entries = LiveEntries(contents.levels[0], live.lattice, free_body, num)
+        self._entries = [
+            LiveEntries(level, live.lattice, free_body, num) for level in contents.levels
+        ]
         known = config, scene, contents, floors, columns.crossings
-        self._kinds = LiveKinds(*known, live)
-        self.wall, self.low = contents.wall_cells(0).ravel(), contents.low_cells(0).ravel()
+        self._kinds = LiveKinds(*known, live, self._entries)
+        self._mark_all_walls()
 
-    def follow(self, near: NearMoved, tiled: TiledShapes, occupied: Bool) -> WallChanges:
+    def follow(self, near: NearMoved, tiled: TiledShapes, occupied: Sequence[Bool]) -> WallChanges:
         """Bring the contents up to date.
 
         Args:
             tiled: the geometry near the region.
-            occupied: of all cells, up to date.
+            occupied: of all cells of each level, up to date.
         """
         self._kinds.measure_moved(near.scene, near.moved)
-        level = near.floors.levels[0]
-        entries = self._list(near.scene, tiled, near.region, occupied, level)
-        marked = near.moved.copy()
-        cells = self._entries.replace(near.region.cells, entries, marked)
-        self._entries.mark_geoms(near.changes.heights, marked)
+        levels, bounds = near.floors.levels, near.scene.bounds
+        marked, cells = near.moved.copy(), []
+        highest = -np.inf if bounds is None else float(bounds[1, 2])
+        tops = [*(level.ground for level in levels[1:]), highest]
+        for listed, top, mask, level, changes in zip(
+            self._entries, tops, occupied, levels, near.changes, strict=True
+        ):
+            entries = self._list(top, tiled, near.region, mask, level)
+            cells.append(listed.replace(near.region.cells, entries, marked))
+            listed.mark_geoms(changes.heights, marked)
         return self._mark_walls(cells, self._kinds.follow(near, marked, self._entries))
 
     def _list(
-        self, scene: Scene, tiled: TiledShapes, touched: Region, occupied: Bool, level: LevelFloor
+        self, top: float, tiled: TiledShapes, touched: Region, occupied: Bool, level: LevelFloor
     ) -> Entries:
-        """List the geoms of touched cells; see `_list_level` of the contents of a bake."""
+        """List the geoms of touched cells; see `_LevelLister` of the contents of a bake."""
         live, scratch, agent = self._live, self._live.scratch, self._config.agent
         lattice, cells, shapes = live.lattice, touched.cells, tiled.shapes
-        top = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
         floor = level.floor.reshape(-1)[cells]
         scratch.floor[cells] = floor
         scratch.ceiling[cells] = np.maximum(top, floor + agent.height) - TOUCH
@@ -118,37 +125,48 @@ class LiveContents:
             flags[unproved[occupied.reshape(-1)[inside]]] |= BLOCKS
         return Entries(start, geom[kept], flags & np.uint8(STANDS | BLOCKS | PROBED))
 
-    def _mark_walls(self, cells: Int, kinds_hold: bool) -> WallChanges:
+    def _mark_all_walls(self) -> None:
+        contents = self._contents_of([None] * len(self._entries))
+        levels = range(len(self._entries))
+        self.wall = [contents.wall_cells(k).ravel() for k in levels]
+        self.low = [contents.low_cells(k).ravel() for k in levels]
+
+    def _mark_walls(self, cells: Sequence[Int], kinds_hold: bool) -> WallChanges:
         """Bring `wall` and `low` up to date where entries changed; everywhere for other kinds."""
-        old = self.wall, self.low
         if not kinds_hold:
-            contents = self._contents_of(None)
-            self.wall, self.low = contents.wall_cells(0).ravel(), contents.low_cells(0).ravel()
-            changed = (
-                bool((a != b).any()) for a, b in zip(old, (self.wall, self.low), strict=True)
+            old = self.wall, self.low
+            self._mark_all_walls()
+            return WallChanges(
+                *(
+                    any(bool((a != b).any()) for a, b in zip(was, now, strict=True))
+                    for was, now in zip(old, (self.wall, self.low), strict=True)
+                )
             )
-            return WallChanges(*changed)
-        if not len(cells):
-            return WallChanges(False, False)
-        part = self._contents_of(cells)
-        wall, low = part.wall_cells(0).ravel(), part.low_cells(0).ravel()
-        changes = WallChanges(
-            bool((wall != self.wall[cells]).any()), bool((low != self.low[cells]).any())
-        )
-        self.wall[cells], self.low[cells] = wall, low
-        return changes
+        part, walls, lows = self._contents_of(cells), False, False
+        for k, own in enumerate(cells):
+            if len(own):
+                wall, low = part.wall_cells(k).ravel(), part.low_cells(k).ravel()
+                walls |= bool((wall != self.wall[k][own]).any())
+                lows |= bool((low != self.low[k][own]).any())
+                self.wall[k][own], self.low[k][own] = wall, low
+        return WallChanges(walls, lows)
 
-    def _contents_of(self, cells: Int | None) -> Contents:
-        """The contents of some cells, in one row, or of all."""
-        kinds, listed = self._kinds, self._entries
-        level = listed.all(kinds.support) if cells is None else listed.of(cells, kinds.support)
-        return Contents([level], kinds.kinds, self.names, kinds.warnings)
+    def _contents_of(self, cells: Sequence[Int | None]) -> Contents:
+        """The contents of some cells of each level, in one row, or of all."""
+        kinds = self._kinds
+        levels = [
+            listed.all(support) if own is None else listed.of(own, support)
+            for own, listed, support in zip(cells, self._entries, kinds.supports, strict=True)
+        ]
+        return Contents(levels, kinds.kinds, self.names, kinds.warnings)
 
-    def user_data(self, window: Window) -> UserData:
+    def user_data(self, level: int, window: Window) -> UserData:
         """See `Contents.user_data`: made when someone looks at it, of what there is now."""
         kinds = self._kinds
-        return self._entries.user_data(kinds.support, kinds.kinds, self.names, window)
+        support = kinds.supports[level]
+        return self._entries[level].user_data(support, kinds.kinds, self.names, window)
 
     def notes(self) -> ContentNotes:
         """What is to be told of the contents."""
-        return ContentNotes(self._entries.taken, self._kinds.warnings)
+        taken = np.sum([listed.taken for listed in self._entries], axis=0)
+        return ContentNotes(taken, self._kinds.warnings)

@@ -18,12 +18,12 @@ from navbake.baker.doors.doors import (
     warn_immovable_doors,
 )
 from navbake.baker.kernels.constants import HINGE, SLACK, SLIDE
-from navbake.baker.live.columns import Scratch
-from navbake.baker.live.kernels.regions import cells_of_boxes
-from navbake.baker.live.not_local import NotLocal
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
+from navbake.baker.update.columns import Scratch
+from navbake.baker.update.full_bake import FullBake
+from navbake.baker.update.kernels.regions import cells_of_boxes
 from navbake.config.settings import BakeConfig
 from navbake.navgrid.doors import STATES
 from navbake.navgrid.lattice import Lattice
@@ -49,7 +49,7 @@ class CandidateSearch:
         self._limits = _joint_limits(model)
 
     def follow(self, scene: Scene, moved: Bool) -> dict[str, DoorCandidate]:
-        """The candidates that differ now, by their ids; NotLocal where they are not the same."""
+        """The candidates that differ now, by their ids; FullBake where they are not the same."""
         qpos, limits = scene.data.qpos[self._joints], _joint_limits(scene.model)
         turns_alike = np.array_equal(limits, self._limits)
         is_same = np.array_equal(qpos, self._qpos) and turns_alike
@@ -58,7 +58,7 @@ class CandidateSearch:
         found, _ = find_candidates(scene, self._config.doors)
         pairs = zip(self.candidates, found, strict=False)
         if len(found) != len(self.candidates) or not all(_are_alike(*pair) for pair in pairs):
-            raise NotLocal("other bodies look like doors")
+            raise FullBake("other bodies look like doors")
         differ = {
             new.id: new
             for old, new in zip(self.candidates, found, strict=True)
@@ -115,10 +115,10 @@ class LiveDoors:
         if not again:
             return doors
         if any(self._reach[candidate.id].is_wide for candidate in again):
-            raise NotLocal("a door may carry a floor")
+            raise FullBake("a door may carry a floor")
         self._measure(scene, again)
         if any(self._reach[candidate.id].is_wide for candidate in again):
-            raise NotLocal("a door may carry a floor")
+            raise FullBake("a door may carry a floor")
         with limit_threads(1):
             new = place_doors(scene, again, around)
         asked = {candidate.id for candidate in again}
