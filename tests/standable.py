@@ -1,15 +1,21 @@
-"""The standable surfaces of a bake that stopped before its floors were chosen."""
+"""The sheets of a bake that stopped before its floors were chosen."""
 
 from __future__ import annotations
 
-from navbake.baker.floors.sheets import Standable, StandableFinder
+from navbake.baker.blocks import Blocks
+from navbake.baker.columns import ColumnSource
+from navbake.baker.floors.sheets import Sheets
+from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.stages import Stages
 
 
-def standable_of(stages: Stages) -> Standable:
-    """The standable surfaces, and the sheets that steps make of them."""
-    columns = stages.columns
-    finder = StandableFinder(columns.lattice, stages.tiled.shapes, stages.config.agent)
-    for block in columns.blocks():
-        finder.add(block)
-    return finder.found()[0]
+def sheets_of(stages: Stages, columns: ColumnSource | None = None) -> Sheets:
+    """The sheets that steps make of the surfaces in the columns, those of the bake if None."""
+    found = columns or stages.columns
+    store = SurfaceStore(found.lattice, stages.config.agent)
+    for block in found.blocks():
+        store.add(block, stages.tiled.shapes.planes)
+    store.finish()
+    sheets = Sheets(store, Blocks(found.lattice), stages.config.agent)
+    sheets.update(sheets.blocks.all())
+    return sheets

@@ -138,12 +138,7 @@ class FloorGrowth:
             ):  # fmt: skip
                 r, c = row + down, col + right
                 inside = 0 <= r < blocks.rows and 0 <= c < blocks.cols
-                if (
-                    inside
-                    and _differ(
-                        Grown(*(a[line] for a in was)), Grown(*(a[line] for a in now))
-                    ).any()
-                ):
+                if inside and _differ(was, now)[line].any():
                     mask[r, c] = True
         return mask.ravel()
 

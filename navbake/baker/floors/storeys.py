@@ -281,13 +281,13 @@ class Storeys:
             grounds = sorted([*grounds, ground])
             state = self._state(kept, grounds, tolerance, stale)
         used = np.asarray(state.used.any(axis=0))
-        number: Int = np.cumsum(used) - 1
+        number = np.cumsum(used, dtype=np.int64) - 1
         grounds = [ground for ground, is_used in zip(grounds, used, strict=True) if is_used]
         labels = _label([named.get(ground) for ground in grounds])
-        counts = state.counts()
-        counts[:, 1] = number[counts[:, 1]]
+        on_levels = state.counts()
+        on_levels[:, 1] = number[on_levels[:, 1]]
         changed = np.ones_like(stale) if state.is_new or was_flat else stale
-        return Placed(grounds, labels, self._key, state.level, number, counts, changed)
+        return Placed(grounds, labels, self._key, state.level, number, on_levels, changed)
 
 
 class _Parts(NamedTuple):

@@ -1,21 +1,28 @@
-"""Standable surfaces, listed by threads and block by block, are those of a plain loop."""
+"""Surfaces and sheets, found by threads and block by block, are those of plain loops."""
 
 import numpy as np
 import pytest
 
+from navbake.baker.blocks import Blocks
 from navbake.baker.columns import Rows
-from navbake.baker.floors.kernels.sheets import mark_surfaces
-from navbake.baker.floors.sheets import StandableFinder, agent_limits
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.connect import connect
+from navbake.baker.floors.kernels.surfaces import STANDS, TOP
+from navbake.baker.floors.sheets import Sheets
+from navbake.baker.floors.surfaces import SurfaceStore, agent_limits
+from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.lattice import EDGES
 from navbake.baker.stages import bake_stages
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 
 BOXES = 40
+GRID = {"cell_size": 0.1, "bounds": [-4.0, -3.5, 4.0, 3.5]}
+SMALL = Lattice(0.0, 0.0, 0.1, 1, 1)
 
 
-def scene():
-    """Boxes at all heights over a floor: surfaces under others, bumps, and covered ones."""
-    draw = np.random.default_rng(5)
+def scene(seed):
+    """Boxes at all heights over a floor: surfaces under others, and covered ones."""
+    draw = np.random.default_rng(seed)
     boxes = []
     for _ in range(BOXES):
         x, y, z = draw.uniform(-3, 3), draw.uniform(-3, 3), draw.choice([0.1, 0.4, 1.5, 3.0])
@@ -25,44 +32,110 @@ def scene():
     return f"<mujoco><worldbody>{floor}{''.join(boxes)}</worldbody></mujoco>"
 
 
-def list_plainly(columns, shapes, agent):
-    """The standable surfaces and the footings, column by column."""
-    num, cells = len(columns.z), len(columns.start) - 1
-    like, stands = np.zeros(num, bool), np.zeros(num, bool)
-    count = np.zeros(cells, np.int64)
-    asked = columns.lattice, columns.crossings, shapes.planes, agent_limits(agent)
-    mark_surfaces(*asked, like, stands, count, 0, cells)
-    surfaces, footing = [], []
-    for cell in range(cells):
-        first, last = columns.start[cell], columns.start[cell + 1]
-        for i in range(first, last):
-            z = columns.z[i]
-            if stands[i]:
-                is_top = columns.z[last - 1] - z <= SLACK
-                surfaces.append((z, cell, len(footing), columns.geom[i], is_top))
-            if like[i]:
-                footing.append((z, cell))
-    return surfaces, footing
+def list_plainly(columns, agent):
+    """Cell, height and marks of all surfaces, column by column, where solids hold none of them."""
+    limits, found = agent_limits(agent), []
+    for cell in range(len(columns.start) - 1):
+        here = slice(columns.start[cell], columns.start[cell + 1])
+        z, up = columns.z[here], columns.normal[here, 2]
+        for i in np.flatnonzero(up >= limits.min_up):
+            inside = np.where(up > 0, 1, -1)[z - z[i] > SAME].sum()
+            above = z[z - z[i] > SAME].min(initial=np.inf)
+            stands = inside <= 0 and above - z[i] >= limits.headroom - SLACK
+            is_top = stands and z[-1] - z[i] <= SLACK
+            found.append((cell, z[i], bool(stands), bool(is_top)))
+    return found
+
+
+def listed(store):
+    """The same of a store."""
+    surfaces, found = store.surfaces, []
+    for cell in range(len(surfaces.first)):
+        for j in store.at(cell).tolist():
+            marks = int(surfaces.marks[j])
+            found.append((cell, surfaces.z[j], bool(marks & STANDS), bool(marks & TOP)))
+    return found
+
+
+def bake(tmp_path, seed=5):
+    path = tmp_path / "boxes.xml"
+    path.write_text(scene(seed))
+    return bake_stages({"scene": {"path": str(path)}, "grid": GRID})
+
+
+def store_of(stages, blocks):
+    store = SurfaceStore(stages.lattice, stages.config.agent)
+    for rows in blocks:
+        store.add(stages.columns.only_rows(rows), stages.tiled.shapes.planes)
+    store.finish()
+    return store
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
-    path = tmp_path / "boxes.xml"
-    path.write_text(scene())
-    stages = bake_stages({"scene": {"path": str(path)}, "grid": {"cell_size": 0.1}})
-    columns, shapes, agent = stages.columns, stages.tiled.shapes, stages.config.agent
-    surfaces, footing = list_plainly(columns, shapes, agent)
-    assert len(surfaces) > 4000 and len(footing) > len(surfaces)
-    whole, middle = columns.known_rows, Rows(0, 32)
-    for blocks in ([whole], [middle, Rows(middle.end, whole.end)]):
-        finder = StandableFinder(columns.lattice, shapes, agent)
-        with limit_threads(threads):
-            for rows in blocks:
-                finder.add(columns.only_rows(rows))
-        found, listed = finder.found()
-        parts = found.z, found.cell, found.surface, found.geom, found.is_top
-        assert list(zip(*(part.tolist() for part in parts), strict=True)) == surfaces
-        at = np.repeat(np.arange(len(listed.start) - 1), np.diff(listed.start))
-        assert list(zip(listed.z.tolist(), at.tolist(), strict=True)) == footing
-        cell = np.repeat(np.arange(len(found.start) - 1), np.diff(found.start))
-        assert np.array_equal(cell, found.cell)
+    stages = bake(tmp_path)
+    expected = list_plainly(stages.columns, stages.config.agent)
+    assert sum(stands for _, _, stands, _ in expected) > 4000
+    whole, middle = stages.columns.known_rows, Rows(0, 32)
+    with limit_threads(threads):
+        for blocks in ([whole], [middle, Rows(middle.end, whole.end)]):
+            assert listed(store_of(stages, blocks)) == expected
+
+
+def check_sheets(sheets, step):
+    """Hold the sheets against parts of one graph of all surfaces."""
+    store, lattice = sheets._store, sheets.lattice
+    rows = [row for row in listed(store) if row[2]]
+    cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
+    at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]
+    ids, pairs = np.arange(len(at)).reshape(lattice.shape), [(0, 0)]
+    for one, other in EDGES:
+        for a, b in zip(ids[one].ravel(), ids[other].ravel(), strict=True):
+            pairs += [(i, j) for i in at[a] for j in at[b] if abs(z[i] - z[j]) <= step + SLACK]
+    number = connect(np.array(pairs).T, len(cell))
+    assert np.array_equal(sheets.size, np.bincount(number))
+    top = np.array([row[3] for row in rows])
+    assert np.array_equal(sheets.tops, np.bincount(number, top).astype(int))
+    for sheet in range(len(sheets.key)):
+        members = sheets.members(sheet)
+        assert np.array_equal(members.cell, cell[number == sheet])
+        assert np.array_equal(members.z, z[number == sheet])
+        row, col = np.divmod(members.cell, lattice.width)
+        box = [row.min(), col.min(), row.max() + 1, col.max() + 1]
+        assert sheets.box[sheet].tolist() == box
+    over = np.zeros(len(sheets.key), dtype=np.int64)
+    for i in range(1, len(cell)):
+        over[number[i]] += cell[i - 1] == cell[i] and number[i - 1] != number[i]
+    above, below, count = sheets.stacks()
+    assert np.array_equal(np.bincount(above, count * (above != below), len(over)), over)
+
+
+def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
+    """Columns of one scene take the place of those of another, some cells at a time."""
+    one, other = bake(tmp_path), bake(tmp_path, seed=6)
+    planes, agent = one.tiled.shapes.planes, one.config.agent
+    store = store_of(one, [one.columns.known_rows])
+    sheets = Sheets(store, Blocks(one.lattice), agent)
+    sheets.update(sheets.blocks.all())
+    check_sheets(sheets, agent.traversable_floor_height)
+    rng, num = np.random.default_rng(3), len(one.columns.start) - 1
+    order = rng.permutation(num)
+    for cells in (order[:5], order[5:400], order[400:2000], order[2000:]):
+        cells = np.sort(cells)
+        parts = [other.columns.cut(*place(cell, other.lattice), SMALL).crossings for cell in cells]
+        start = np.concatenate([[0], np.cumsum([len(part.z) for part in parts])])
+        arrays = (
+            np.concatenate(layer) for layer in zip(*(part[1:] for part in parts), strict=True)
+        )
+        changed = store.replace(cells, parts[0]._make([start, *arrays]), planes)
+        sheets.update(sheets.blocks.holding(changed))
+        check_sheets(sheets, agent.traversable_floor_height)
+    fresh = Sheets(store_of(other, [other.columns.known_rows]), Blocks(other.lattice), agent)
+    fresh.update(fresh.blocks.all())
+    for name in ("key", "size", "tops", "box", "digest"):
+        assert np.array_equal(getattr(sheets, name), getattr(fresh, name)), name
+
+
+def place(cell, lattice):
+    row, col = divmod(int(cell), lattice.width)
+    return slice(row, row + 1), slice(col, col + 1)

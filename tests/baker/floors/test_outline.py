@@ -13,14 +13,13 @@ from navbake.baker.floors.outline import (
     DROP,
     OPEN,
     WALL,
-    find_edges,
-    find_endings,
+    KnownEdges,
+    Site,
 )
-from navbake.baker.floors.sheets import drop_furniture
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.stages import bake_stages
-from standable import standable_of
+from standable import sheets_of
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'
 # a block of 2 x 2 m, 0.6 m high, on the ground
@@ -51,16 +50,20 @@ def endings_at(tmp_path: Path):
             volume = narrow if band is None else narrow.between(band)
             return check_occupancy(columns, tiled, volume, cells, floors).occupied
 
-        standable = drop_furniture(standable_of(stages), stages.config.floors)
-        chosen = np.zeros(len(standable.sheet_size), dtype=np.bool_)
-        chosen[standable.sheet[np.isclose(standable.z, z)]] = True
-        edges = find_edges(standable, chosen, agent.traversable_floor_height, 4)
-        endings = find_endings(edges, standable, columns, agent, is_occupied)
-        ending, cell, landing = endings
+        sheets, settings = sheets_of(stages), stages.config.floors
+        is_large = sheets.left(sheets.size > 0, settings)
+        members = [sheets.members(sheet) for sheet in range(len(sheets.key))]
+        chosen = is_large & [np.isclose(own.z, z).any() for own in members]
+        known, cropped = KnownEdges(), np.zeros(4, dtype=np.bool_)
+        known.begin(np.zeros(sheets.blocks.num, dtype=np.int64), 1)
+        site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, known)
+        edges = site.edges(chosen, 4)
+        ending, cell, landing, floor = site.endings(edges)
+        assert ((floor >= 0) == (ending == DROP)).all()
         assert (np.isnan(landing) == (ending != DROP)).all()
         assert ((cell >= 0) == (ending == DROP)).all()
         # not the corners: a wall along a side meets their other edge, too
-        row = standable.cell[edges.surface] // stages.lattice.width
+        row = edges.cell // stages.lattice.width
         y = stages.lattice.center_y()[row]
         at = [(edges.way == way) & (abs(y) < 0.85) for way in (EAST, WEST)]
         return set(ending[at[0]].tolist()), set(ending[at[1]].tolist())

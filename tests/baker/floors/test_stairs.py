@@ -11,19 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.floors.kernels.places import (
+from navbake.baker.floors.kernels.levels import (
     MOVE_FLOOR,
     MOVE_STAIR,
     SKIP_FLOOR,
     SKIP_STAIR,
+    Kept,
     climb,
-    place_on_levels,
+    place_blocks,
 )
+from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.pipeline import run_bake
 from navbake.config.settings import parse_config
 from navbake.errors import SceneError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands
+from navbake.navgrid.lattice import Lattice
 
 Grid = SceneGrid2D | MultiLevelGrid
 RISE = 3.0
@@ -200,10 +203,20 @@ def cost_of(level: list[int], base: list[int], is_stair: list[bool]) -> int:
 
 
 def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
-    level = np.empty(len(base), dtype=np.int64)
-    start = np.array([0, len(base)])
-    place_on_levels(start, np.array(base), np.array(is_stair), num_levels, level)
-    return level.tolist()
+    """The levels of the surfaces of one column, -1 where all are taken."""
+    num = len(base)
+    z, none = np.array(base) + 0.01 * np.arange(num), np.empty((0, 3), dtype=np.float32)
+    ids, length = np.zeros(num, dtype=np.int32), np.array([num], dtype=np.int32)
+    marks = np.zeros(num, dtype=np.uint8)
+    surfaces = Surfaces(np.zeros(1, np.int64), length, length, z, ids, marks, none)
+    kept = Kept(ids, np.arange(num, dtype=np.int32), np.zeros(1, np.int64), np.array(is_stair))
+    level, used = np.empty(num, dtype=np.int32), np.zeros((1, num_levels), dtype=np.bool_)
+    lost, grounds = np.zeros((1, 2)), np.arange(num_levels, dtype=np.float64)
+    asked = Lattice(0.0, 1.0, 1.0, 1, 1), surfaces, kept, grounds, 1e-6, level
+    place_blocks(*asked, np.zeros(1, dtype=np.int64), used, lost, 0, 1)
+    assert lost[0, 0] == (level == -2).sum()
+    assert np.flatnonzero(used[0]).tolist() == sorted(set(level[level >= 0].tolist()))
+    return np.maximum(level, -1).tolist()
 
 
 COLUMN = st.integers(1, 4).flatmap(

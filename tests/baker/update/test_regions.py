@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 
 from navbake.baker.contents.contents import LevelContents
 from navbake.baker.kernels.flags import BLOCKS, STANDS
-from navbake.baker.live.kernels.contents import EntryPool, count_taken
-from navbake.baker.live.kernels.regions import are_in, cells_of_boxes, grow_cells
-from navbake.baker.live.kernels.sheets import group_parts
+from navbake.baker.update.kernels.contents import EntryPool, count_taken
+from navbake.baker.update.kernels.regions import are_in, cells_of_boxes, grow_cells
 from navbake.baker.warn import count_taken_cells
 from navbake.navgrid.lattice import Lattice
 
@@ -69,16 +68,6 @@ def test_cells_are_looked_up_in_another_region(seed):
     rng = np.random.default_rng(seed)
     one, other = (np.unique(rng.integers(0, 30, int(n))) for n in rng.integers(0, 20, 2))
     assert np.array_equal(are_in(one, other), np.isin(one, other))
-
-
-@settings(deadline=None)  # its kernels may be compiled first
-@given(seeds)
-def test_parts_are_grouped_in_their_order(seed):
-    rng = np.random.default_rng(seed)
-    part = rng.integers(-1, 5, int(rng.integers(0, 30)))
-    order, bounds = group_parts(part, 5)
-    for k in range(5):
-        assert np.array_equal(order[bounds[k] : bounds[k + 1]], np.flatnonzero(part == k))
 
 
 @settings(deadline=None)  # its kernels may be compiled first

@@ -14,7 +14,6 @@ import pytest
 
 import navbake
 from differences import first_difference
-from navbake.baker.live.floors import LiveFloors
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -59,13 +58,13 @@ def test_updates_equal_fresh_bakes(scene, moves):
 def test_only_what_is_near_is_looked_at(monkeypatch):
     baker = open_room()
     asked = []
-    follow = LiveFloors.follow
+    cast = LiveColumns.cast
 
-    def spy(self, changed, touched, planes):
-        asked.append(len(touched))
-        return follow(self, changed, touched, planes)
+    def spy(self, tiled, cells):
+        asked.append(len(cells.every))
+        return cast(self, tiled, cells)
 
-    monkeypatch.setattr(LiveFloors, "follow", spy)
+    monkeypatch.setattr(LiveColumns, "cast", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
     assert changes.reason == ""
     assert asked and asked[0] < 250  # of 1,600 cells

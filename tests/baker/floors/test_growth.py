@@ -4,13 +4,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.floors.kernels.sheets import grow_floor
+from navbake.baker.blocks import Blocks
+from navbake.baker.floors.kernels.growth import grow
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.live.kernels.grow import regrow
-from navbake.baker.live.kernels.regions import grow_cells
 from navbake.navgrid.lattice import Lattice
 
-LATTICE = Lattice(0.0, 2.0, 0.1, 13, 11)
+LATTICE = Lattice(0.0, 2.0, 0.1, 132, 3)  # three blocks beside each other
 CELLS = LATTICE.width * LATTICE.height
 STEP = 0.2
 # multiples of a quarter: a step is met to the last bit, and some are equally near to two
@@ -59,38 +58,46 @@ def grow_plainly(floor, options):
             floor[cell], ring[cell] = z, number
 
 
+def grow_in(region, floor, ring, options):
+    """Grow in the blocks of a region, where floors and rings of cells to stand on are known."""
+    inside = region[Blocks(LATTICE).of(np.arange(CELLS))]
+    cells = np.flatnonzero(inside & np.array([len(heights) > 0 for heights in options]))
+    start, height = ragged([options[cell] for cell in cells])
+    local = np.full(CELLS, -1, dtype=np.int32)
+    grow(LATTICE, region, cells, start, height, STEP, floor, ring, local)
+    assert (local == -1).all()
+
+
 @settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
-def test_floors_grow_patch_by_patch_as_they_do_all_at_once(seed):
+def test_floors_grow_as_ring_after_ring_of_all_cells(seed):
     floor, options = draw(np.random.default_rng(seed))
-    expected, _ = grow_plainly(floor, options)
-    grow_floor(LATTICE, *ragged(options), floor, STEP)
+    expected, rings = grow_plainly(floor, options)
+    ring = np.where(np.isnan(floor), -1, 0).astype(np.int32)
+    grow_in(Blocks(LATTICE).all(), floor, ring, options)
     assert np.array_equal(floor, expected, equal_nan=True)
+    assert np.array_equal(ring, rings)
 
 
 @settings(deadline=None)
-@given(seeds, st.integers(1, 6))
-def test_a_region_is_decided_by_the_rings_around_it(seed, by):
+@given(seeds, st.integers(0, 2))
+def test_a_region_is_decided_by_the_rings_around_it(seed, block):
     """Where its outermost cells come out as they were, what is outside stays; else it may not."""
     rng = np.random.default_rng(seed)
     known, options = draw(rng)
     floor, rings = grow_plainly(known, options)
-    changed = np.unique(rng.integers(0, CELLS, int(rng.integers(1, 4))))
-    flag, local = np.zeros(CELLS, dtype=np.bool_), np.full(CELLS, -1, dtype=np.int32)
-    for cell in changed.tolist():
+    region = np.arange(Blocks(LATTICE).num) == block
+    here = np.flatnonzero(Blocks(LATTICE).of(np.arange(CELLS)) == block)
+    for cell in rng.choice(here, 3).tolist():
         known[cell] = rng.choice([np.nan, *HEIGHTS])
         options[cell] = rng.choice(HEIGHTS, int(np.isnan(known[cell])))
     expected, expected_rings = grow_plainly(known, options)
-    region = grow_cells(LATTICE.width, LATTICE.height, changed, by, flag)
-    start, height = ragged([options[cell] for cell in region])
-    value = known[region]
-    ring = np.where(np.isnan(value), -1, 0).astype(np.int32)
-    regrow(LATTICE, region, start, height, STEP, value, ring, floor, rings, local)
-    assert (local == -1).all()
-    inner = np.isin(region, grow_cells(LATTICE.width, LATTICE.height, changed, by - 1, flag))
-    outer = region[~inner]
-    is_same = np.array_equal(value[~inner], floor[outer], equal_nan=True)
-    if is_same and np.array_equal(ring[~inner], rings[outer]):
-        floor[region], rings[region] = value, ring
+    before = floor.copy(), rings.copy()
+    floor[here], rings[here] = known[here], np.where(np.isnan(known[here]), -1, 0)
+    grow_in(region, floor, rings, options)
+    col = here % LATTICE.width
+    outer = here[(col == col.min()) | (col == col.max())]
+    is_same = np.array_equal(floor[outer], before[0][outer], equal_nan=True)
+    if is_same and np.array_equal(rings[outer], before[1][outer]):
         assert np.array_equal(floor, expected, equal_nan=True)
         assert np.array_equal(rings, expected_rings)
