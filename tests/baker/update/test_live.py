@@ -14,6 +14,7 @@ import pytest
 
 import navbake
 from differences import first_difference
+from navbake.baker.update.columns import LiveColumns
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
