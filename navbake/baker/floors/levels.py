@@ -21,7 +21,7 @@ from navbake.baker.floors.reach import (
     find_unreached,
     largest_of_lowest,
 )
-from navbake.baker.floors.rejected import Changed, Rejected, find_rejected
+from navbake.baker.floors.rejected import Changed, Rejected, find_rejected, given_spans
 from navbake.baker.floors.sheets import AreaTest, Sheets
 from navbake.baker.floors.storeys import Placed, Storeys
 from navbake.baker.floors.surfaces import SurfaceStore
@@ -238,17 +238,18 @@ class FloorFinder:
         by_steps, patches = settings.reach == "steps", list[Patch]()
         placed, reached, source = None, starts, self._storeys
         if not starts.any() or (given is None and not by_steps):
-            placed, _ = self._storeys.update(counted, stale, (), False)
+            placed = self._storeys.update(counted, stale, (), False)
             if not starts.any():
                 reached = largest_of_lowest(placed.counts, len(counted))
         else:
             self._storeys.miss(stale)
+        for number, span in enumerate(given_spans(given or ())):
+            if not (counted & sheets.between(*span)).any():
+                raise SceneError(_no_floor_on(given or (), number, columns))
         kept = counted & reached if by_steps else counted
         if given is not None or placed is None or not np.array_equal(kept, counted):
             source = self._kept_storeys
-            placed, found = source.update(kept, stale, given or (), given is not None)
-            if given is not None and not found.all():
-                raise SceneError(_no_floor_on(given, int(np.argmin(found)), columns))
+            placed = source.update(kept, stale, given or (), given is not None)
             if not (placed.key >= 0).any():
                 raise SceneError(_no_reached(bool(starts.any())))
         else:

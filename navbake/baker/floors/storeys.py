@@ -54,7 +54,7 @@ class Storeys:
         num = sheets.blocks.num
         self._key = np.empty(0, dtype=np.int32)
         self._seen = Rows(num, np.empty(0, dtype=np.bool_))
-        self._stacked, self._found = np.zeros(num, np.bool_), np.zeros((num, 0), np.bool_)
+        self._stacked = np.zeros(num, dtype=np.bool_)
         self._stairs: _Stairs | None = None
         self._half = max(self._step, PLATEAU) / 2
         self._missed, self._is_flat = np.zeros(num, dtype=np.bool_), False
@@ -67,7 +67,7 @@ class Storeys:
 
     def update(
         self, counts: Bool, changed: Bool, given: Sequence[LevelSettings], spans: bool
-    ) -> tuple[Placed, Bool]:
+    ) -> Placed:
         """Place the surfaces of the sheets that count.
 
         Args:
@@ -75,9 +75,6 @@ class Storeys:
             changed: the blocks with other surfaces than in the last update.
             given: the levels of the configuration; they are found if there are none.
             spans: whether only surfaces that lie between the given levels' grounds and tops count.
-
-        Returns:
-            The surfaces on their levels, and which of the given levels have any.
         """
         sheets, surfaces = self._sheets, self._sheets.surfaces
         labels = sheets.labels
@@ -86,10 +83,8 @@ class Storeys:
         self._missed[:] = False
         self._key = fit(self._key, len(surfaces.z))
         bounds = np.array(given_spans(given) if spans else [], dtype=np.float64).reshape(-1, 2)
-        if self._found.shape[1] != len(bounds):
-            self._found = np.zeros((sheets.blocks.num, len(bounds)), dtype=np.bool_)
         chosen = np.flatnonzero(stale)
-        asked = sheets.labelled(counts), bounds, self._key, chosen, self._stacked, self._found
+        asked = sheets.labelled(counts), bounds, self._key, chosen, self._stacked
         run_in_bands(kernels.mark_kept, len(chosen), *asked)
         kept, stale = self._find_stairs(stale)
         if given:
@@ -100,7 +95,7 @@ class Storeys:
             names, tolerance = [], SLACK
         placed = self._assign(kept, grounds, names, tolerance, stale, counts)
         self._forget()
-        return placed, np.asarray(self._found.any(axis=0))
+        return placed
 
     def _rows(self, name: Any, stale: Bool, *empty: Any) -> tuple[Rows, Int]:
         """The rows that are kept under a name, and the blocks whose rows are to be found."""

@@ -37,11 +37,13 @@ def list_plainly(columns, agent):
     limits, found = agent_limits(agent), []
     for cell in range(len(columns.start) - 1):
         here = slice(columns.start[cell], columns.start[cell + 1])
-        z, up = columns.z[here], columns.normal[here, 2]
+        z, up, last = columns.z[here], columns.normal[here, 2], -np.inf
         for i in np.flatnonzero(up >= limits.min_up):
             inside = np.where(up > 0, 1, -1)[z - z[i] > SAME].sum()
             above = z[z - z[i] > SAME].min(initial=np.inf)
             stands = inside <= 0 and above - z[i] >= limits.headroom - SLACK
+            stands &= z[i] - last > SAME  # of several at one height, the lowest
+            last = z[i] if stands else last
             is_top = stands and z[-1] - z[i] <= SLACK
             found.append((cell, z[i], bool(stands), bool(is_top)))
     return found

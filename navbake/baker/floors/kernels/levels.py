@@ -57,22 +57,19 @@ def bin_of(z):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def mark_kept(labelled, spans, key, blocks, stacked, found, begin, end):
+def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
     """Mark the labelled surfaces in ``blocks[begin:end]`` that lie in any span of heights.
 
     Args:
         spans: (n, 2) float64, see `given_spans`; all surfaces are kept where there are none.
         key: receives 0 for those that are kept, -1 for the others.
         stacked: by block, receives whether two lie in one cell.
-        found: (blocks, spans) bool, receives whether any lies in each.
     """
     lattice = labelled.lattice
     for k in range(begin, end):
         block = blocks[k]
         row0, row1, col0, col1 = block_window(lattice, block)
         stacked[block] = False
-        for s in range(spans.shape[0]):
-            found[block, s] = False
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
                 count = 0
@@ -84,7 +81,6 @@ def mark_kept(labelled, spans, key, blocks, stacked, found, begin, end):
                     for s in range(spans.shape[0]):
                         if spans[s, 0] <= labelled.z[j] < spans[s, 1]:
                             is_kept = True
-                            found[block, s] = True
                     if is_kept:
                         key[j] = 0
                         count += 1

@@ -5,14 +5,13 @@ An edge is one of a cell's four sides beyond which the cell has no neighbour of 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from navbake.baker.kernels.blocks import block_of, block_window
 from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Int, Int32
 
 
@@ -27,7 +26,7 @@ class Labelled(NamedTuple):
         sheet: the sheet of each part, -1 for those that are not asked for, int32.
     """
 
-    lattice: Lattice
+    lattice: Any
     first: Int
     length: Int32
     z: Float
