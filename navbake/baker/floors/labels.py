@@ -50,10 +50,10 @@ class Labels:
         """Find the parts of stale blocks again; see `label_blocks` for the key."""
         self.part = fit(self.part, len(surfaces.z))
         chosen, near = np.flatnonzero(stale), np.flatnonzero(self.blocks.before(stale))
-        lattice, (step, reach, by_slopes) = self.blocks.lattice, self._joining
+        lattice, (step, _, by_slopes) = self.blocks.lattice, self._joining
         asked = lattice, surfaces, key, step, by_slopes, self.part, chosen, self.count
         run_in_bands(label_blocks, len(chosen), *asked)
-        known = lattice, surfaces, key, step, reach, by_slopes, self.part, near
+        known = lattice, surfaces, key, self._joining, self.part, near
         counts, rows = gather_rows(list_pairs, len(near), *known)
         self._pairs.put(near, counts, rows)
 

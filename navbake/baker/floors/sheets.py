@@ -12,6 +12,7 @@ from navbake.baker.blocks import Blocks, Rows, gather_rows
 from navbake.baker.floors.kernels.labels import list_stacks, measure_parts
 from navbake.baker.floors.kernels.members import (
     Labelled,
+    Shrinking,
     collect_members,
     count_left,
     find_nearest,
@@ -117,7 +118,7 @@ class Sheets:
         size, tops, first_key = np.zeros((3, num), dtype=np.int64)
         box, digest = np.zeros((num, 4), dtype=np.int32), np.zeros(num, dtype=np.uint64)
         measured = size, tops, first_key, box, digest
-        asked = lattice, surfaces, surfaces.z.view(np.int64), labels.part, chosen, offset, *measured
+        asked = lattice, surfaces, surfaces.z.view(np.int64), labels.part, chosen, offset, measured
         run_in_bands(measure_parts, len(chosen), *asked)
         self._parts.put(chosen, counts, *measured)
         known = lattice, surfaces, labels.part, chosen, labels.count
@@ -210,8 +211,8 @@ class Sheets:
         sheet, block = np.divmod(pairs, self.blocks.num)
         start = np.searchsorted(sheet, [*asked, len(self.key)])
         labelled = self.labelled(chosen)
-        work = count_left, len(asked), labelled, self.box, asked, start, block, test.reach
-        run_in_bands(*work, *test.offsets, test.whole_needed, result)
+        work = count_left, len(asked), labelled, self.box, asked, start, block, test.shrinking
+        run_in_bands(*work, test.whole_needed, result)
         return result
 
 
@@ -245,9 +246,9 @@ class AreaTest:
         return int(np.ceil(max(self.needed, 0.0)))
 
     @property
-    def reach(self) -> int:
-        """How far shrinking looks around a cell [cells]."""
-        return int(np.abs(self.offsets[0]).max(initial=0))
+    def shrinking(self) -> Shrinking:
+        """How sheets are shrunk, as kernels take it."""
+        return Shrinking(int(np.abs(self.offsets[0]).max(initial=0)), *self.offsets)
 
     def passes(self, cells: Int | Int32) -> bool:
         """Whether a set of cells is large enough; ids may repeat, shape (n,)."""

@@ -9,7 +9,8 @@ import numpy as np
 
 from navbake.baker.blocks import Rows, gather_rows
 from navbake.baker.floors.kernels import levels as kernels
-from navbake.baker.floors.kernels.levels import ANY_WINDOW, PLATEAU, Kept
+from navbake.baker.floors.kernels.levels import ANY_WINDOW, PLATEAU, HeightWindow, Kept
+from navbake.baker.floors.kernels.members import Shrinking
 from navbake.baker.floors.labels import Joining, Labels, fit
 from navbake.baker.floors.rejected import GIVEN_TOLERANCE, given_spans
 from navbake.baker.floors.sheets import AreaTest, Sheets
@@ -183,15 +184,14 @@ class Storeys:
     ) -> tuple[int, Int, Int, Float]:
         """How many cells of a window are left, and rows of their heights: `measure_window`."""
         sheets, none = self._sheets, np.empty((0, 2), dtype=np.int64)
-        disc, rim = AreaTest(sheets.lattice, self._settings).offsets
+        shrinking = AreaTest(sheets.lattice, self._settings).shrinking
         if not shrink:
-            disc = rim = disc[:0]
-        reach = int(np.abs(disc).max(initial=0))
-        near = sheets.blocks.around(stale, reach) if reach else stale
+            shrinking = Shrinking(0, shrinking.disc[:0], shrinking.disc[:0])
+        near = sheets.blocks.around(stale, shrinking.reach) if shrink else stale
         name = "window", ground, window, shrink
         rows, chosen = self._rows(name, near, none, np.empty(0))
-        known = sheets.lattice, sheets.surfaces, kept, ground, window, self._half
-        asked = *known, reach, disc, rim, chosen
+        heights = HeightWindow(ground, window, self._half)
+        asked = sheets.lattice, sheets.surfaces, kept, heights, shrinking, chosen
         rows.put(chosen, *gather_rows(kernels.measure_window, len(chosen), *asked))
         found, low = rows.take()
         is_total = found[:, 0] == ANY_WINDOW
@@ -329,7 +329,7 @@ class _State:
         self.is_new = self._updates == 1
         self.level, chosen = fit(self.level, len(surfaces.z)), np.flatnonzero(stale)
         asked = sheets.lattice, surfaces, kept, self._grounds, self._tolerance, self.level
-        run_in_bands(kernels.place_blocks, len(chosen), *asked, chosen, self.used, self.lost)
+        run_in_bands(kernels.place_blocks, len(chosen), *asked, chosen, (self.used, self.lost))
         labels = sheets.labels
         known = sheets.lattice, surfaces, self.level, labels.part, labels.count, chosen
         self._counts.put(chosen, *gather_rows(kernels.count_on_levels, len(chosen), *known))
@@ -358,7 +358,8 @@ class _State:
         low, has_floor = np.full(num, np.inf), np.zeros(num, dtype=np.bool_)
         of_level, offset = np.zeros(num, dtype=np.int64), np.cumsum(counts) - counts
         asked = sheets.lattice, surfaces, kept, self.level, labels.part, chosen, offset
-        run_in_bands(kernels.measure_levels, len(chosen), *asked, low, has_floor, of_level)
+        measured = low, has_floor, of_level
+        run_in_bands(kernels.measure_levels, len(chosen), *asked, measured)
         self._measured.put(chosen, counts, low, has_floor, of_level)
         whole, links = labels.merge()
         found = int(whole.max(initial=-1)) + 1

@@ -213,7 +213,7 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     level, used = np.empty(num, dtype=np.int32), np.zeros((1, num_levels), dtype=np.bool_)
     lost, grounds = np.zeros((1, 2)), np.arange(num_levels, dtype=np.float64)
     asked = Lattice(0.0, 1.0, 1.0, 1, 1), surfaces, kept, grounds, 1e-6, level
-    place_blocks(*asked, np.zeros(1, dtype=np.int64), used, lost, 0, 1)
+    place_blocks(*asked, np.zeros(1, dtype=np.int64), (used, lost), 0, 1)
     assert lost[0, 0] == (level == -2).sum()
     assert np.flatnonzero(used[0]).tolist() == sorted(set(level[level >= 0].tolist()))
     return np.maximum(level, -1).tolist()

@@ -142,9 +142,10 @@ def double(rows):
 
 
 @part(**UNCOUNTED)
-def _list_pairs(lattice, surfaces, key, step, reach, by_slopes, part, block, rows, num, last):
+def _list_pairs(lattice, surfaces, key, joining, part, block, rows, num, last):
     """See `list_pairs`; of one block. Returns how many rows there are then, -1 for no room."""
     first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
+    step, reach, by_slopes = joining.step, joining.reach, joining.by_slopes
     row0, row1, col0, col1 = block_window(lattice, block)
     for row in range(row0, row1):
         for col in range(col0, col1):
@@ -185,12 +186,12 @@ def _list_pairs(lattice, surfaces, key, step, reach, by_slopes, part, block, row
 
 
 @kernel(nogil=True)
-def list_pairs(lattice, surfaces, key, step, reach, by_slopes, part, blocks, begin, end):
+def list_pairs(lattice, surfaces, key, joining, part, blocks, begin, end):
     """List the pairs of parts that meet, inside of blocks and over their east and south borders.
 
     Parts of one group JOIN over a border where surfaces are at most a step apart, or slopes join
-    them. Parts LINK that do not join and have surfaces at most `reach` apart, everywhere; none do
-    where it is less than 0.
+    them. Parts LINK that do not join and have surfaces at most a reach apart, everywhere; none do
+    where it is less than 0: see `Joining`.
 
     Returns how many pairs each of ``blocks[begin:end]`` has, and rows of int32: the kind, the part
     in the block, 0 if the other is in the same block, 1 and 2 if it is in the one east and south
@@ -202,9 +203,7 @@ def list_pairs(lattice, surfaces, key, step, reach, by_slopes, part, blocks, beg
         before, num = num, np.int64(-1)
         while num < 0:
             last = np.full((2, 3, 2), np.int32(-1))
-            num = _list_pairs(
-                lattice, surfaces, key, step, reach, by_slopes, part, blocks[k], rows, before, last
-            )
+            num = _list_pairs(lattice, surfaces, key, joining, part, blocks[k], rows, before, last)
             if num < 0:
                 rows = double(rows)
         counts[k - begin] = num - before
@@ -223,17 +222,16 @@ def _mix(cell, bits, geom):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_parts(lattice, surfaces, bits, part, blocks, offset, size, tops, first_key, box, digest,
-                  begin, end):  # fmt: skip
+def measure_parts(lattice, surfaces, bits, part, blocks, offset, measured, begin, end):
     """Measure the parts of ``blocks[begin:end]``; block k's begin at ``offset[k]`` in the results.
 
     Args:
         bits: the heights' bits, int64.
-        size, tops: receive how many surfaces each has, and over how many nothing lies, int64.
-        first_key: receives its first member, as its cell and its place there, int64.
-        box: receives its first row and column, and past its last ones, (n, 4) int32.
-        digest: receives a sum over its members, uint64.
+        measured: receives how many surfaces each part has, and over how many nothing lies, int64;
+            its first member, as its cell and its place there, int64; its first row and column, and
+            past its last ones, (n, 4) int32; and a sum over its members, uint64.
     """
+    size, tops, first_key, box, digest = measured
     first, length = surfaces.first, surfaces.length
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])

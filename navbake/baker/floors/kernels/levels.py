@@ -42,6 +42,20 @@ class Kept(NamedTuple):
     is_stair: Bool
 
 
+class HeightWindow(NamedTuple):
+    """Which floors are measured: see `count_windows` and `measure_window`.
+
+    Attributes:
+        ground: the ground that they lie over, -inf for none [m].
+        window: a number, or ANY_WINDOW.
+        half: the height of a window [m].
+    """
+
+    ground: float
+    window: int
+    half: float
+
+
 @part(inline="always")
 def _is_stair(kept, block, j):
     """Whether a surface in a block is a part of a stair."""
@@ -198,13 +212,14 @@ def count_windows(lattice, surfaces, kept, ground, half, blocks, begin, end):
 
 
 @part(inline="always")
-def _is_in_window(surfaces, kept, block, cell, j, ground, window, half):
+def _is_in_window(surfaces, kept, block, cell, j, heights):
     """Whether a surface is one that `count_windows` counts, in a window or the one above it."""
-    if window == ANY_WINDOW:
+    if heights.window == ANY_WINDOW:
         return kept.key[j] >= 0 and _takes_lowest(surfaces, kept, cell, j)
-    if not _takes(surfaces, kept, block, cell, j, ground):
+    if not _takes(surfaces, kept, block, cell, j, heights.ground):
         return False
-    return window <= np.int64(math.floor(surfaces.z[j] / half)) <= window + 1
+    number = np.int64(math.floor(surfaces.z[j] / heights.half))
+    return heights.window <= number <= heights.window + 1
 
 
 @part(inline="always")
@@ -217,22 +232,22 @@ def _takes_lowest(surfaces, kept, cell, j):
 
 
 @part(**UNCOUNTED)
-def _mark_window(lattice, surfaces, kept, ground, window, half, reach, area, mask):
+def _mark_window(lattice, surfaces, kept, heights, reach, area, mask):
     """Mark the cells of an area, with a margin, that have floors in a window of heights."""
     row0, row1, col0, col1 = area
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             cell, block = row * lattice.width + col, block_of(lattice, row, col)
             for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                if _is_in_window(surfaces, kept, block, cell, j, ground, window, half):
+                if _is_in_window(surfaces, kept, block, cell, j, heights):
                     mask[row - row0 + reach, col - col0 + reach] = True
 
 
 @part(**UNCOUNTED)
-def _measure_left(lattice, surfaces, kept, ground, window, half, reach, disc, rim, block, area,
-                  mask, rows, low, num):  # fmt: skip
+def _measure_left(lattice, surfaces, kept, heights, shrinking, block, mask, rows, low, num):
     """See `measure_window`; of one block. Returns how many rows there are then, -1 for no room."""
-    row0, row1, col0, col1 = area
+    row0, row1, col0, col1 = block_window(lattice, block)
+    reach, disc, rim = shrinking.reach, shrinking.disc, shrinking.rim
     before, found = num, 0
     num += 1
     if num >= rows.shape[0]:
@@ -247,7 +262,7 @@ def _measure_left(lattice, surfaces, kept, ground, window, half, reach, disc, ri
             found += 1
             cell = row * lattice.width + col
             for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                if not _is_in_window(surfaces, kept, block, cell, j, ground, window, half):
+                if not _is_in_window(surfaces, kept, block, cell, j, heights):
                     continue
                 z = surfaces.z[j]
                 number = bin_of(z)
@@ -263,8 +278,7 @@ def _measure_left(lattice, surfaces, kept, ground, window, half, reach, disc, ri
 
 
 @kernel(nogil=True)
-def measure_window(lattice, surfaces, kept, ground, window, half, reach, disc, rim, blocks,
-                   begin, end):  # fmt: skip
+def measure_window(lattice, surfaces, kept, heights, shrinking, blocks, begin, end):
     """Measure the floors in a window and the one above it, as far as shrinking leaves them.
 
     Those are the floors that `count_windows` counts; with ANY_WINDOW, the lowest of all columns,
@@ -274,16 +288,18 @@ def measure_window(lattice, surfaces, kept, ground, window, half, reach, disc, r
     PLATEAU, and how many floors have about that height; and the lowest of these [m]. The cells that
     are left are the first row of each block. Rows may repeat.
     """
+    reach = shrinking.reach
     counts, num = np.zeros(end - begin, np.int64), np.int64(0)
     rows, low = np.empty((64, 2), np.int64), np.empty(64)
     for k in range(begin, end):
         area = block_window(lattice, blocks[k])
         mask = np.zeros((area[1] - area[0] + 2 * reach, area[3] - area[2] + 2 * reach), np.bool_)
-        _mark_window(lattice, surfaces, kept, ground, window, half, reach, area, mask)
+        _mark_window(lattice, surfaces, kept, heights, reach, area, mask)
         before, num = num, np.int64(-1)
         while num < 0:
-            num = _measure_left(lattice, surfaces, kept, ground, window, half, reach, disc, rim,
-                                blocks[k], area, mask, rows, low, before)  # fmt: skip
+            num = _measure_left(
+                lattice, surfaces, kept, heights, shrinking, blocks[k], mask, rows, low, before
+            )
             if num < 0:
                 rows, low = double(rows), np.concatenate((low, low))
         counts[k - begin] = num - before
@@ -334,8 +350,7 @@ def _note_places(surfaces, grounds, level, first, last, used, lost):
 
 
 @kernel(nogil=True)
-def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, used, lost,
-                 begin, end):  # fmt: skip
+def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, noted, begin, end):
     """Give each kept surface in ``blocks[begin:end]`` its level; no two of a column share one.
 
     A surface's base is the highest ground at or below it. Where all bases of a column differ, they
@@ -348,15 +363,15 @@ def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, use
         tolerance: how far below a ground its floors may lie [m].
         level: by place, int32; receives the levels, -2 where all are taken, -1 for surfaces that
             are not kept.
-        used: (blocks, levels) bool, receives which levels have surfaces.
-        lost: (blocks, 2), receives how many surfaces found all levels taken, and the height of the
-            lowest of these that is no ground, inf for none [m].
+        noted: (blocks, levels) bool, receives which levels have surfaces; and (blocks, 2),
+            receives how many surfaces found all levels taken, and the height of the lowest of
+            these that is no ground, inf for none [m].
     """
     taken = np.zeros(grounds.shape[0], np.bool_)
     first, length = surfaces.first, surfaces.length
     for k in range(begin, end):
         block = blocks[k]
-        own_used, own_lost = used[block], lost[block]
+        own_used, own_lost = noted[0][block], noted[1][block]
         own_used[:] = False
         own_lost[0], own_lost[1] = 0.0, math.inf
         row0, row1, col0, col1 = block_window(lattice, block)
@@ -434,16 +449,15 @@ def _nearest_free(taken, base):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_levels(lattice, surfaces, kept, level, own, blocks, offset, low, has_floor, of_level,
-                   begin, end):  # fmt: skip
+def measure_levels(lattice, surfaces, kept, level, own, blocks, offset, measured, begin, end):
     """Measure the parts of levels in ``blocks[begin:end]``; block k's begin at ``offset[k]``.
 
     Args:
         own: the number of each surface's part in its block.
-        low: receives the lowest height of each part [m].
-        has_floor: receives whether any of it is no stair.
-        of_level: receives its level.
+        measured: receives the lowest height of each part [m], whether any of it is no stair, and
+            its level.
     """
+    low, has_floor, of_level = measured
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):

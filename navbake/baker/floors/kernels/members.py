@@ -36,6 +36,19 @@ class Labelled(NamedTuple):
     sheet: Int32
 
 
+class Shrinking(NamedTuple):
+    """How a set of cells is shrunk.
+
+    Attributes:
+        reach: how far the steps of `disc` lead [cells].
+        disc, rim: see `near_offsets` and `east_rim`.
+    """
+
+    reach: int
+    disc: Int
+    rim: Int
+
+
 @part(inline="always")
 def sheet_of(labelled, block, j):
     """The sheet of a surface in a block, -1 for none that is asked for."""
@@ -124,30 +137,29 @@ def is_left(mask, row, col, offsets):
 
 
 @part(**UNCOUNTED)
-def _count_left(labelled, sheet, window, reach, disc, rim, needed, mask):
+def _count_left(labelled, sheet, window, shrinking, needed, mask):
     """See `count_left`; of a window of rows and columns. `mask` is all False."""
     row0, row1, col0, col1 = window
-    lattice = labelled.lattice
+    lattice, reach = labelled.lattice, shrinking.reach
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             if _holds(labelled, row, col, sheet):
                 mask[row - row0 + reach, col - col0 + reach] = True
-    return sum_left(mask, reach, disc, rim, needed)
+    return sum_left(mask, reach, shrinking.disc, shrinking.rim, needed)
 
 
 @kernel(nogil=True)
-def count_left(labelled, boxes, sheets, start, blocks, reach, disc, rim, needed, result,
-               begin, end):  # fmt: skip
+def count_left(labelled, boxes, sheets, start, blocks, shrinking, needed, result, begin, end):
     """Tell which of ``sheets[begin:end]`` keep enough cells when they are shrunk.
 
     Args:
         boxes: rows and columns of every sheet.
         start, blocks: of each sheet of the list, the blocks that hold it.
-        reach: how far the steps of `disc` lead [cells].
-        disc, rim: see `near_offsets` and `east_rim`.
+        shrinking: how sheets are shrunk.
         needed: so many cells are enough.
         result: receives the answers, by sheet.
     """
+    reach = shrinking.reach
     for n in range(begin, end):
         sheet, found = sheets[n], 0
         for b in range(start[n], start[n + 1]):
@@ -159,9 +171,7 @@ def count_left(labelled, boxes, sheets, start, blocks, reach, disc, rim, needed,
             if row1 > row0 and col1 > col0:
                 mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.bool_)
                 window = row0, row1, col0, col1
-                found += _count_left(
-                    labelled, sheet, window, reach, disc, rim, needed - found, mask
-                )
+                found += _count_left(labelled, sheet, window, shrinking, needed - found, mask)
         result[sheet] = found >= needed
 
 
