@@ -13,20 +13,15 @@ from navbake.baker.columns import (
     Rows,
     TiledShapes,
     cast_columns,
+    cast_points,
     split_rows,
 )
-from navbake.baker.cracks import (
-    Moved,
-    find_columns,
-    find_columns_at,
-    find_columns_of_rows,
-    move_lines,
-)
+from navbake.baker.cracks import ALL, close_cracks
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
-from navbake.types import Int, Int32
+from navbake.types import Bool, Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
@@ -37,8 +32,7 @@ ALIVE = 2
 class ColumnBlocks:
     """The columns of a lattice: kept where they are few, else cast again for whoever asks.
 
-    Of a large lattice, only the lines that were moved out of cracks are remembered, so that they
-    are looked for once. It is all the same to who asks.
+    It is all the same to who asks.
 
     Args:
         clock: times the casting.
@@ -49,14 +43,16 @@ class ColumnBlocks:
     ) -> None:
         self.lattice = tiled.lattice
         self._tiled, self._agent, self._crack, self._clock = tiled, agent, crack, clock
-        self._moved: dict[Rows, Moved] = {}
         self._kept: Columns | None = None
-        # the lines that were moved, where all columns are kept
-        self.moved: Moved | None = None
         self._some: tuple[Int, Columns] | None = None  # the cells that were asked for last
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= KEPT_CELLS:
-                self._kept, self.moved = find_columns(tiled, agent, crack)
+                self._kept = self._find_all()
+
+    @property
+    def are_kept(self) -> bool:
+        """Whether all columns are kept."""
+        return self._kept is not None
 
     def blocks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order.
@@ -89,7 +85,7 @@ class ColumnBlocks:
         if self._some is None or not np.isin(cells, self._some[0]).all():
             asked = np.unique(cells).astype(np.int64)
             with self._clock.part("columns"):
-                self._some = asked, find_columns_at(self._tiled, self._all_moved(), asked)
+                self._some = asked, self._find_at(asked)
         return self._some[1]
 
     def join(self, window: Window | None = None, lattice: Lattice | None = None) -> Columns:
@@ -108,18 +104,27 @@ class ColumnBlocks:
         return slice(0, self.lattice.height), slice(0, self.lattice.width)
 
     def _find(self, rows: Rows) -> Columns:
-        if rows in self._moved:
-            columns = cast_columns(self._tiled, rows).only_rows(rows)
-            return move_lines(columns, self._tiled, self._moved[rows])
-        columns, self._moved[rows] = find_columns_of_rows(
-            self._tiled, self._agent, self._crack, rows
-        )
-        return columns
+        return self._close(cast_columns(self._tiled, rows).only_rows(rows))
 
-    def _all_moved(self) -> Moved:
-        """All lines that were moved."""
-        for rows in self._bands():
-            if rows not in self._moved:
-                self._find(rows)
-        cells, offsets = zip(*(self._moved[rows] for rows in sorted(self._moved)), strict=True)
-        return Moved(np.concatenate(cells), np.concatenate(offsets))
+    def _find_all(self) -> Columns:
+        """The columns of all cells, found band by band for the memory that it takes."""
+        bands = split_rows(self.lattice)
+        if len(bands) == 1:
+            return self._close(cast_columns(self._tiled))
+        gathered = GatheredColumns(self.lattice)
+        for rows in bands:
+            gathered.add(self._find(rows), rows)
+        return gathered.join()
+
+    def _find_at(self, cells: Int) -> Columns:
+        """The columns of some cells, ascending; others mean nothing."""
+        lattice = self.lattice
+        found = cast_points(self._tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
+        start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+        start[cells], start[cells + 1] = found.start[:-1], found.start[1:]
+        is_asked = np.zeros(len(start) - 1, dtype=np.bool_)
+        is_asked[cells] = True
+        return self._close(Columns(lattice, found._replace(start=start)), is_asked)
+
+    def _close(self, columns: Columns, asked: Bool = ALL) -> Columns:
+        return close_cracks(columns, self._tiled, self._agent, self._crack, asked)

@@ -19,7 +19,6 @@ from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
 from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
-from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import (
     Doors,
@@ -352,7 +351,7 @@ class Stages:
         return {"settingsDigest": digest, "settings": state}
 
     def _tile(self, lattice: Lattice) -> TiledShapes:
-        reach = max(self.footprints.whole.reach, crack_reach(self.config.floors.crack))
+        reach = max(self.footprints.whole.reach, self.config.floors.crack)
         return tile_shapes(self.doorless.shapes, lattice, reach)
 
     def free_geometry(self) -> None:

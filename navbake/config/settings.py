@@ -216,7 +216,7 @@ class FloorSettings(Settings):
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
     shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
     crack: NotNegative = setting(
-        0.03, "width under which a gap between floors at one height is none [m], >= 0"
+        0.03, "distance under which floors on both sides of a cell's centre have no gap [m], >= 0"
     )
     tops: bool = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"

@@ -6,8 +6,8 @@ import pytest
 from navbake.baker import column_blocks
 from navbake.baker import columns as columns_module
 from navbake.baker.clock import StageClock
-from navbake.baker.columns import Rows, split_rows
-from navbake.baker.cracks import find_columns, find_columns_of_rows
+from navbake.baker.column_blocks import ColumnBlocks
+from navbake.baker.columns import split_rows
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import bake_stages, take_first_look
 from navbake.config.settings import load_config, parse_config
@@ -27,39 +27,30 @@ CRACKED += '<geom type="cylinder" size=".05 .5" pos="1.2 1.2 .5"/>'
 CRACKED += '<geom type="plane" size="0 0 1" pos="0 0 -1"/>'
 
 
-def stages_of(tmp_path, geoms, cell_size):
-    path = tmp_path / "scene.xml"
-    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
-    return take_first_look(
-        parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}}), StageClock()
-    )
-
-
 @pytest.mark.parametrize("cell_size", [0.05, 0.02, 0.013])
-def test_columns_of_rows_are_those_of_the_whole(tmp_path, monkeypatch, cell_size):
-    """Cracks are closed in the same way, also where they cross the blocks' borders."""
-    stages = stages_of(tmp_path, CRACKED, cell_size)
-    tiled, agent, lattice = stages.tiled, stages.config.agent, stages.lattice
-    whole, _ = find_columns(tiled, agent, 0.03)
-    plain = columns_module.cast_columns(tiled)
-    assert len(split_rows(lattice)) == 1
-    assert len(plain.z) != len(whole.z) or (plain.z != whole.z).any()
+def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypatch, cell_size):
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco><worldbody>{CRACKED}</worldbody></mujoco>")
+    config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
+    tiled = take_first_look(config, StageClock()).tiled
+
+    def find() -> ColumnBlocks:
+        return ColumnBlocks(tiled, config.agent, config.floors.crack, StageClock())
+
+    whole, width = find().join(), tiled.lattice.width
+    assert len(whole.z) > len(columns_module.cast_columns(tiled).z)
+    cells = np.unique(np.random.default_rng(0).integers(0, width * tiled.lattice.height, 500))
     for rows in (8, 16, 40):
-        monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * lattice.width)
-        assert len(split_rows(lattice)) == -(-lattice.height // rows)
-        blocks, _ = find_columns(tiled, agent, 0.03)
-        for one, other in zip(blocks.crossings, whole.crossings, strict=True):
+        monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
+        assert len(split_rows(tiled.lattice)) == -(-tiled.lattice.height // rows)
+        for one, other in zip(find().join().crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
-    rng = np.random.default_rng(0)
-    for first, end in np.sort(rng.integers(0, lattice.height + 1, (5, 2))).tolist():
-        (part, _), expected = find_columns_of_rows(tiled, agent, 0.03, Rows(first, end)), whole
-        a, b = first * lattice.width, end * lattice.width
-        np.testing.assert_array_equal(
-            part.start[a : b + 1], expected.start[a : b + 1] - expected.start[a]
-        )
-        inside = slice(int(expected.start[a]), int(expected.start[b]))
-        for one, other in zip(part.crossings[1:], expected.crossings[1:], strict=True):
-            np.testing.assert_array_equal(one, other[inside])
+    monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
+    some = find().at(cells)
+    for cell in cells.tolist():
+        one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
+        for a, b in zip(some.crossings[1:], whole.crossings[1:], strict=True):
+            np.testing.assert_array_equal(a[one], b[other])
 
 
 def in_blocks(monkeypatch, cells):

@@ -99,7 +99,7 @@ def test_cracks_are_as_wide_as_the_settings_say(tmp_path):
     parts = box("floor", 0, 0, -0.1, 1.01, 2, 0) + box("other", 1.09, 0, -0.1, 3, 2, 0)
     config = {"scene": {"path": str(write(tmp_path, world(parts)))}, "floors": {"crack": 0.1}}
     grid = navbake.bake(config)
-    assert assert_true(grid, config).levels[0].in_cracks == 18  # its ends are open
+    assert assert_true(grid, config).levels[0].in_cracks == 20
     report = navbake.verify(grid, {**config, "floors": {}})
     assert {found.kind for found in report.findings} == {kinds.FLOOR_OFF}
     assert any("settings are others" in note for note in report.notes)

@@ -15,34 +15,26 @@ from navbake.baker.columns import (
     empty_crossings,
     tile_shapes,
 )
-from navbake.baker.cracks import Gaps, Moved, crack_cells, crack_reach, measure_cracks
+from navbake.baker.cracks import close_cracks
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Band, Crossings
-from navbake.baker.kernels.cracks import GapRoom, count_gaps
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
 from navbake.baker.rooms.flags import Overhead, keep_holes
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.baker.update.full_bake import FullBake
 from navbake.baker.update.kernels import pool as kernels
-from navbake.baker.update.kernels.cracks import (
-    count_gaps_in,
-    mark_region_standable,
-    write_gaps_in,
-)
 from navbake.baker.update.kernels.pool import Pool
 from navbake.baker.update.kernels.regions import (
     are_in,
     cells_of_boxes,
-    grow_cells,
-    join_cells,
     near_tiles,
 )
 from navbake.config.settings import AgentSettings, BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Float, Int, Int32
 
 # A line this far beyond a box [cells], more than rounding can be, does not meet what is in it
 SPARE = 1e-3
@@ -87,12 +79,6 @@ class Region(NamedTuple):
         at = start[number]
         return Region(cells, _copy_columns(start[number + 1] - at, Source(self.columns, at)))
 
-    def replace(self, cells: Int, new: Crossings) -> Region:
-        """The region with other columns in some of its cells."""
-        start = self.columns.start
-        asked = start[:-1], np.diff(start), self.number(cells), new
-        return Region(self.cells, _copy_replaced(self.columns, *asked))
-
     def by_id(self, scratch: Scratch) -> Crossings:
         """The columns by cell id; the last such is the only one that holds."""
         kernels.point_at(self.cells, self.columns.start, scratch.start)
@@ -117,29 +103,6 @@ def _copy_columns(length: Int | Int32, *sources: Source) -> Crossings:
     return columns
 
 
-def _copy_replaced(
-    old: Pool | Crossings, first: Int, length: Int | Int32, number: Int, new: Crossings
-) -> Crossings:
-    """Columns that begin somewhere in old ones, some of which, by number, are new ones."""
-    kept, length, added = first.copy(), length.astype(np.int64), np.full(len(first), -1)
-    kept[number], added[number], length[number] = -1, new.start[:-1], np.diff(new.start)
-    return _copy_columns(length, Source(old, kept), Source(new, added))
-
-
-class Asked(NamedTuple):
-    """Cells whose columns may have changed, ascending.
-
-    Attributes:
-        cells: those whose line in the centre is cast again.
-        region: those in which cracks are looked for again.
-        every: both.
-    """
-
-    cells: Int
-    region: Int
-    every: Int
-
-
 class Boxed(NamedTuple):
     """Triangles' corners, shape (n, 3, 3), and their boxes, (n, 6) [m]."""
 
@@ -152,16 +115,13 @@ class LiveColumns:
 
     Args:
         columns: of all cells.
-        moved: the cells whose line was moved, see `close_cracks`.
     """
 
-    def __init__(self, config: BakeConfig, columns: Columns, moved: Moved) -> None:
+    def __init__(self, config: BakeConfig, columns: Columns) -> None:
         self.lattice, self.scratch = columns.lattice, Scratch(columns.lattice)
-        self._crack = config.floors.crack
+        self._crack, self._agent = config.floors.crack, config.agent
         self._limits = agent_limits(config.agent)
         self._known: Boxed | None = None
-        self._is_cracked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
-        self._is_cracked[moved.cells] = True
         self._fill(columns.crossings, 0)
 
     def _fill(self, crossings: Crossings, more: int) -> None:
@@ -249,31 +209,37 @@ class LiveColumns:
             self._known = known = Boxed(corners, known.boxes)
         return known.boxes
 
-    def asked(self, boxes: Float) -> Asked:
+    def asked(self, boxes: Float) -> Int:
         """The cells whose columns may be others when the geometry in boxes is, (n, 6) [m]."""
-        cells = cells_of_boxes(self.lattice, boxes, RIM, SPARE, self.scratch.flag)
-        if self._crack == 0:
-            return Asked(cells, cells, cells)
-        region = self._region_of_cracks(boxes)
-        again = join_cells(cells, region[self._is_cracked[region]])
-        return Asked(again, region, join_cells(again, region))
+        reach = max(self._crack, RIM)
+        cells: Int = cells_of_boxes(self.lattice, boxes, reach, SPARE, self.scratch.flag)
+        return cells
 
-    def cast(self, tiled: TiledShapes, asked: Asked) -> Region:
-        """Cast columns again, and close cracks again there; gives those that are others now.
+    def cast(self, tiled: TiledShapes, asked: Int) -> Region:
+        """Cast the columns of some cells again; gives those that are others now.
 
         Args:
-            tiled: what there is now near `asked.every`.
+            tiled: what there is now near them.
         """
-        centers = self.lattice.positions(*np.divmod(asked.cells, self.lattice.width))
-        found = Region(asked.cells, cast_points(tiled, asked.cells, centers))
-        is_cracked = np.zeros(len(asked.region), dtype=np.bool_)
+        centers = self.lattice.positions(*np.divmod(asked, self.lattice.width))
+        found = Region(asked, cast_points(tiled, asked, centers))
         if self._crack > 0:
-            found = self._close_cracks(asked, found, tiled, is_cracked)
-        self._is_cracked[asked.region] = is_cracked
+            found = self._close_cracks(found, tiled)
         is_new = np.empty(len(found.cells), dtype=np.bool_)
         work = kernels.differs, len(is_new), self.pool, *found, is_new
         run_in_bands(*work, least=LEAST_CELLS)
         return found.only(found.cells[is_new])
+
+    def _close_cracks(self, region: Region, tiled: TiledShapes) -> Region:
+        """`close_cracks` in a region."""
+        is_asked = np.zeros(self.lattice.width * self.lattice.height, dtype=np.bool_)
+        is_asked[region.cells] = True
+        columns = Columns(self.lattice, region.by_id(self.scratch))
+        closed = close_cracks(columns, tiled, self._agent, self._crack, is_asked)
+        if closed is columns:
+            return region
+        first, last = closed.start[region.cells], closed.start[region.cells + 1]
+        return Region(region.cells, _copy_columns(last - first, Source(closed.crossings, first)))
 
     def check_planes(self, shapes: Shapes, old: Band, new: Band) -> None:
         """FullBake where level planes are crossed at other heights by lines that begin elsewhere.
@@ -298,97 +264,6 @@ class LiveColumns:
             kept = self.gather(np.arange(len(self.pool.first))).columns
             self._fill(kept, len(region.columns.z))
         self.used = kernels.put(self.pool, *region, self.used)
-
-    def _region_of_cracks(self, boxes: Float) -> Int:
-        """The cells in which cracks may be others, with all that decide together with them."""
-        lattice, flag, reach = self.lattice, self.scratch.flag, self._crack_cells
-        near = cells_of_boxes(lattice, boxes, crack_reach(self._crack), 1.0, flag)
-        region: Int = grow_cells(lattice.width, lattice.height, near, reach, flag)
-        while True:
-            around = grow_cells(lattice.width, lattice.height, region, reach, flag)
-            joined = join_cells(region, around[self._is_cracked[around]])
-            if len(joined) == len(region):
-                return region
-            region = joined
-
-    @property
-    def _crack_cells(self) -> int:
-        """How far the nearest line beyond a crack may be, in cells."""
-        return crack_cells(self._crack, self.lattice)
-
-    def _close_cracks(
-        self, asked: Asked, fresh: Region, tiled: TiledShapes, is_cracked: Bool
-    ) -> Region:
-        """`close_cracks` in a region; marks the cells that get another line.
-
-        Returns the fresh columns, and those of the marked cells.
-        """
-        lattice, pool, (again, region, _) = self.lattice, self.pool, asked
-        reach, flag = self._crack_cells, self.scratch.flag
-        around = grow_cells(lattice.width, lattice.height, region, reach, flag)
-        around = join_cells(around, again)
-        places = pool.first[around], pool.length[around], np.flatnonzero(are_in(around, again))
-        whole = Region(around, _copy_replaced(pool, *places, fresh.columns))
-        gaps = self._list_gaps(whole, region)
-        if not len(gaps.cell):
-            return fresh
-        cells, candidates = measure_cracks(gaps, tiled, self._limits, self._crack)
-        if not len(cells):
-            return fresh
-        is_cracked[np.searchsorted(region, cells)] = True
-        replaced = self._replace_by_best(whole, tiled, cells, candidates)
-        return replaced.only(join_cells(again, cells))
-
-    def _list_gaps(self, whole: Region, asked: Int) -> Gaps:
-        """The gaps of some cells; `whole` are all that are near them."""
-        few, only = {"least": LEAST_CELLS}, self.scratch.floor
-        lattice, crossings, limits, reach, room = self._asks_of_gaps(whole, only)
-        marks = crossings, limits, room, whole.cells
-        run_in_bands(mark_region_standable, len(whole.cells), *marks, **few)
-        known, counts = (lattice, crossings, limits, reach), np.empty(len(asked), dtype=np.int64)
-        run_in_bands(count_gaps_in, len(asked), *known, room, asked, counts, **few)
-        only[whole.cells] = np.nan
-        has_gaps = counts > 0
-        cells, counts = asked[has_gaps], counts[has_gaps]
-        start = np.concatenate([[0], np.cumsum(counts)])
-        room = room._replace(start=start, low=np.empty(start[-1]), high=np.empty(start[-1]))
-        run_in_bands(write_gaps_in, len(cells), *known, room, cells)
-        return Gaps(np.repeat(cells, counts), room.low, room.high)
-
-    def _count_gaps(self, near: Region, cells: Int) -> Int:
-        counts = np.empty(len(cells), dtype=np.int64)
-        args = *self._asks_of_gaps(near, np.empty(0)), cells, counts
-        count_gaps(*args)
-        return counts
-
-    def _asks_of_gaps(self, region: Region, only: Float) -> tuple[Any, ...]:
-        none, limits = np.empty(0), self._limits
-        stands = np.empty(len(region.columns.z), dtype=np.bool_)
-        room = GapRoom(stands, only, np.empty(0, np.int64), none, none)
-        return self.lattice, region.by_id(self.scratch), limits, self._crack_cells, room
-
-    def _replace_by_best(
-        self, whole: Region, tiled: TiledShapes, cells: Int, candidates: Float
-    ) -> Region:
-        """The region with the line in each cell that leaves the fewest gaps; see `close_cracks`."""
-        best = candidates[:, 0].copy()
-        fewest = np.full(len(cells), np.iinfo(np.int64).max)
-        centers = self.lattice.positions(*np.divmod(cells, self.lattice.width))
-
-        def replaced(region: Region, offset: Float) -> Region:
-            return region.replace(cells, cast_points(tiled, cells, centers + offset))
-
-        lattice, flag = self.lattice, self.scratch.flag
-        near = whole.only(grow_cells(lattice.width, lattice.height, cells, self._crack_cells, flag))
-        for offset in candidates.swapaxes(0, 1):
-            asked = (fewest > 0) & ~np.isnan(offset[:, 0])
-            if not asked.any():
-                continue
-            trial = replaced(near, np.where(asked[:, None], offset, best))
-            left = self._count_gaps(trial, cells)
-            better = asked & (left < fewest)
-            best[better], fewest[better] = offset[better], left[better]
-        return replaced(whole, best)
 
 
 def _boxes(corners: Float) -> Float:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from navbake.baker.assemble import weigh
 from navbake.baker.blocks import Blocks
 from navbake.baker.columns import Columns, TiledShapes, height_range
-from navbake.baker.cracks import crack_reach
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Surroundings
 from navbake.baker.floors.growth import FloorChanges
@@ -28,7 +27,7 @@ from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.flags import find_ends
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.stages import Stages
-from navbake.baker.update.columns import LEAST_CELLS, Asked, LiveColumns, Region, Scratch
+from navbake.baker.update.columns import LEAST_CELLS, LiveColumns, Region, Scratch
 from navbake.baker.update.contents import LiveContents
 from navbake.baker.update.doors import LiveDoors
 from navbake.baker.update.following import Moved
@@ -85,10 +84,9 @@ class LiveStages:
             planes = stages.doorless.shapes.planes
             if len(planes.geom) and not _are_level(planes.mat):
                 raise FullBake("a plane is not level")
-            moved = stages.whole.columns.moved
-            if moved is None:
+            if not stages.whole.columns.are_kept:
                 raise FullBake("the grid has too many cells for their columns to be kept")
-            columns = LiveColumns(stages.config, stages.columns, moved)
+            columns = LiveColumns(stages.config, stages.columns)
         except FullBake as why:
             self.reason = str(why)
         else:
@@ -221,19 +219,19 @@ class LiveStages:
         touched = cells_of_boxes(lattice, boxes, near_by, 1.0, flag)
         asked = columns.asked(boxes)
         # of few cells, a share takes no longer than to give it to another thread
-        is_little = len(touched) + len(asked.every) < LEAST_CELLS
+        is_little = len(touched) + len(asked) < LEAST_CELLS
         with limit_threads(1 if is_little else None):
             return self._follow_near(parts, stages, own, touched, asked)
 
     def _follow_near(
-        self, parts: Parts, stages: Stages, own: Bool, touched: Int, asked: Asked
+        self, parts: Parts, stages: Stages, own: Bool, touched: Int, asked: Int
     ) -> tuple[Int, Rooms | None]:
         """See `_follow_cells`; what moved may stand in the `touched` cells."""
         columns, finder, contents = parts[:3]
         doorless, scratch, heights = stages.doorless, columns.scratch, self._heights
         shapes = doorless.shapes
-        reach = max(stages.footprints.whole.reach, crack_reach(stages.config.floors.crack))
-        near = columns.near(shapes, join_cells(touched, asked.every), reach, heights)
+        reach = max(stages.footprints.whole.reach, stages.config.floors.crack)
+        near = columns.near(shapes, join_cells(touched, asked), reach, heights)
         found = columns.cast(near, asked)
         old, was = columns.gather(found.cells), stages.floors
         columns.put(found)
