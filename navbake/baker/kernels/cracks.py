@@ -384,10 +384,11 @@ def _list_edges(
 
 @part(**UNCOUNTED)
 def _look_in_tile(
-    lattice, crossings, geometry, tiles, tile, limits, crack, edges, room, found, num_found
+    lattice, crossings, geometry, tiles, tile, limits, crack, edges, room, known
 ):  # fmt: skip
     """Look for cracks in the lines of a tile; returns how many are found, -1 where room ends."""
     (of, seen), window, scratch = edges, tile_window(lattice, tile), room[0]
+    found, num_found = known
     for here in range(TILE * TILE):
         row, col = window[0] + here // TILE, window[2] + here % TILE
         x, y = center_of(lattice, row, col)
@@ -446,8 +447,8 @@ def find_bridges(
         while count > 1:
             room = scratch, ray, hits
             num = _look_in_tile(
-                lattice, crossings, geometry, tiles, tile, limits, crack, edges, room, found,
-                num_found,
+                lattice, crossings, geometry, tiles, tile, limits, crack, edges, room,
+                (found, num_found),
             )  # fmt: skip
             if num >= 0:
                 num_found = num
