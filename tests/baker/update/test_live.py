@@ -62,7 +62,7 @@ def test_only_what_is_near_is_looked_at(monkeypatch):
     cast = LiveColumns.cast
 
     def spy(self, tiled, cells):
-        asked.append(len(cells.every))
+        asked.append(len(cells))
         return cast(self, tiled, cells)
 
     monkeypatch.setattr(LiveColumns, "cast", spy)
