@@ -223,12 +223,9 @@ def test_roofs_are_no_levels(bake, name, islands):
 
 def test_storey_with_a_crack_is_one_floor_and_one_walk(bake):
     ground, storey = bake("12_crack.xml").grid.levels
-    x, y = centers(storey)
-    at_storey = storey.floor_height == np.float32(3.1)
-    # of the column over the crack, the cell at the slabs' edge is open to one side
-    assert storey.shape == (50, 101) and abs(x[~at_storey]).tolist() == pytest.approx([0.0])
-    assert y[~at_storey].tolist() == pytest.approx([-2.49])
-    np.testing.assert_array_equal(storey.free, at_storey)
+    # the crack is closed up to its open end at the slabs' edge
+    assert storey.shape == (50, 101) and (storey.floor_height == np.float32(3.1)).all()
+    assert storey.free.all()
     assert (find_islands(storey)[0][storey.free] == 1).all()
     assert joins(storey, (-4, 0), (4, 0), (0, -2), (0, 2))
     assert ground.free.all() and (ground.floor_height == 0).all()

@@ -57,8 +57,9 @@ class Log:
         self._add("end", level, **counts, stopped=stopped, seconds=round(seconds, 3))
 
     def _add(self, event: str, level: str, **values: Any) -> None:
+        line = {"time": stamp(), "level": level, "event": event, **values}
         for take in self._takers:
-            take({"time": stamp(), "level": level, "event": event, **values})
+            take(line)
 
 
 class LogFile:

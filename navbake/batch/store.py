@@ -241,7 +241,7 @@ class Mirror:
         self._roots: dict[tuple[str, str], str] = {}  # `s3://user:password@host` by what it shows
         self._given: dict[Path, str] = {}  # URLs with a query, by place
         self._listed: dict[str, Mapping[str, Any]] = {}  # what stores say of files, by name
-        self._known: dict[Path, Mapping[str, Any] | None] = {}
+        self.known: dict[Path, Mapping[str, Any] | None] = {}
 
     def place(self, url: str) -> Path:
         """Where a file of a store is, or would be, in the folder."""
@@ -266,10 +266,10 @@ class Mirror:
     def has(self, path: Path) -> bool:
         """Whether the store has the file that would be at a place."""
         path = Path(os.path.abspath(path))
-        if path not in self._known:
+        if path not in self.known:
             url = self.url_of(path)
-            self._known[path] = None if url is None else self._look(url)
-        return self._known[path] is not None
+            self.known[path] = None if url is None else self._look(url)
+        return self.known[path] is not None
 
     def bring(self, path: Path) -> None:
         """Copy a file, unless it is there."""
@@ -289,7 +289,7 @@ class Mirror:
     def describe(self, path: Path) -> Json:
         """Size of a file and what tells that it is the same: the store's tag, else its sha256."""
         path = Path(os.path.abspath(path))
-        info = (self._known[path] if self.has(path) else None) or {}
+        info = (self.known[path] if self.has(path) else None) or {}
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
         tags = (f"{key}:{facts[key]}" for key in (*TAGS, *TIMES) if key in facts)
         tag = next(tags, None)

@@ -153,13 +153,13 @@ def _render(
     # ids in an SVG are hashes, salted at random unless told not to; letters are drawn as shapes,
     # so that a picture looks alike where its fonts are missing; no name is markup
     settings: Any = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
-    families, missing = _find_fonts("".join(texts))
+    families, missing = find_fonts("".join(texts))
     settings |= {"font.family": families, "text.color": INK}
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure: Any = Figure(facecolor="white")
         FigureCanvasAgg(figure)
-        axes = _add_axes(figure, view, panels, len(layers))
+        axes = add_axes(figure, view, panels, len(layers))
         _write_heading(figure, grid)
         keys: dict[str, None] = {}
         for ax, (number, panel) in zip(axes, shown, strict=True):
@@ -174,7 +174,7 @@ def _render(
                 label._replace(text=label.fallback) if missing & {*label.text} else label
                 for label in panel.labels
             ]
-            keys |= dict.fromkeys(_write_names(ax, labels))
+            keys |= dict.fromkeys(write_names(ax, labels))
         _draw_legend(figure, panels, kinds, list(keys), with_route=route is not None)
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
@@ -184,7 +184,7 @@ def _render(
     return content.getvalue()
 
 
-def _find_fonts(text: str) -> tuple[list[str], set[str]]:
+def find_fonts(text: str) -> tuple[list[str], set[str]]:
     """Families of installed fonts that have the letters of a text, and letters that none has."""
     from matplotlib import font_manager
 
@@ -208,7 +208,7 @@ def _needs_bar(panel: Panel) -> bool:
     return panel.scale is not None and len(panel.scale.ticks) > 1
 
 
-def _add_axes(
+def add_axes(
     figure: Any, view: tuple[float, float, float, float], panels: Sequence[Panel], num_layers: int
 ) -> list[Any]:
     """Give a figure its size and each panel a place: the layers of a level in a row, if they fit.
@@ -340,7 +340,7 @@ def _draw_route(ax: Any, route: Route, level: int) -> None:
             ax.plot(x[end], y[end], marker, **style)
 
 
-def _write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
+def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
     """Write names on a map, those of large rooms first, none over another; yields the key.
 
     A name stands in the middle of its room, in one line or two, as large as fits; that of a point

@@ -200,9 +200,9 @@ def test_threads_are_given_back(tmp_path):
 def test_columns_are_cast_once(tmp_path, monkeypatch):
     """What gives the geometry back must not be followed by a stage that asks for it again."""
     casts = []
-    cast = column_blocks.find_columns
+    cast = column_blocks.cast_columns
     monkeypatch.setattr(
-        column_blocks, "find_columns", lambda *given: casts.append(0) or cast(*given)
+        column_blocks, "cast_columns", lambda *given: casts.append(0) or cast(*given)
     )
     (tmp_path / "scene.xml").write_text(world(FLOOR))
     navbake.bake({"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"bounds": [0, 0, 1, 1]}})

@@ -256,7 +256,7 @@ def written(*labels):
     figure = Figure(figsize=MAP, dpi=plot.DPI)
     FigureCanvasAgg(figure)
     ax = figure.add_axes([0, 0, 1, 1], xlim=(0, MAP[0]), ylim=(0, MAP[1]))
-    key = list(plot._write_names(ax, labels))
+    key = list(plot.write_names(ax, labels))
     # a box is the letters', without that of a point's name around them
     boxes = [text.get_window_extent().transformed(ax.transData.inverted()) for text in ax.texts]
     return [text.get_text() for text in ax.texts], boxes, key
@@ -314,7 +314,7 @@ def test_maps_are_apart_and_in_the_picture(width, levels, layers):
     from matplotlib.figure import Figure
 
     figure, panel = Figure(), make_panel(make_level(), "floor", 0)
-    axes = plot._add_axes(figure, (0, 0, width, 10), [panel] * (levels * layers), layers)
+    axes = plot.add_axes(figure, (0, 0, width, 10), [panel] * (levels * layers), layers)
     assert figure.get_figwidth() <= plot.WIDTH and figure.get_figheight() <= plot.MAX_HEIGHT + 1
     boxes = [ax.get_position() for ax in axes]
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
@@ -322,6 +322,6 @@ def test_maps_are_apart_and_in_the_picture(width, levels, layers):
 
 
 def test_letters_that_no_font_has_are_known():
-    families, missing = plot._find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
+    families, missing = plot.find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
     assert families == [plot.FONT]
     assert missing <= {"\U000e0fff", "\\"}

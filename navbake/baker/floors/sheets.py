@@ -89,7 +89,7 @@ class Sheets:
     digest: NDArray[np.uint64]
 
     def __init__(self, store: SurfaceStore, blocks: Blocks, agent: AgentSettings) -> None:
-        self.lattice, self.blocks, self._store = store.lattice, blocks, store
+        self.lattice, self.blocks, self.store = store.lattice, blocks, store
         by_slopes = slopes_may_join(store.lattice, agent)
         self.labels = Labels(blocks, Joining(agent.traversable_floor_height, by_slopes=by_slopes))
         nothing, ids = np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int32)
@@ -101,7 +101,7 @@ class Sheets:
     @property
     def surfaces(self) -> Surfaces:
         """The surfaces, as kernels take them."""
-        return self._store.surfaces
+        return self.store.surfaces
 
     def update(self, stale: Bool) -> Bool:
         """Find the sheets again, of which the surfaces in stale blocks are others.

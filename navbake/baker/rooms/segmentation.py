@@ -86,7 +86,7 @@ def segment_by_gaps(
     open_cells = np.ascontiguousarray(open_cells[window])
     seen = np.zeros_like(open_cells) if holes is None else holes[window]
     label, close = part_at_gaps(open_cells, seen, cell_size, door_width)
-    _spread(label, open_cells)
+    spread(label, open_cells)
     floor = None if floor is None else floor[window]
     edge = np.zeros_like(open_cells) if edge is None else edge[window]
     label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, edge)
@@ -97,7 +97,7 @@ def segment_by_gaps(
     )
 
 
-def _spread(label: Int32, open_cells: Bool) -> None:
+def spread(label: Int32, open_cells: Bool) -> None:
     """Give the open cells without a label one from beside them, wave by wave across edges.
 
     A cell that several labels reach in one wave goes to the one whose own cell, from which it

@@ -86,7 +86,7 @@ def test_surfaces_are_those_of_a_plain_loop(tmp_path, threads):
 
 def check_sheets(sheets, step):
     """Hold the sheets against parts of one graph of all surfaces."""
-    store, lattice = sheets._store, sheets.lattice
+    store, lattice = sheets.store, sheets.lattice
     rows = [row for row in listed(store) if row[2]]
     cell, z = (np.array(part) for part in list(zip(*rows, strict=True))[:2])
     at = [np.flatnonzero(cell == k) for k in range(lattice.width * lattice.height)]

@@ -170,7 +170,7 @@ def spread(labels):
     label = np.array(labels, dtype=np.int32)
     open_cells = label >= 0
     label[~open_cells] = 0
-    segmentation._spread(label, open_cells)
+    segmentation.spread(label, open_cells)
     return label.tolist()
 
 
