@@ -13,7 +13,7 @@ from navbake.types import Int, Int32
 
 
 def connect(pairs: Int, count: int) -> Int32:
-    """The connected part of each of so many nodes, from 0 by their first nodes.
+    """Number the connected parts of a graph from 0, in the order of their first nodes.
 
     Args:
         pairs: the nodes that hang together, shape (2, n).

@@ -1,4 +1,4 @@
-"""What a stranger's file may cost: the one place where the limits of readers stand.
+"""What a stranger's file may cost: cells, bytes and memory, for all readers of `formats`.
 
 NavGrids, maps, voxels, images and arrays are published, and a few bytes of one may claim to stand
 for more than any memory holds: runs have any length, and packed data unpack a thousandfold. So a

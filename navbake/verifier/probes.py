@@ -168,7 +168,7 @@ class Probes:
 
 
 def depth_of(probes: Probes, column: Column, center: Any, number: int, yaw: float = 0.0) -> float:
-    """How much smaller on all sides a column would just not touch an obstacle [m].
+    """By how much a column has to shrink on all sides until it no longer touches an obstacle [m].
 
     Found by bisection with FCL; at most half of the column's least size, where it touches at its
     very middle.

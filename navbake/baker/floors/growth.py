@@ -127,7 +127,7 @@ class FloorGrowth:
         return Grown._make(array.reshape(shape)[window].copy() for array in level)
 
     def _beyond(self, level: Grown, before: list[tuple[Window, Grown]]) -> Bool:
-        """The blocks beside borders at which floors or rings are others than before."""
+        """The blocks beside borders at which floors or rings have changed."""
         blocks = self._sheets.blocks
         mask = np.zeros((blocks.rows, blocks.cols), dtype=np.bool_)
         for window, was in before:

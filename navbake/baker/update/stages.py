@@ -1,8 +1,8 @@
-"""The stages of a bake, kept up to date: what each reads decides whether its value still holds.
+"""The stages of a bake, kept up to date: a value holds as long as what its stage reads is the same.
 
-A stage's value is used again only where all that it reads is as it was. Columns, occupancy and
-again there. Floors are found block by block, see `FloorFinder`. Rooms, doors and boxes are found
-again as soon as anything that they read has changed.
+Columns, occupancy and contents read what is near a cell, and are found again near what moved.
+Floors are found block by block, see `FloorFinder`. Rooms, doors and boxes are found again as soon
+as anything that they read has changed.
 """
 
 from __future__ import annotations
