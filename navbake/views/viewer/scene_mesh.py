@@ -357,6 +357,10 @@ def _to_linear(color: NDArray[Any]) -> NDArray[np.float32]:
 # --- what of it is below a height -----------------------------------------------------------------
 
 
+# A triangle that lies in the plane stays: trimesh would drop it [m]
+FLUSH = 1e-6
+
+
 def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
     """The surfaces below a height [m], world z.
 
@@ -379,7 +383,7 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     # slivers have no area, but places on them can't be told by their corners
     whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any(axis=1)
     faces, vertices = surface.faces[whole].astype(np.int64), surface.vertices.astype(np.float64)
-    plane = [0, 0, -1], [0, 0, height]
+    plane = [0, 0, -1], [0, 0, height + FLUSH]
     # the corners of a triangle are of one geom: so is what lies between them
     geoms = np.stack([surface.geom, surface.geom], axis=1).astype(np.float64)
     cut, left, owner = intersections.slice_faces_plane(vertices, faces, *plane, uv=geoms)
