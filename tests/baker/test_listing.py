@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from navbake.baker.kernels.tiles import BAND, TILE, list_near, tile_of
+from navbake.baker.kernels.tiles import BAND, TILE
 from navbake.baker.listing import WORTH, list_by_band, list_by_tile
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
@@ -69,19 +69,6 @@ def test_boxes_that_hold_a_centre_in_each_band(boxes, threads):
     for band, listed in enumerate(found):
         in_band = holds_row[:, band * BAND : (band + 1) * BAND].any(axis=1) & holds_col.any(axis=1)
         assert listed == np.flatnonzero(in_band).tolist()
-
-
-def test_boxes_near_cells(boxes):
-    reach = 0.03
-    cells = np.array([0, 0, 5, 100, LATTICE.width * LATTICE.height - 1])
-    by_tile = list_by_tile(boxes, GROW, LATTICE)
-    found = as_lists(*list_near(LATTICE, boxes, *by_tile, cells, reach))
-    for cell, listed in zip(cells.tolist(), found, strict=True):
-        x, y = LATTICE.positions(*divmod(cell, LATTICE.width))
-        near = (boxes[:, 0] <= x + reach) & (boxes[:, 3] >= x - reach)
-        near &= (boxes[:, 1] <= y + reach) & (boxes[:, 4] >= y - reach)
-        assert listed == np.flatnonzero(near).tolist()
-        assert set(listed) <= set(as_lists(*by_tile)[tile_of(LATTICE, cell)])
 
 
 def test_counts_are_no_more_than_boxes(monkeypatch, boxes):

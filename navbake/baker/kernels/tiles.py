@@ -171,35 +171,3 @@ def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
                     if writing:
                         item[place[tile]] = n
                     place[tile] += 1
-
-
-@kernel
-def list_near(lattice, boxes, start, item, cells, reach):
-    """List, for each of some cells, those of its tile's items that come near to its centre.
-
-    Args:
-        boxes: of all items, (n, 6) [m].
-        start, item: the items over each tile, see `list_by_tile`.
-        cells: cell ids, (m,) int64.
-        reach: how near, along both axes [m].
-
-    Returns what `list_by_tile` does, by cell.
-    """
-    first, near, count = np.zeros(cells.shape[0] + 1, np.int64), np.empty(64, np.int32), 0
-    for n in range(cells.shape[0]):
-        x, y = cell_center(lattice, cells[n])
-        tile = tile_of(lattice, cells[n])
-        for i in item[start[tile] : start[tile + 1]]:
-            if boxes[i, 0] > x + reach or boxes[i, 3] < x - reach:
-                continue
-            if boxes[i, 1] > y + reach or boxes[i, 4] < y - reach:
-                continue
-            if count == near.shape[0]:
-                grown = np.empty(2 * count, np.int32)
-                for k in range(count):  # slices take a second to compile: their errors are text
-                    grown[k] = near[k]
-                near = grown
-            near[count] = i
-            count += 1
-        first[n + 1] = count
-    return first, near[:count]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from navbake.baker.contents.contents import LevelContents
 from navbake.baker.kernels.flags import BLOCKS, STANDS
 from navbake.baker.update.kernels.contents import EntryPool, count_taken
-from navbake.baker.update.kernels.regions import are_in, cells_of_boxes, grow_cells
+from navbake.baker.update.kernels.regions import are_in, cells_of_boxes
 from navbake.baker.warn import count_taken_cells
 from navbake.navgrid.lattice import Lattice
 
@@ -45,21 +45,6 @@ def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
     assert np.array_equal(cells_of_boxes(LATTICE, endless, 0.1, 1.0, flag), np.arange(CELLS))
     far = np.array([[1e30, 1e30, 0, 1e31, 1e31, 1.0], [-1e31, 0, 0, -1e30, 1, 1.0]])
     assert not len(cells_of_boxes(LATTICE, far, 0.1, 1.0, flag))
-
-
-@settings(deadline=None)  # its kernels may be compiled first
-@given(seeds, st.integers(0, 6))
-def test_a_grown_region_has_all_cells_so_many_away(seed, by):
-    rng = np.random.default_rng(seed)
-    cells = rng.integers(0, CELLS, int(rng.integers(0, 12)))  # some twice, in any order
-    flag = np.zeros(CELLS, dtype=np.bool_)
-    found = grow_cells(LATTICE.width, LATTICE.height, cells, by, flag)
-    assert not flag.any()
-    place = np.stack(np.divmod(np.arange(CELLS), LATTICE.width))
-    marked = np.zeros(CELLS, dtype=np.bool_)
-    for cell in cells:
-        marked |= (np.abs(place - place[:, cell, None]) <= by).all(axis=0)
-    assert np.array_equal(found, np.flatnonzero(marked))
 
 
 @settings(deadline=None)  # its kernels may be compiled first

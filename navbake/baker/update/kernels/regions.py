@@ -88,29 +88,6 @@ def join_cells(one, other):
 
 
 @kernel(nogil=True)
-def grow_cells(width, height, cells, by, flag):
-    """Some cells and those at most so many rows and columns away, ascending; see above.
-
-    Runs of cells in a row that grow into each other are marked as one.
-    """
-    left, right, n = np.full(height, width), np.zeros(height, np.int64), 0
-    while n < cells.shape[0]:
-        row, col = cells[n] // width, cells[n] % width
-        last = col
-        n += 1
-        while n < cells.shape[0] and cells[n] // width == row:
-            following = cells[n] % width
-            if not col <= following <= last + 2 * by + 1:
-                break
-            last = max(last, following)
-            n += 1
-        first, end = max(col - by, 0), min(last + by + 1, width)
-        for near in range(max(row - by, 0), min(row + by + 1, height)):
-            _mark_row(near, first, end, width, left, right, flag)
-    return _take_marked(width, left, right, flag)
-
-
-@kernel(nogil=True)
 def near_tiles(boxes, reach, lattice, tile, summed, result):
     """Tell which boxes, (n, 6) [m], grown by `reach` [m], may lie over marked tiles; (n,) bool.
 
