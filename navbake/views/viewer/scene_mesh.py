@@ -387,6 +387,7 @@ def _cut_surface(surface: Surface, height: float) -> Surface:
     # the corners of a triangle are of one geom: so is what lies between them
     geoms = np.stack([surface.geom, surface.geom], axis=1).astype(np.float64)
     cut, left, owner = intersections.slice_faces_plane(vertices, faces, *plane, uv=geoms)
+    cut[:, 2] = np.minimum(cut[:, 2], height)
     geom, uv = np.rint(owner[:, 0]).astype(np.int32), surface.uv
     if uv is not None:
         _, _, uv = intersections.slice_faces_plane(vertices, faces, *plane, uv=uv)
