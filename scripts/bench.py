@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import bake_rows, live_rows, run_rows, start_rows, tensor_rows, voxel_rows
+from benchmarks import bake_rows, run_rows, voxel_rows
 from benchmarks.measure import Result, Row, measure_row
 from benchmarks.scenes import ROOMS, Scenes
 
@@ -31,11 +31,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
     """All rows by name, in the order in which they are measured."""
     return {
         **bake_rows.make_rows(scenes),
-        **start_rows.make_rows(scenes.folder),
         **run_rows.make_rows(scenes),
-        **tensor_rows.make_rows(scenes),
         **voxel_rows.make_rows(scenes.folder),
-        **live_rows.make_rows(scenes),
     }
 
 
@@ -62,24 +59,19 @@ def _duration(seconds: float) -> str:
 
 def _limits(row: Row, results: list[Result]) -> str:
     """What is asked for, and whether it is met."""
+    own, *others = results
+    ratio = own.median / others[0].median if others else None
+    asked = (
+        (row.ratio, ratio, f"{row.ratio or 0:g} ×"),
+        (row.limit, own.median, _duration(row.limit or 0)),
+        (row.peak, own.peak, f"{row.peak or 0:,.0f} MiB"),
+    )
     said = []
-    for limit, value, text in _measured(row, results):
-        met = "not compared" if value is None else "met" if value <= limit else "NOT MET"
-        said.append(f"{text}: {met}")
+    for limit, value, text in asked:
+        if limit is not None:
+            met = "not compared" if value is None else "met" if value <= limit else "NOT MET"
+            said.append(f"{text}: {met}")
     return ", ".join(said)
-
-
-def _measured(row: Row, results: list[Result]) -> list[tuple[float, float | None, str]]:
-    own = results[0]
-    found: list[tuple[float, float | None, str]] = []
-    if row.ratio is not None:
-        value = own.median / results[1].median if len(results) > 1 else None
-        found.append((row.ratio, value, f"{row.ratio:g} ×"))
-    if row.limit is not None:
-        found.append((row.limit, own.median, _duration(row.limit)))
-    if row.peak is not None:
-        found.append((row.peak, own.peak, f"{row.peak:,.0f} MiB"))
-    return found
 
 
 def to_json(name: str, row: Row, results: list[Result]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 
 import bench
 from benchmarks.measure import Row, here, measure_row
-from benchmarks.plain_loop import time_plain_loop
+from benchmarks.peers import time_plain_loop
 from benchmarks.scenes import Scenes, sections
 from make_house import make_house
 from project_paths import ROOT

@@ -1,29 +1,29 @@
-"""Rows of bakes: houses of rooms, of many triangles, as soups, next to Recast and a plain loop."""
+"""Rows of bakes, next to Recast and a plain loop; of updates, next to fresh bakes; of commands."""
 
 from __future__ import annotations
 
 import json
 import os
+import random
 import statistics
 import sys
+import tempfile
+import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
+
+import navbake
 from benchmarks.measure import Job, Row, Sample, run_process
-from benchmarks.plain_loop import plain_loop_job
-from benchmarks.recast import recast_job, why_missing
-from benchmarks.scenes import (
-    CELL,
-    DUNGEON,
-    ROOT,
-    SAMPLES,
-    TRIANGLES,
-    Scenes,
-    num_cells,
-)
+from benchmarks.peers import plain_loop_job, recast_job, why_no_recast
+from benchmarks.scenes import APARTMENT, CELL, DUNGEON, ROOT, SAMPLES, TRIANGLES, Scenes, num_cells
 
 WORKER = Path(__file__).with_name("worker.py")
+NAVBAKE = [sys.executable, "-m", "navbake"]
 SMALL = 9  # rooms of the smaller soup
 SIZES = (4, 25, 100, 400)  # rooms of the houses whose cost per cell is compared
 LARGE = 1600  # rooms of the largest: 16 million cells
@@ -32,104 +32,97 @@ BARE = {"rooms": "none", "doors": {"find": False}, "names": False}
 
 def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
     """The rows by name, each made when it is asked for."""
-    main = scenes.rooms
+    rooms = scenes.rooms
+
+    def soup(number: int) -> Path:
+        return scenes.soup(number, triangles=TRIANGLES).path
 
     def house_row() -> Row:
         row = _against_recast(scenes, scenes.main, ratio=1.0)
-        row.peers.append(plain_loop_job(scenes.main, main))
+        row.peers.append(plain_loop_job(scenes.main, rooms))
         return row
 
-    def many_row() -> Row:
-        return _against_recast(scenes, scenes.house(main, triangles=TRIANGLES), ratio=1.0)
-
-    def small_soup_row() -> Row:
-        path = scenes.soup(SMALL, triangles=TRIANGLES).path
-        return _against_recast(scenes, path, ratio=1.5)
-
-    def large_soup_row() -> Row:
-        path = scenes.soup(main, triangles=TRIANGLES).path
-        return _against_recast(scenes, path, ratio=1.5, peak=1200)
-
     def first_ray_row() -> Row:
-        path = scenes.soup(main, triangles=TRIANGLES).path
-        command = [sys.executable, str(WORKER), "first-ray", json.dumps(_settings(path))]
-        job = Job("navbake bake, up to the first ray", lambda: run_process(command))
-        return Row(job, [_read_job(path)], limit=2.0)
+        job = Job("navbake bake, up to the first ray", lambda: _work("first-ray", soup(rooms)))
+        return Row(job, [_read_job(soup(rooms))], limit=2.0)
 
     def dungeon_row() -> Row:
-        if not DUNGEON.exists():
-            job = Job("dungeon.obj", lambda: Sample(float("nan")))
-            return Row(job, missing=f"no scene: {DUNGEON.name} isn't there")
-        return _against_recast(scenes, DUNGEON)
+        if DUNGEON.exists():
+            return _against_recast(scenes, DUNGEON)
+        job = Job("dungeon.obj", lambda: Sample(float("nan")))
+        return Row(job, missing=f"no scene: {DUNGEON.name} isn't there")
 
     def share_row() -> Row:
         job = bake_job("with rooms, doors and names", scenes.main)
         return Row(job, [bake_job("without", scenes.main, BARE)], ratio=1.3)
 
     def doors_row() -> Row:
-        path = scenes.house(main, with_doors=True)
-        bake = bake_job("", path)
+        bake = bake_job("", scenes.house(rooms, with_doors=True))
 
         def measure() -> Sample:
             sample = bake.measure()
-            return Sample((sample.facts or {})["stages"]["doors"], sample.peak, sample.facts)
+            return sample._replace(seconds=(sample.facts or {})["stages"]["doors"])
 
         return Row(Job("180 doors, each in all its states", measure), limit=1.0)
 
     def scaling_row() -> Row:
-        jobs = [_per_million(scenes, rooms) for rooms in (LARGE, *SIZES)]
-        return Row(jobs[0], jobs[1:], ratio=1.3)
+        job, *others = [_per_million(scenes, number) for number in (LARGE, *SIZES)]
+        return Row(job, others, ratio=1.3)
 
     def tiles_row() -> Row:
         name = f"house-{LARGE}, {num_cells(LARGE):,} cells"
         job = bake_job(name, scenes.house(LARGE), warm_up=scenes.house(SIZES[0]))
         return Row(job, limit=16.0, peak=2500)
 
-    def cell_memory_row() -> Row:
-        return Row(_per_item("a million cells", *(scenes.house(n) for n in SIZES[-2:]), "cells"))
-
     def triangle_memory_row() -> Row:
-        soups = (scenes.soup(n, triangles=TRIANGLES).path for n in (SMALL, main))
-        return Row(_per_item("a million triangles, and their cells", *soups, "triangles"))
+        name = "a million triangles, and their cells"
+        return Row(_per_item(name, soup(SMALL), soup(rooms), "triangles"))
 
-    rows: dict[str, Callable[[], Row]] = {
+    return {
         "house": house_row,
-        "many": many_row,
-        "soup": small_soup_row,
-        "soup-large": large_soup_row,
+        "many": lambda: _against_recast(
+            scenes, scenes.house(rooms, triangles=TRIANGLES), ratio=1.0
+        ),
+        "soup": lambda: _against_recast(scenes, soup(SMALL), ratio=1.5),
+        "soup-large": lambda: _against_recast(scenes, soup(rooms), ratio=1.5, peak=1200),
         "first-ray": first_ray_row,
         "dungeon": dungeon_row,
         "share": share_row,
         "doors": doors_row,
         "scaling": scaling_row,
         "tiles": tiles_row,
-        "cell-memory": cell_memory_row,
+        "cell-memory": lambda: Row(
+            _per_item("a million cells", *map(scenes.house, SIZES[-2:]), "cells")
+        ),
         "triangle-memory": triangle_memory_row,
+        **{
+            f"sample-{name}": lambda name=name: _against_recast(  # type: ignore[misc]
+                scenes, ROOT / "configs" / "scenes" / f"{name}.xml"
+            )
+            for name in SAMPLES
+        },
+        **_command_rows(scenes.folder),
+        "update": lambda: _update_row(scenes, 1, limit=0.010),
+        "update 100": lambda: _update_row(scenes, 100, limit=0.150),
     }
-    for name in SAMPLES:
-        path = ROOT / "configs" / "scenes" / f"{name}.xml"
-        rows[f"sample-{name}"] = lambda path=path: _against_recast(scenes, path)  # type: ignore[misc]
-    return rows
 
 
 def bake_job(
-    name: str,
-    path: Path,
-    more: dict[str, Any] | None = None,
-    threads: int | None = None,
-    warm_up: Path | None = None,
+    name: str, path: Path, more: dict[str, Any] | None = None, warm_up: Path | None = None
 ) -> Job:
     """A bake in a process of its own, warm, without starting up.
 
     It is warmed up with another scene where one is given, or where its own is large.
     """
     if warm_up is None:
-        is_small = os.path.getsize(path) < 10**7
-        warm_up = path if is_small else ROOT / "configs/scenes/apartment.xml"
-    command = [sys.executable, str(WORKER), "bake", json.dumps(_settings(path) | (more or {}))]
-    command += ["--warm-up", json.dumps(_settings(warm_up) | (more or {}))]
-    command += ["--threads", str(threads)] if threads else []
-    return Job(name, lambda: run_process(command))
+        warm_up = path if path.stat().st_size < 10**7 else ROOT / "configs/scenes/apartment.xml"
+    before = json.dumps(_settings(warm_up) | (more or {}))
+    return Job(name, lambda: _work("bake", path, more, "--warm-up", before))
+
+
+def _work(job: str, path: Path, more: dict[str, Any] | None = None, *options: str) -> Sample:
+    settings = json.dumps(_settings(path) | (more or {}))
+    return run_process([sys.executable, str(WORKER), job, settings, *options])
 
 
 def _settings(path: Path) -> dict[str, Any]:
@@ -143,20 +136,18 @@ def _against_recast(
     job = bake_job(path.name, path)
     if path.suffix != ".xml":
         job = _without_reading(job, path)
-    if why_missing():
-        return Row(job, ratio=ratio, peak=peak, missing=why_missing())
-    recast = recast_job(scenes.folder, scenes.soup_of(path))
-    return Row(job, [recast], ratio=ratio, peak=peak)
+    missing = why_no_recast()
+    peers = [] if missing else [recast_job(scenes.folder, scenes.soup_of(path))]
+    return Row(job, peers, ratio=ratio, peak=peak, missing=missing)
 
 
 def _without_reading(job: Job, path: Path) -> Job:
     """Take off the time that trimesh needs to read the file, the median of three."""
-    read = _read_job(path)
     taken: list[float] = []
 
     def measure() -> Sample:
         if not taken:
-            taken.append(statistics.median(read.measure().seconds for _ in range(3)))
+            taken.append(statistics.median(_read_job(path).measure().seconds for _ in range(3)))
         sample = job.measure()
         facts = {**(sample.facts or {}), "read": taken[0]}
         return Sample(sample.seconds - taken[0], sample.peak, facts)
@@ -165,8 +156,7 @@ def _without_reading(job: Job, path: Path) -> Job:
 
 
 def _read_job(path: Path) -> Job:
-    command = [sys.executable, str(WORKER), "read", json.dumps(_settings(path))]
-    return Job("trimesh reads the file", lambda: run_process(command))
+    return Job("trimesh reads the file", lambda: _work("read", path))
 
 
 def _per_million(scenes: Scenes, rooms: int) -> Job:
@@ -174,7 +164,7 @@ def _per_million(scenes: Scenes, rooms: int) -> Job:
 
     def measure() -> Sample:
         sample = job.measure()
-        return Sample(sample.seconds / num_cells(rooms) * 1e6, sample.peak, sample.facts)
+        return sample._replace(seconds=sample.seconds / num_cells(rooms) * 1e6)
 
     return Job(f"house-{rooms}, a million cells", measure)
 
@@ -190,3 +180,76 @@ def _per_item(name: str, small: Path, large: Path, counted: str) -> Job:
         return Sample((other.seconds - one.seconds) / millions, more and more / millions)
 
     return Job(name, measure)
+
+
+# --- commands ------------------------------------------------------------------------------
+
+
+def _command_rows(folder: Path) -> dict[str, Callable[[], Row]]:
+    grid = folder / "apartment.grid.json"
+    bake = [*NAVBAKE, "bake", str(APARTMENT), "-o", str(grid), "--quiet"]
+
+    def run_cold() -> Sample:
+        with tempfile.TemporaryDirectory() as empty:
+            return run_process(bake, {**os.environ, "NUMBA_CACHE_DIR": empty})
+
+    def show_info() -> Sample:
+        if not grid.exists():
+            run_process(bake)
+        return run_process([*NAVBAKE, "info", str(grid)])
+
+    def python(code: str) -> Sample:
+        return run_process([sys.executable, "-c", code])
+
+    jobs = {
+        "cold": (Job("navbake bake, nothing compiled", run_cold), 20.0),
+        "warm": (Job("navbake bake, all compiled", lambda: run_process(bake)), 0.8),
+        "info": (Job("navbake info GRID", show_info), 0.3),
+    }
+    rows = {name: lambda job=job, limit=limit: Row(job, limit=limit)  # type: ignore[misc]
+            for name, (job, limit) in jobs.items()}  # fmt: skip
+    bare = Job("bare Python", lambda: python("pass"))
+    return {
+        **rows,
+        "import": lambda: Row(Job("import navbake", lambda: python("import navbake")), [bare]),
+    }
+
+
+# --- updates -------------------------------------------------------------------------------
+
+
+def _update_row(scenes: Scenes, count: int, limit: float) -> Row:
+    """Furniture is pushed by up to half a metre from where it stood at first."""
+    from sweep_moves import free_pieces  # beside bench.py
+
+    warnings.simplefilter("ignore", navbake.BakeWarning)
+    model = mujoco.MjModel.from_xml_string(free_pieces(scenes.main.read_text()))
+    baker, rng = navbake.Baker(model, grid={"cell_size": CELL}), random.Random(0)
+    places = {model.body(b).name: model.body_pos[b].copy() for b in range(1, model.nbody)}
+    edge = float(np.stack(list(places.values()))[:, :2].max())
+
+    def update() -> Sample:
+        moves = {}
+        for name in rng.sample(sorted(places), count):
+            *xy, z = places[name]
+            # nothing of one stands beyond the house
+            xy = [min(max(v + rng.uniform(-0.5, 0.5), 1.0), edge - 0.7) for v in xy]
+            moves[name] = [*xy, z]
+        begin = time.perf_counter()
+        changes = baker.update(bodies=moves)
+        seconds = time.perf_counter() - begin
+        return Sample(seconds, facts={"reason": changes.reason, "cells": len(changes.cells[0])})
+
+    def bake() -> Sample:
+        data = mujoco.MjData(model)
+        data.qpos[:] = baker.pose[0]
+        begin = time.perf_counter()
+        navbake.bake(model, data, grid={"cell_size": CELL})
+        return Sample(time.perf_counter() - begin)
+
+    name = "a chair moves" if count == 1 else f"{count} bodies move at once"
+    return Row(
+        Job(f"Baker.update: {name}", update, warms_up=True),
+        [Job("a fresh bake of the model in memory", bake, warms_up=True)],
+        limit=limit,
+    )

@@ -6,6 +6,7 @@ median of the repeats are kept. What compiles or warms up runs once before.
 
 from __future__ import annotations
 
+import importlib
 import json
 import statistics
 import subprocess
@@ -96,6 +97,18 @@ def here(name: str, run: Callable[[], Any]) -> Job:
         return Sample(time.perf_counter() - start)
 
     return Job(name, measure, warms_up=True)
+
+
+def beside(
+    job: Job, module: str, make: Callable[[Any], Job], *others: Job, **limits: float | None
+) -> Row:
+    """A row with a peer's job, made of its module, where that is installed."""
+    try:
+        peer = make(importlib.import_module(module))
+    except ImportError:
+        missing = f'no {module} to compare with: pip install -e ".[bench]", or {module}'
+        return Row(job, list(others), limits.get("limit"), missing=missing)
+    return Row(job, [peer, *others], **limits)  # type: ignore[arg-type]
 
 
 def measure_row(row: Row, repeats: int) -> list[Result]:

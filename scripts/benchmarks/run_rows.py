@@ -1,23 +1,29 @@
-"""Rows of the run time, on a grid of the main house, next to what others take."""
+"""Rows of the run time and of tensors, on a grid of the main house, next to what others take."""
 
 from __future__ import annotations
 
+import importlib
+import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import orjson
 from scipy import sparse
 from scipy.sparse import csgraph
 
 import navbake
-from benchmarks.measure import Job, Row, here
+from benchmarks.measure import Job, Row, Sample, beside, here
 from benchmarks.scenes import APARTMENT, CELL, Scenes
 
 RADIUS = 0.3  # [m]
-MISSING = 'no {} to compare with: pip install -e ".[bench]"'
+MILLION = 1_000_000
+AGENTS, POINTS = 4096, 187  # a batch of environments, and the height scan that walkers use
+CAST = 32  # agents whose rays are cast; all others are taken to cost as much
+SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
 
 class House(NamedTuple):
@@ -29,9 +35,30 @@ class House(NamedTuple):
 
 def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
     """The rows by name, each made when it is asked for."""
+    inflate = {
+        "inflate": (f"inflate({RADIUS})", {}, 3.0),
+        "step": (f"inflate({RADIUS}, 0.25)", {"clearance": 0.25}, None),
+        "nav2": (f"inflate({RADIUS}, costs='nav2')", {"costs": "nav2"}, None),
+        "minos": (f"inflate({RADIUS}, mode='minos')", {"mode": "minos"}, None),
+    }
+    rows: dict[str, Callable[[House], Row]] = {
+        "load": load_row,
+        "user_data": user_data_row,
+        **{name: partial(inflate_row, given=given) for name, given in inflate.items()},
+        "footprint": footprint_row,
+        "navigable": navigable_row,
+        "path": path_row,
+        "field": field_row,
+        "thousand": thousand_row,
+        "block": block_row,
+        "spawn": spawn_row,
+        "max_radius": max_radius_row,
+        "tensors": tensors_row,
+        "tensor-heights": lambda house: heights_row(house, scenes.main),
+    }
     return {
         name: lambda make=make: make(house_of(scenes))  # type: ignore[misc]
-        for name, make in ROWS.items()
+        for name, make in rows.items()
     }
 
 
@@ -62,20 +89,10 @@ def user_data_row(house: House) -> Row:
     )
 
 
-def inflate_row(house: House) -> Row:
-    return _inflate(house, f"inflate({RADIUS})", ratio=3.0)
-
-
-def step_costs_row(house: House) -> Row:
-    return _inflate(house, f"inflate({RADIUS}, 0.25)", clearance=0.25)
-
-
-def nav2_costs_row(house: House) -> Row:
-    return _inflate(house, f"inflate({RADIUS}, costs='nav2')", costs="nav2")
-
-
-def minos_row(house: House) -> Row:
-    return _inflate(house, f"inflate({RADIUS}, mode='minos')", mode="minos")
+def inflate_row(house: House, given: tuple[str, dict[str, Any], float | None]) -> Row:
+    name, options, ratio = given
+    job = here(name, lambda: house.grid.inflate(RADIUS, **options))
+    return _against_distance(house, job, ratio)
 
 
 def footprint_row(house: House) -> Row:
@@ -86,11 +103,8 @@ def footprint_row(house: House) -> Row:
 
 def navigable_row(house: House) -> Row:
     """One million positions all over the house, at heights below a storey's."""
-    finder = navbake.PathFinder(house.grid)
-    level = house.grid.levels[0]
-    x0, y0, x1, y1 = level.lattice.bounds
-    low, high = (x0, y0, level.ground), (x1, y1, level.ground + 0.6)
-    positions = np.random.default_rng(0).uniform(low, high, size=(1_000_000, 3))
+    finder, level = navbake.PathFinder(house.grid), house.grid.levels[0]
+    positions = random_positions(level)
     if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
         raise SystemExit("are_navigable and plain numpy differ")
     return Row(
@@ -98,6 +112,12 @@ def navigable_row(house: House) -> Row:
         [here("plain numpy, for one level", lambda: plain_navigable(level, positions))],
         limit=0.03,
     )
+
+
+def random_positions(level: navbake.SceneGrid2D) -> np.ndarray:
+    x0, y0, x1, y1 = level.lattice.bounds
+    low, high = (x0, y0, level.ground), (x1, y1, level.ground + 0.6)
+    return np.random.default_rng(0).uniform(low, high, size=(MILLION, 3))
 
 
 def plain_navigable(level: navbake.SceneGrid2D, positions: np.ndarray) -> np.ndarray:
@@ -114,20 +134,19 @@ def path_row(house: House) -> Row:
     finder = navbake.PathFinder(house.grid)
     pairs = random_pairs(finder, 8)
     job = here("8 × find_path", lambda: [finder.find_path(a, b) for a, b in pairs])
-    try:
-        import pyastar2d
-    except ImportError:
-        return Row(job, ratio=1.0, missing=MISSING.format("pyastar2d"))
     level = house.grid.levels[0]
     weights = level.weights.astype(np.float32)
     ends = [[tuple(int(v) for v in level.lattice.rows_cols(p)) for p in pair] for pair in pairs]
 
-    def search() -> None:
-        for start, goal in ends:
-            if pyastar2d.astar_path(weights, start, goal, allow_diagonal=True) is None:
-                raise SystemExit("pyastar2d finds no path")
+    def peer(pyastar2d: Any) -> Job:
+        def search() -> None:
+            for start, goal in ends:
+                if pyastar2d.astar_path(weights, start, goal, allow_diagonal=True) is None:
+                    raise SystemExit("pyastar2d finds no path")
 
-    return Row(job, [here("8 × pyastar2d, diagonals cost 1", search)], ratio=1.0)
+        return here("8 × pyastar2d, diagonals cost 1", search)
+
+    return beside(job, "pyastar2d", peer, ratio=1.0)
 
 
 def field_row(house: House) -> Row:
@@ -143,17 +162,14 @@ def field_row(house: House) -> Row:
     if not np.allclose(own[cells], csgraph.dijkstra(graph, indices=source)[cells]):
         raise SystemExit("distance_field and scipy differ")
     job = here("distance field", lambda: finder.search.field(np.array([source])))
-    peer = here("scipy csgraph, its graph given", lambda: csgraph.dijkstra(graph, indices=source))
-    try:
-        import dijkstra3d
-    except ImportError:
-        return Row(job, [peer], missing=MISSING.format("dijkstra3d"))
+    other = here("scipy csgraph, its graph given", lambda: csgraph.dijkstra(graph, indices=source))
     costs = np.where(level.free, 1.0, np.inf).astype(np.float32)
 
-    def search() -> None:
-        dijkstra3d.distance_field(costs, source=(row, col), connectivity=8)
+    def peer(dijkstra3d: Any) -> Job:
+        search = partial(dijkstra3d.distance_field, costs, source=(row, col), connectivity=8)
+        return here("dijkstra3d, node costs", search)
 
-    return Row(job, [here("dijkstra3d, node costs", search), peer], ratio=1.0)
+    return beside(job, "dijkstra3d", peer, other, ratio=1.0)
 
 
 def thousand_row(house: House) -> Row:
@@ -239,38 +255,82 @@ def step_graph(finder: navbake.PathFinder) -> Any:
     return sparse.csr_array((lengths * flat.weight[target], (source, target)), shape=shape)
 
 
-def _inflate(house: House, name: str, ratio: float | None = None, **given: Any) -> Row:
-    job = here(name, lambda: house.grid.inflate(RADIUS, **given))
-    return _against_distance(house, job, ratio)
-
-
 def _against_distance(house: House, job: Job, ratio: float | None = None) -> Row:
     """Compare with OpenCV's precise distance transform of the same occupancy."""
-    try:
-        import cv2
-    except ImportError:
-        return Row(job, ratio=ratio, missing=MISSING.format("OpenCV"))
     free = (house.grid.levels[0].occupancy == 0).astype(np.uint8)
 
-    def transform() -> Any:
-        return cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    def peer(cv2: Any) -> Job:
+        transform = partial(cv2.distanceTransform, free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        return here("OpenCV distanceTransform, precise", transform)
 
-    return Row(job, [here("OpenCV distanceTransform, precise", transform)], ratio=ratio)
+    return beside(job, "cv2", peer, ratio=ratio)
 
 
-ROWS: dict[str, Callable[[House], Row]] = {
-    "load": load_row,
-    "user_data": user_data_row,
-    "inflate": inflate_row,
-    "step": step_costs_row,
-    "nav2": nav2_costs_row,
-    "minos": minos_row,
-    "footprint": footprint_row,
-    "navigable": navigable_row,
-    "path": path_row,
-    "field": field_row,
-    "thousand": thousand_row,
-    "block": block_row,
-    "spawn": spawn_row,
-    "max_radius": max_radius_row,
-}
+# --- tensors: numpy, and PyTorch and JAX where they are installed ----------------------------
+
+
+def tensors_row(house: House) -> Row:
+    """A million `is_navigable`, as arrays of each library that is installed."""
+    exact = random_positions(house.grid.levels[0])
+    finder = navbake.PathFinder(house.grid)
+    peer = here("PathFinder.are_navigable", lambda: finder.are_navigable(exact))
+    ask, given = navbake.tensors.is_navigable, [exact.astype(np.float32)]
+    return _of_libraries(house, "a million is_navigable", ask, given, peer, limit=0.02)
+
+
+def heights_row(house: House, scene: Path) -> Row:
+    """Height scans of many agents at once, and MuJoCo's rays for the same points."""
+    finder, rng = navbake.PathFinder(house.grid), np.random.default_rng(0)
+    agents = finder.random_point(rng, AGENTS).astype(np.float32)
+    yaw = rng.uniform(-np.pi, np.pi, AGENTS).astype(np.float32)
+    ahead, left = np.meshgrid(np.linspace(-0.8, 0.8, 17), np.linspace(-0.5, 0.5, 11))
+    pattern = np.stack([ahead.ravel(), left.ravel()], axis=1).astype(np.float32)
+    assert len(pattern) == POINTS
+    model = mujoco.MjModel.from_xml_path(str(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    few = slice(0, AGENTS, AGENTS // CAST)
+    cos, sin = np.cos(yaw[few])[:, None], np.sin(yaw[few])[:, None]
+    x = agents[few, :1] + cos * pattern[:, 0] - sin * pattern[:, 1]
+    y = agents[few, 1:2] + sin * pattern[:, 0] + cos * pattern[:, 1]
+    z = np.broadcast_to(agents[few, 2:] + SEE_ABOVE, x.shape)
+    points = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float64)
+    peer = Job("mj_multiRay, a ray a point, extrapolated", lambda: cast_all(model, data, points))
+    ask, given = navbake.tensors.heights, [agents, yaw, pattern]
+    return _of_libraries(house, f"{AGENTS:,} × {POINTS} heights", ask, given, peer, limit=0.025)
+
+
+def cast_all(model: Any, data: Any, points: np.ndarray) -> Sample:
+    """Find the height under each point by MuJoCo, whose rays of one call share their origin."""
+    down = np.array([0.0, 0.0, -1.0])
+    geom, distance, normal = np.zeros(1, np.int32), np.zeros(1), np.zeros(3)
+    heights = np.empty(len(points))
+    begin = time.perf_counter()
+    for number, point in enumerate(points):
+        mujoco.mj_multiRay(
+            model, data, point, down, None, 1, -1, geom, distance, normal, 1, mujoco.mjMAXVAL
+        )
+        heights[number] = point[2] - distance[0]
+    seconds = time.perf_counter() - begin
+    return Sample(seconds * AGENTS / CAST, None, {"from agents": CAST})
+
+
+def _of_libraries(
+    house: House, what: str, ask: Callable[..., Any], given: list[Any], peer: Job, limit: float
+) -> Row:
+    """A question to the tensors of each library; numpy's is ours."""
+    jobs = []
+    for name in ("numpy", "torch", "jax.numpy"):
+        try:
+            xp = importlib.import_module(name)
+        except ImportError:
+            continue
+        question = partial(ask, house.grid.tensors(xp, dtype="float32"))
+        if name == "jax.numpy":
+            question = importlib.import_module("jax").jit(question)
+        values = [xp.asarray(value) for value in given]
+        # np.asarray waits for the answer where a library computes behind one's back
+        run = lambda question=question, values=values: np.asarray(question(*values))  # noqa: E731
+        jobs.append(here(f"{name}: {what}", run))
+    missing = "" if len(jobs) == 3 else "torch or jax is not installed: pip install torch jax"
+    return Row(jobs[0], [peer, *jobs[1:]], limit=limit, missing=missing)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from benchmarks.measure import Row, here
+from benchmarks.measure import Job, Row, beside, here
 from benchmarks.scenes import APARTMENT
 from navbake.baker.scene.scene import load_scene
 from navbake.baker.voxelize.voxelizer import Voxelizer
@@ -27,7 +27,6 @@ EXTENT = np.array(SHAPE) * RES
 SMALL, LARGE = (16, 9), (32, 17)  # meridians and parallels: 256 and 1,024 triangles
 GEOMS = 386
 MILLION = 1_000_000
-MISSING = "no {0} to compare with: pip install {0}"
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -59,42 +58,40 @@ def make_rows(folder: Path) -> dict[str, Callable[[], Row]]:
         "octree-scattered": lambda: octree_row(scattered_million(blobs()), "scattered"),
         "octree-solid": lambda: octree_row(solid_million(), "solid"),
         "octree-free": lambda: free_row(solid_million()),
-        "binvox": lambda: binvox_row(scattered_million(blobs())),
+        "binvox": lambda: Row(
+            here("17.2 M voxels, .binvox", partial(encode_binvox, scattered_million(blobs())))
+        ),
         "robot": robot_row,
     }
 
 
 def fill_row(blobs: Blobs) -> Row:
     """17.2 million voxels, solid, next to pyvista, which asks for voxels' middles only."""
+
+    def peer(pv: Any) -> Job:
+        corners = np.insert(blobs.mesh.faces, 0, 3, axis=1).ravel()
+        surface = pv.PolyData(blobs.mesh.vertices, corners)
+        middles = pv.ImageData(dimensions=SHAPE, spacing=(RES,) * 3, origin=(RES / 2,) * 3)
+        run = partial(surface.voxelize_binary_mask, reference_volume=middles)
+        return here("pyvista, voxels' middles only", run)
+
     job = here("17.2 M voxels, solid", lambda: blobs.voxelizer.fill(PLACE))
-    try:
-        import pyvista as pv
-    except ImportError:
-        return Row(job, limit=1.0, missing=MISSING.format("pyvista"))
-    corners = np.insert(blobs.mesh.faces, 0, 3, axis=1).ravel()
-    surface = pv.PolyData(blobs.mesh.vertices, corners)
-    middles = pv.ImageData(dimensions=SHAPE, spacing=(RES,) * 3, origin=(RES / 2,) * 3)
-
-    def run() -> None:
-        surface.voxelize_binary_mask(reference_volume=middles)
-
-    return Row(job, [here("pyvista, voxels' middles only", run)], limit=1.0)
+    return beside(job, "pyvista", peer, limit=1.0)
 
 
 def surface_row(blobs: Blobs) -> Row:
     """The same next to Open3D, which fills the surface only."""
+
+    def peer(o3d: Any) -> Job:
+        mesh = o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(blobs.mesh.vertices),
+            o3d.utility.Vector3iVector(blobs.mesh.faces),
+        )
+        create = o3d.geometry.VoxelGrid.create_from_triangle_mesh_within_bounds
+        return here("Open3D, surface", lambda: create(mesh, RES, np.zeros(3), EXTENT))
+
     job = here("17.2 M voxels, solid", lambda: blobs.voxelizer.fill(PLACE))
-    try:
-        import open3d as o3d
-    except ImportError:
-        return Row(job, ratio=1.0, missing=MISSING.format("open3d"))
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(blobs.mesh.vertices),
-        o3d.utility.Vector3iVector(blobs.mesh.faces),
-    )
-    create = o3d.geometry.VoxelGrid.create_from_triangle_mesh_within_bounds
-    peer = here("Open3D, surface", lambda: create(mesh, RES, np.zeros(3), EXTENT))
-    return Row(job, [peer], ratio=1.0)
+    return beside(job, "open3d", peer, ratio=1.0)
 
 
 def ids_row(blobs: Blobs) -> Row:
@@ -105,28 +102,27 @@ def ids_row(blobs: Blobs) -> Row:
 
 def octree_row(voxels: VoxelGrid, name: str) -> Row:
     job = here(f"a million voxels, {name}, .bt", lambda: encode_octomap(voxels, "bt"))
-    try:
-        import octomap
-    except ImportError:
-        return Row(job, limit=0.8, missing=MISSING.format("octomap-python"))
-    centers = voxels.centers()
 
-    def build() -> None:
-        tree = octomap.OcTree(RES)
-        tree.updateNodes(centers, True, lazy_eval=True)
-        tree.updateInnerOccupancy()
-        tree.writeBinary()
+    def peer(octomap: Any) -> Job:
+        centers = voxels.centers()
 
-    return Row(job, [here("octomap-python, updateNodes", build)], limit=0.8)
+        def build() -> None:
+            tree = octomap.OcTree(RES)
+            tree.updateNodes(centers, True, lazy_eval=True)
+            tree.updateInnerOccupancy()
+            tree.writeBinary()
+
+        return here("octomap-python, updateNodes", build)
+
+    return beside(job, "octomap", peer, limit=0.8)
 
 
 def free_row(voxels: VoxelGrid) -> Row:
-    job = here("a million voxels, .ot with free space", lambda: _encode_free(voxels, "ot"))
-    return Row(job, [here(".bt with free space", lambda: _encode_free(voxels, "bt"))])
+    def encode(kind: str) -> Callable[[], bytes]:
+        return lambda: encode_octomap(voxels, kind, free=True)
 
-
-def _encode_free(voxels: VoxelGrid, kind: str) -> bytes:
-    return encode_octomap(voxels, kind, free=True)
+    job = here("a million voxels, .ot with free space", encode("ot"))
+    return Row(job, [here(".bt with free space", encode("bt"))])
 
 
 def binvox_row(voxels: VoxelGrid) -> Row:
@@ -182,7 +178,7 @@ def make_scene(path: Path) -> list[trimesh.Trimesh]:
             turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
             vertices = vertices @ turn.T
         meshes.append(trimesh.Trimesh(vertices + at, faces, process=False))
-    path.write_text(to_obj(meshes))
+    path.write_text(trimesh.exchange.obj.export_obj(trimesh.Scene(meshes)))
     return meshes
 
 
@@ -193,14 +189,9 @@ def make_blob(
     around, up = net
     u = np.arange(around) / around * 2 * np.pi
     v = (np.arange(1, up) / up - 0.5) * np.pi
-    ring = np.stack(
-        [
-            np.outer(np.cos(v), np.cos(u)),
-            np.outer(np.cos(v), np.sin(u)),
-            np.outer(np.sin(v), np.ones(around)),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    around_z = np.cos(u), np.sin(u), np.ones(around)
+    heights = np.cos(v), np.cos(v), np.sin(v)
+    ring = np.stack([np.outer(a, b).ravel() for a, b in zip(heights, around_z, strict=True)], 1)
     points = np.concatenate([[[0, 0, -1.0]], ring, [[0, 0, 1.0]]])
     points = np.sign(points) * np.abs(points) ** power
     points *= 1 - bumps * (1 + np.sin(9 * points[:, :1]) * np.cos(7 * points[:, 1:2])) / 2
@@ -214,13 +205,3 @@ def make_blob(
             p, q = 1 + row * around + a, 1 + row * around + b
             faces += [(p, q, q + around), (p, q + around, p + around)]
     return points * half, np.array(faces)
-
-
-def to_obj(meshes: list[trimesh.Trimesh]) -> str:
-    lines, first = [], 1
-    for number, mesh in enumerate(meshes):
-        lines.append(f"o blob_{number}")
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + first).tolist()]
-        first += len(mesh.vertices)
-    return "\n".join(lines) + "\n"
