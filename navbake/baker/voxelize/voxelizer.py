@@ -9,23 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.baker.arguments import LeftOut, take_input
-from navbake.baker.kernels.arrays import Tiles
-from navbake.baker.kernels.constants import TOUCH
+from navbake.baker.columns import cast_columns, split_rows, tile_shapes, tiles_of_rows
+from navbake.baker.kernels.voxels import Voxels, fill_voxels
 from navbake.baker.scene.pose import data_of_qpos, pose_model
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.scene.shapes import solid_bounds
-from navbake.baker.voxelize.kernels.fill import Voxels, fill_voxels
-from navbake.baker.voxelize.kernels.tiles import bin_items, box_triangles, move_triangles
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
 from navbake.config.keywords import SettingKeywords
 from navbake.config.scene import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.navgrid.lattice import CELL_SLACK
+from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Float
 from navbake.voxels.grid import VoxelGrid, dtype_of
 from navbake.voxels.placement import Placement, check_memory, place_grid
 
@@ -132,10 +129,12 @@ class Voxelizer:
             self.scene = scene
         else:
             config, opened = take_input(scene, data, settings, LeftOut(exclude, robot))
-            self._settings = _leave_out(config.scene, ignore)
+            exclusions = config.scene.exclude
+            bodies = [*exclusions.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
+            update = {"exclude": exclusions.model_copy(update={"bodies": bodies})}
+            self._settings = config.scene.model_copy(update=update if ignore else {})
             self.scene = load_scene(self._settings, config.agent, config.floors, opened=opened)
         self.shapes = self.scene.shapes
-        self._boxes = self._box_triangles()
         self._labels: dict[Any, Labels] = {}
 
     def create(
@@ -181,10 +180,19 @@ class Voxelizer:
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
         worked = dtype if dtype == np.uint8 else np.dtype(np.uint32)
         check_memory(place.shape, worked.itemsize + (worked != dtype) * dtype.itemsize)
-        values = np.zeros(place.shape, dtype=worked)
-        self._fill(values, place, labels.ids.astype(worked))
-        values = values.astype(dtype, copy=False)
-        x, y, z = place.origin.tolist()
+        (x, y, z), (nx, ny, _) = place.origin.tolist(), place.shape
+        voxels = Voxels(np.zeros(place.shape, dtype=worked), z, place.res)
+        lattice = Lattice(x, y + ny * place.res, place.res, nx, ny)
+        shapes, tiled = self.shapes, tile_shapes(self.shapes, lattice, 0.0)
+        nothing = np.zeros(len(self.scene.geoms), dtype=np.bool_)
+        meshes = replace(shapes.only(nothing), triangles=shapes.triangles)
+        geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles
+        for rows in split_rows(lattice):
+            crossings = cast_columns(replace(tiled, shapes=meshes), rows).crossings
+            tiles = tiles_of_rows(lattice, rows)
+            work = voxels, *geometry, crossings, labels.ids.astype(worked)
+            run_in_bands(fill_voxels, len(tiles), *work, begin=tiles.start)
+        values = voxels.values.astype(dtype, copy=False)
         return VoxelGrid(
             values=values.view(np.bool_) if segments is None else values,
             origin=(x, y, z),
@@ -214,9 +222,8 @@ class Voxelizer:
             SceneError: a geom that counts would stand at no finite place.
         """
         model = self.scene.model
-        if (joints is not None or keyframe is not None) + (qpos is not None) + (
-            data is not None
-        ) != 1:
+        given = (joints is not None or keyframe is not None, qpos is not None, data is not None)
+        if sum(given) != 1:
             raise ConfigError("expected one of joints (with a keyframe or not), qpos and data")
         if isinstance(keyframe, int) and keyframe < 0:
             raise ConfigError(f"expected a keyframe's name or its index >= 0, got {keyframe}")
@@ -225,51 +232,37 @@ class Voxelizer:
         elif data is None:
             if joints is not None and not isinstance(joints, Mapping):
                 raise ConfigError(f"expected joints as positions by name, got {joints!r}")
-            given = self._settings or SceneSettings(path=Path(self.scene.id))
+            settings = self._settings or SceneSettings(path=Path(self.scene.id))
             update = {"joints": dict(joints or {}), "keyframe": keyframe}
-            data = pose_model(model, given.model_copy(update=update))
+            data = pose_model(model, settings.model_copy(update=update))
         if not hasattr(data, "geom_xpos"):
             raise ConfigError(f"expected a mujoco.MjData of this scene, got {type(data).__name__}")
-        if data.geom_xpos.shape != self.scene.data.geom_xpos.shape:
+        first, base = self.scene.data, self.scene.shapes
+        if data.geom_xpos.shape != first.geom_xpos.shape:
             raise ConfigError(
                 f"expected data of this scene's {model.ngeom} geoms, got {len(data.geom_xpos)}"
             )
-        self._move(np.array(data.geom_xpos), np.array(data.geom_xmat).reshape(-1, 3, 3))
-
-    def _move(self, pos: Float, mat: Float) -> None:
-        """Place all geoms anew, always from where they were loaded: nothing adds up."""
-        data, base = self.scene.data, self.scene.shapes
+        pos, flat = np.array(data.geom_xpos), np.array(data.geom_xmat)
         counted = np.array([geom.counted for geom in self.scene.geoms])
-        if not (np.isfinite(pos[counted]).all() and np.isfinite(mat[counted]).all()):
+        if not (np.isfinite(pos[counted]).all() and np.isfinite(flat[counted]).all()):
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
-        first_pos, first_mat = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
-        moved = (pos != first_pos).any(axis=1) | (mat != first_mat).any(axis=(1, 2))
-        rotation = mat @ first_mat.transpose(0, 2, 1)
-        shift = pos - np.einsum("nij,nj->ni", rotation, first_pos)
-        corners = base.triangles.corners.copy()
-        move_triangles(base.triangles, moved, rotation, shift, corners)
-        flat = mat.reshape(-1, 9)
-        solid, plane = base.solids.geom, base.planes.geom
-        solid_pos, solid_mat = pos[solid], flat[solid]
-        box = solid_bounds(base.solids.kind, solid_pos, solid_mat, base.solids.size)
+        # always from where the geoms were loaded: nothing adds up
+        moved = (pos != first.geom_xpos).any(axis=1) | (flat != first.geom_xmat).any(axis=1)
+        matrices = np.array(first.geom_xmat).reshape(-1, 3, 3)
+        rotation = flat.reshape(-1, 3, 3) @ matrices.transpose(0, 2, 1)
+        shift = pos - np.einsum("nij,nj->ni", rotation, first.geom_xpos)
+        corners, moves = base.triangles.corners.copy(), moved[base.triangles.geom]
+        geom = base.triangles.geom[moves]
+        corners[moves] = corners[moves] @ rotation[geom].transpose(0, 2, 1) + shift[geom, None]
+        solids, plane = base.solids, base.planes.geom
+        at = {"pos": pos[solids.geom], "mat": flat[solids.geom]}
+        box = solid_bounds(kind=solids.kind, size=solids.size, **at)
         self.shapes = replace(
             base,
-            solids=base.solids._replace(pos=solid_pos, mat=solid_mat, bounds=box),
+            solids=solids._replace(**at, bounds=box),
             planes=base.planes._replace(pos=pos[plane], mat=flat[plane]),
             triangles=base.triangles._replace(corners=corners),
         )
-        self._boxes = self._box_triangles()
-
-    def _fill(self, values: NDArray[Any], place: Placement, ids: NDArray[Any]) -> None:
-        shapes, grid = self.shapes, (place.origin, place.res, place.shape)
-        tiles = Tiles(*bin_items(shapes.solids.bounds, *grid), *bin_items(self._boxes, *grid))
-        voxels = Voxels(values, place.origin, place.res, TOUCH)
-        geometry = (shapes.solids, shapes.planes, shapes.triangles)
-        num_tiles = len(tiles.solid_start) - 1
-        run_in_bands(fill_voxels, num_tiles, voxels, *geometry, tiles, ids)
-
-    def _box_triangles(self) -> Float:
-        return np.asarray(box_triangles(self.shapes.triangles))
 
     def _label(self, segments: Segments | None) -> Labels:
         if segments is None:
@@ -278,12 +271,3 @@ class Voxelizer:
         if key not in self._labels:
             self._labels[key] = label_geoms(self.scene, segments)
         return self._labels[key]
-
-
-def _leave_out(settings: SceneSettings, ignore: str | Sequence[str]) -> SceneSettings:
-    if not ignore:
-        return settings
-    bodies = [*settings.exclude.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
-    return settings.model_copy(
-        update={"exclude": settings.exclude.model_copy(update={"bodies": bodies})}
-    )
