@@ -38,7 +38,6 @@ from navbake.baker.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
 from navbake.batch.job import prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
-from navbake.files import without_waiting  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
 from ray_cluster import two_nodes  # noqa: E402
 
@@ -164,16 +163,13 @@ def show_ray(folder: Path, args: argparse.Namespace) -> bool:
 
 
 def loop(paths: list[str], out: str, edge: float) -> float:
-    """Scenes a second that are baked and written in a loop, on one thread, warm.
-
-    Like a batch, it does not wait for the disk.
-    """
+    """Scenes a second that are baked and written in a loop, on one thread, warm."""
     prepare((), False)
     begin = 0.0
     for number, path in enumerate(paths):
         if number == WARM:  # the first ones load what is left to load
             begin = time.perf_counter()
-        with warnings.catch_warnings(), without_waiting():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             config = as_config({"scene": {"path": path}, "grid": {"cell_size": edge}})
             grid = run_bake(config, threads=1).grid

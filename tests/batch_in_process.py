@@ -5,7 +5,9 @@ from __future__ import annotations
 import pickle
 
 from navbake.batch import run as module
-from navbake.batch.run import Batch, Means, run_batch
+from navbake.batch.job import Plan
+from navbake.batch.products import parse_products
+from navbake.batch.run import Means, run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import as_folder
 from navbake.batch.workers import DONE, Ended
@@ -29,15 +31,17 @@ class Told:
         self.rows.append(row)
 
 
-def run_sources(*sources, settings, out="out", means=ONE, **options):
+def run_sources(*sources, settings, out="out", means=ONE, products=(), **options):
     """Run a batch; the ids of what it baked, and its result.
 
     Args:
         sources: what names its scenes.
-        options: more of the `Batch`.
+        products: what to make of each scene, as text.
+        options: more of the `Plan`.
     """
     told = Told()
-    result = run_batch(Batch(list_jobs(sources), as_folder(out), settings, **options), means, told)
+    plan = Plan(as_folder(out), settings, products=parse_products(products), **options)
+    result = run_batch(plan, list_jobs(sources), means, told)
     return [row["id"] for row in told.rows], result
 
 

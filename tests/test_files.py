@@ -1,18 +1,17 @@
 """Files are written whole or not at all."""
 
+import errno
 import os
-import subprocess
-import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from navbake import files
+from navbake.errors import NavbakeError
 from navbake.files import (
     check_writable,
-    wait_for_disk,
-    without_waiting,
+    remove_leftovers,
+    scratch_folder,
     write_together,
     write_whole,
 )
@@ -64,25 +63,6 @@ def test_a_device_is_written_to():
     assert not os.path.isfile(os.devnull)
 
 
-def test_a_writer_waits_for_the_disk_unless_told_otherwise(tmp_path, monkeypatch):
-    synced = []
-    monkeypatch.setattr(os, "fsync", synced.append)
-    with without_waiting():
-        write_whole(b"now", tmp_path / "a")
-        write_together({tmp_path / "b": b"now"})
-    assert synced == []
-    wait_for_disk(tmp_path)
-    assert [(tmp_path / name).read_bytes() for name in "ab"] == [b"now"] * 2
-    write_whole(b"then", tmp_path / "a")
-    assert len(synced) == 1
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems know no folder's disk")
-def test_waiting_for_the_disk_of_no_folder_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        wait_for_disk(tmp_path / "none")
-
-
 def test_a_check_leaves_nothing(tmp_path):
     check_writable(tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
@@ -90,50 +70,24 @@ def test_a_check_leaves_nothing(tmp_path):
 
 # ---------------------------------------------------------------- what killed writers leave
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from navbake import files
-os.fsync = lambda number: os.kill(os.getpid(), signal.SIGKILL)
-files.write_whole(b"x" * 1000, sys.argv[1])
-"""
-AT_WORK = """
-import os, sys
-from navbake import files
-os.fsync = lambda number: (print("writing", flush=True), sys.stdin.read())
-files.write_whole(b"theirs", sys.argv[1])
-"""
-needs_locks = pytest.mark.skipif(files.fcntl is None, reason="files can't be locked here")
-
 
 def temporary_files(folder):
     return sorted(path.name for path in folder.iterdir() if files.TEMPORARY.fullmatch(path.name))
 
 
-@needs_locks
-def test_the_next_write_removes_what_a_killed_one_left(tmp_path):
-    for _ in range(2):
-        subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a")], check=False)
-    assert len(temporary_files(tmp_path)) == 1  # the second one removed what the first one left
-    assert not (tmp_path / "a").exists()
-    write_whole(b"now", tmp_path / "b")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["b"]
-
-
-@needs_locks
-def test_a_writer_at_work_is_left_alone(tmp_path):
-    command = [sys.executable, "-c", AT_WORK, str(tmp_path / "a")]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout.readline() == "writing\n"
-        write_whole(b"ours", tmp_path / "b")
-        files.remove_leftovers(tmp_path)
-        assert len(temporary_files(tmp_path)) == 1
-        other.stdin.close()
-    assert other.returncode == 0
-    assert (tmp_path / "a").read_bytes() == b"theirs"
-    assert temporary_files(tmp_path) == []
+def test_what_a_killed_writer_left_is_removed_a_day_later_and_nothing_else(tmp_path):
+    old, new = (tmp_path / f".navbake-{digit * 16}.tmp" for digit in "01")
+    others = [".navbake-1.tmp", "navbake-0000000000000000.tmp", f"{old.name}.json", "navbake-plans"]
+    for path in (old, new, *(tmp_path / name for name in others)):
+        path.touch()
+        os.utime(path, (0, 0))
+    new.touch()
+    (tmp_path / f".navbake-{'2' * 16}.tmp").symlink_to(tmp_path / others[0])
+    write_whole(b"now", tmp_path / "a")
+    assert temporary_files(tmp_path) == [new.name, f".navbake-{'2' * 16}.tmp"]
+    assert all((tmp_path / name).exists() for name in others)
+    remove_leftovers(tmp_path, age=0)
+    assert not new.exists()
 
 
 def test_a_folder_is_listed_once(tmp_path, monkeypatch):
@@ -147,29 +101,6 @@ def test_a_folder_is_listed_once(tmp_path, monkeypatch):
     assert listed == [tmp_path, tmp_path / "other"]
 
 
-def test_only_files_of_ours_are_removed(tmp_path):
-    ours = tmp_path / f".navbake-{'0' * 16}.tmp"
-    names = [".navbake-1.tmp", "navbake-0000000000000000.tmp", ".navbake-0000000000000000.tmp.json"]
-    for name in names:
-        (tmp_path / name).touch()
-    ours.symlink_to(tmp_path / names[0])
-    (tmp_path / f".navbake-{'1' * 16}.tmp").mkdir()
-    write_whole(b"now", tmp_path / "a")
-    assert len(list(tmp_path.iterdir())) == len(names) + 3
-
-
-def test_without_locks_only_old_files_are_leftovers(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "fcntl", None)
-    old, new = (tmp_path / f".navbake-{digit * 16}.tmp" for digit in "01")
-    old.touch()
-    new.touch()
-    os.utime(old, (0, time.time() - files.OLD - 60))
-    write_whole(b"now", tmp_path / "a")
-    assert temporary_files(tmp_path) == [new.name]
-    assert (tmp_path / "a").read_bytes() == b"now"
-
-
-@needs_locks
 def test_many_writers_of_one_folder(tmp_path):
     def write(number):
         for turn in range(40):
@@ -179,38 +110,6 @@ def test_many_writers_of_one_folder(tmp_path):
         list(pool.map(write, range(8)))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file 0", "file 1", "file 2"]
     assert all(path.read_bytes().endswith(b" 39") for path in tmp_path.iterdir())
-
-
-@needs_locks
-def test_a_file_that_is_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
-    real, taken = files.fcntl.flock, []
-
-    def flock(file, how):
-        real(file, how)
-        if not taken:  # another writer was quicker, just before
-            taken.append(file.name)
-            os.unlink(file.name)
-
-    monkeypatch.setattr(files.fcntl, "flock", flock)
-    write_whole(b"now", tmp_path / "a")
-    assert len(taken) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
-
-
-def test_tries_again_where_a_reader_is_in_the_way(tmp_path, monkeypatch):
-    """Windows replaces no file while it is open elsewhere."""
-    target, real, failures = tmp_path / "grid.json", os.replace, [1, 2]
-
-    def replace(source, to):
-        if failures:
-            failures.pop()
-            raise PermissionError(13, "Access is denied")
-        real(source, to)
-
-    monkeypatch.setattr("navbake.files.fcntl", None)
-    monkeypatch.setattr("navbake.files.os.replace", replace)
-    write_whole(b"new", target)
-    assert target.read_bytes() == b"new" and failures == []
 
 
 # ---------------------------------------------------------------- several files together
@@ -241,3 +140,50 @@ def test_where_one_file_fails_none_is_written(tmp_path):
         write_together({tmp_path / "a": b"now", tmp_path / "b": fail()})
     assert (tmp_path / "a").read_bytes() == b"before"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+# ---------------------------------------------------------------- temporary folders
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """The folder of temporary files."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_a_folder_is_gone_when_it_is_left(place):
+    with scratch_folder() as folder:
+        (folder / "a").mkdir()
+        assert folder.parent == place and files.TEMPORARY.fullmatch(folder.name)
+    assert os.listdir(place) == []
+    with pytest.raises(ZeroDivisionError), scratch_folder() as folder:
+        folder.joinpath("b").write_bytes(b"" * (1 // 0))
+    assert os.listdir(place) == []
+
+
+def test_a_folder_of_yesterday_is_removed_by_the_next(place):
+    for name in ("navbake-01234567", "navbake-abcdefgh"):
+        (place / name).mkdir()
+    (place / "navbake-01234567" / "model").write_bytes(b"large")
+    os.utime(place / "navbake-01234567", (0, 0))
+    with scratch_folder() as folder:
+        assert sorted(os.listdir(place)) == sorted(["navbake-abcdefgh", folder.name])
+
+
+def test_where_no_folder_takes_temporary_files_one_line_says_what_to_do(place, monkeypatch):
+    def refuse(*arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.mkdtemp", refuse)
+        why = f"cannot write temporary files into {place}: No space left on device: free space"
+        with pytest.raises(NavbakeError, match=f"^{why}, or set TMPDIR"), scratch_folder():
+            pytest.fail("there is none")
+
+    def refuse_all():
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr("tempfile.gettempdir", refuse_all)
+    with pytest.raises(NavbakeError, match=r"No usable .*: free space, or set"), scratch_folder():
+        pytest.fail("there is none")

@@ -6,7 +6,7 @@ import io
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from navbake.batch.store import (
     write_file,
 )
 from navbake.errors import MissingDependencyError, NavbakeError
-from navbake.files import wait_for_disk, write_all
+from navbake.files import write_all
 from navbake.types import Json
 
 NAME = "index.jsonl"
@@ -59,6 +59,43 @@ def only_batch(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+class LineFile:
+    """A file to which lines of JSON are added, each in one write: several may write and read it.
+
+    Args:
+        path: is made if it isn't there.
+        what: how errors call it.
+
+    Raises:
+        NavbakeError: the file can't be written.
+    """
+
+    def __init__(self, path: Path, what: str) -> None:
+        self._what = what
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+            if path.is_file() and path.stat().st_size:
+                with path.open("rb") as file:
+                    file.seek(-1, os.SEEK_END)
+                    if file.read() != b"\n":  # a line that was cut off
+                        os.write(self._file, b"\n")
+        except OSError as error:
+            raise refused(what, error) from error
+
+    def add(self, line: Json) -> None:
+        """Add a line."""
+        try:
+            write_all(self._file, line_of(line))
+        except OSError as error:
+            raise refused(self._what, error) from error
+
+    def close(self) -> None:
+        """Give the file back; its lines stay."""
+        with suppress(OSError):
+            os.close(self._file)
+
+
 class Index:
     """The index of a folder, to which one batch adds rows.
 
@@ -72,38 +109,18 @@ class Index:
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
         self.rows = read_index(folder)
-        self._has_new = False
-        self._file: int | None = None
-        if isinstance(folder, Path):
-            try:
-                flags = os.O_RDWR | os.O_APPEND | os.O_CREAT
-                self._file = os.open(folder / NAME, flags, 0o666)
-                if os.lseek(self._file, 0, os.SEEK_END):
-                    os.lseek(self._file, -1, os.SEEK_END)
-                    if os.read(self._file, 1) != b"\n":  # a line that was cut off
-                        os.write(self._file, b"\n")
-            except OSError as error:
-                raise refused(f"into {folder}", error) from error
+        self._file = LineFile(folder / NAME, f"into {folder}") if isinstance(folder, Path) else None
 
     def add(self, row: Json) -> None:
         """Add a scene's row."""
         self.rows[row["id"]] = row
-        self._has_new = True
         if self._file is not None:
-            try:
-                write_all(self._file, line_of(row))
-            except OSError as error:
-                raise refused(f"into {self._folder}", error) from error
+            self._file.add(row)
 
     def finish(self, rows: Iterable[Json], has_table: bool) -> None:
         """Write a batch's rows in its order, then those of other scenes."""
         own = {row["id"]: row for row in rows}
         self.rows = own | {id: row for id, row in self.rows.items() if id not in own}
-        if isinstance(self._folder, Path) and self._has_new:
-            try:
-                wait_for_disk(self._folder)  # once: the scenes don't wait for it
-            except OSError as error:
-                raise refused(f"into {self._folder}", error) from error
         write_file(self._folder, NAME, b"".join(map(line_of, self.rows.values())))
         if has_table:
             write_file(self._folder, TABLE, encode_rows(self.rows.values()))
@@ -113,7 +130,7 @@ class Index:
     def close(self) -> None:
         """Give the file back; its lines stay."""
         if self._file is not None:
-            os.close(self._file)
+            self._file.close()
 
 
 def read_index(folder: Folder) -> dict[str, Json]:

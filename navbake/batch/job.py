@@ -9,7 +9,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,7 +45,7 @@ from navbake.batch.store import (
 )
 from navbake.config.settings import BakeConfig, load_config
 from navbake.errors import NavbakeError, printable
-from navbake.files import remove_leftovers, scratch_folder, without_waiting
+from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.scene_files import HERE, find_inputs
 from navbake.navgrid.grid import NavGrid
@@ -64,8 +64,9 @@ class Plan(NamedTuple):
         folder: where the folders of the scenes are, a Path or a URL.
         settings: those that all scenes share, by section.
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
-        products: what to make besides the grid.
+        products: what to make besides the grid, see `products.parse_products`.
         thumbnail: whether to make a small picture for the batch's page.
+        has_table: whether the index is written as Parquet as well.
     """
 
     folder: Folder
@@ -73,6 +74,7 @@ class Plan(NamedTuple):
     overrides: tuple[str, ...] = ()
     products: tuple[Product, ...] = ()
     thumbnail: bool = False
+    has_table: bool = False
 
     def place(self, job: Job) -> Folder:
         """The folder of what is made of a scene."""
@@ -215,7 +217,7 @@ def remove_made(place: Folder) -> None:
     # the grid first: where it is, all is there; the record last, as it names the others
     remove_files(place, [GRID, *sorted(made - {GRID}), RECORD])
     if isinstance(place, Path):
-        remove_leftovers(place)
+        remove_leftovers(place, age=0)
 
 
 # ---------------------------------------------------------------- the bake
@@ -298,38 +300,34 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "inputs": scene.inputs,
             "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
         }
-        # without waiting for the disk: the batch does, once, when all is done
-        with without_waiting():
-            remove_made(place)
-            row["files"] = _write_products(plan, place, grid, scene.config)
-            row |= _times(time.perf_counter() - begin)
-            write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
+        remove_made(place)
+        row["files"] = _write_products(plan, place, grid, scene.config)
+        row |= _times(time.perf_counter() - begin)
+        write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
     return row
 
 
 def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig) -> Json:
     """Write all that is asked for, the grid last; size and digest of each file by its name."""
-    names = [name for product in plan.products for name in product.names(grid)]
-    others = [*names, *[THUMBNAIL] * plan.thumbnail]
-    with ExitStack() as stack:
-        if isinstance(place, Path):
-            folder = place
-            # what is there already is the user's, until it is replaced
-            others = [name for name in others if not os.path.lexists(place / name)]
-        else:
-            folder = stack.enter_context(scratch_folder())
-        if others:
-            write_record(place, {"files": {}, "more": others})
-        folder.mkdir(parents=True, exist_ok=True)
+    with scratch_folder() as folder:
         for product in plan.products:
             product.make(grid, config, folder)
+        write_navgrid(grid, folder / GRID)
+        files = {name: describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
             write_thumbnail(grid, folder)
-        write_navgrid(grid, folder / GRID)
-        if folder is not place:
-            for name in (*others, GRID):
-                write_file(place, name, (folder / name).read_bytes())
-        return {name: describe_file(folder / name) for name in (GRID, *names)}
+        others = [name for name in os.listdir(folder) if name != GRID]
+        # what is there already is the user's, until it is replaced
+        own = [
+            name
+            for name in others
+            if not (isinstance(place, Path) and os.path.lexists(place / name))
+        ]
+        if own:
+            write_record(place, {"files": {}, "more": own})
+        for name in (*others, GRID):
+            write_file(place, name, (folder / name).read_bytes())
+    return files
 
 
 def _measure(grid: NavGrid) -> Json:

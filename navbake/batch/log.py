@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from navbake._version import __version__
 from navbake.batch.job import stamp
-from navbake.batch.store import refused
 from navbake.batch.workers import AGAIN, Ended
-from navbake.errors import NavbakeError
-from navbake.files import write_all
 from navbake.types import Json
 
 INFO, WARNING, ERROR = "info", "warning", "error"
@@ -60,35 +53,3 @@ class Log:
         line = {"time": stamp(), "level": level, "event": event, **values}
         for take in self._takers:
             take(line)
-
-
-class LogFile:
-    """A file to which lines are added, each in one write, so that several batches may share it.
-
-    Raises:
-        NavbakeError: the file can't be written.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise self._refused(error) from error
-
-    def add(self, line: Json) -> None:
-        """Add a line."""
-        text = json.dumps(line, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        try:
-            write_all(self._file, text)
-        except OSError as error:
-            raise self._refused(error) from error
-
-    def close(self) -> None:
-        """Give the file back."""
-        with suppress(OSError):
-            os.close(self._file)
-
-    def _refused(self, error: OSError) -> NavbakeError:
-        return refused(f"the log {self._path}", error)

@@ -46,10 +46,6 @@ class Product(NamedTuple):
         """Write its files, each whole or not at all."""
         KINDS[self.kind].make(grid, config, self.values, folder)
 
-    def names(self, grid: NavGrid) -> list[str]:
-        """The names of the files that `make` writes."""
-        return KINDS[self.kind].names(grid, self.values)
-
     def __str__(self) -> str:
         """As `parse_products` reads it."""
         return ":".join((self.kind, *self.values))
@@ -120,13 +116,9 @@ def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
 
 
 def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    (name,) = _name_inflated(grid, values)
     clearance = float(values[1]) if len(values) > 1 else None
-    write_navgrid(grid.inflate(float(values[0]), clearance), folder / name)
-
-
-def _name_inflated(grid: NavGrid, values: Sequence[str]) -> list[str]:
-    return [f"inflated-{'-'.join(values)}.json.gz"]
+    inflated = grid.inflate(float(values[0]), clearance)
+    write_navgrid(inflated, folder / f"inflated-{'-'.join(values)}.json.gz")
 
 
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
@@ -138,26 +130,12 @@ def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder:
         write_bytes(content, file)
 
 
-def _name_nav2(grid: NavGrid, values: Sequence[str]) -> list[str]:
-    from navbake.formats.images import level_paths  # as above
-    from navbake.formats.nav2 import YAMLS  # only who wants maps loads it
-
-    path = Path(f"{'-'.join(('nav2', *values))}.yaml")
-    paths = level_paths(grid, path, None, YAMLS).values()
-    return [path.with_suffix(suffix).name for path in paths for suffix in (".pgm", ".yaml")]
-
-
 def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
 
     edge, ending = values
-    (name,) = _name_voxels(grid, values)
     voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
-    write_voxels(voxels, folder / name)
-
-
-def _name_voxels(grid: NavGrid, values: Sequence[str]) -> list[str]:
-    return [f"voxels-{'.'.join(values)}"]
+    write_voxels(voxels, folder / f"voxels-{'.'.join(values)}")
 
 
 def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
@@ -177,14 +155,12 @@ class Kind(NamedTuple):
 
     Attributes:
         make: writes it.
-        names: the names of its files.
         check: checks the values and gives them their shortest form.
         least, most: how many values it takes.
         usage: how it is asked for.
     """
 
     make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], None]
-    names: Callable[[NavGrid, Sequence[str]], list[str]]
     check: Callable[[Sequence[str], str], tuple[str, ...]]
     least: int
     most: int
@@ -192,11 +168,9 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[str, Kind] = {
-    "inflated": Kind(_make_inflated, _name_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
-    "nav2": Kind(_make_nav2, _name_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
-    "voxels": Kind(_make_voxels, _name_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
-    "picture": Kind(
-        _make_picture, lambda *_: [PICTURE], _check_picture, 0, len(LAYERS), "picture[:LAYER…]"
-    ),
-    "report": Kind(_make_report, lambda *_: [REPORT], lambda *_: (), 0, 0, "report"),
+    "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
+    "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
+    "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
+    "report": Kind(_make_report, lambda *_: (), 0, 0, "report"),
 }

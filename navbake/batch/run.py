@@ -21,39 +21,15 @@ from navbake.batch.job import (
     find_record,
     prepare,
 )
-from navbake.batch.products import parse_products
 from navbake.batch.settings import Job, check_settings
-from navbake.batch.store import Folder, FullError, is_url, shown, sizes_below
+from navbake.batch.store import FullError, is_url, shown, sizes_below
 from navbake.batch.workers import DONE, Ended, JobLimits, do_jobs
 from navbake.errors import ConfigError
-from navbake.files import remove_abandoned, remove_leftovers
+from navbake.files import remove_leftovers
 from navbake.types import Json
 
 UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
 AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
-
-
-class Batch(NamedTuple):
-    """What to bake, and into what.
-
-    Attributes:
-        jobs: the scenes, see `scenes.list_jobs`.
-        folder: where the scenes' folders and the index are written, a Path or a URL; made if it
-            isn't there.
-        settings: what all scenes share, see `settings.read_shared`.
-        overrides: ``a.b=value``, for all scenes.
-        products: what to make of each besides its grid, see `products.KINDS`.
-        has_table: whether the index is written as Parquet as well.
-        thumbnails: whether to make small pictures for the batch's page, of scenes that are baked.
-    """
-
-    jobs: Sequence[Job]
-    folder: Folder
-    settings: Json
-    overrides: Sequence[str] = ()
-    products: Sequence[str] = ()
-    has_table: bool = False
-    thumbnails: bool = False
 
 
 Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
@@ -108,7 +84,7 @@ class BatchResult:
         return sum(row["status"] == status for row in self.rows)
 
 
-def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
+def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, watch: Watch) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
     A scene is done already if its folder has the grid and a record with its key, see
@@ -118,34 +94,33 @@ def run_batch(batch: Batch, means: Means, watch: Watch) -> BatchResult:
     the batch did not come to.
 
     Raises:
-        ConfigError: a product, an override or a shared setting is wrong, or a file is in a
-            process's own memory.
+        ConfigError: an override or a shared setting is wrong, or a file is in a process's own
+            memory.
         NavbakeError: the folder can't be written, another batch writes into it, or no worker
             process starts.
     """
-    products = parse_products(batch.products)
-    check_settings([job.source for job in batch.jobs], batch.settings, batch.overrides)
-    if batch.has_table:
+    check_settings([job.source for job in jobs], plan.settings, plan.overrides)
+    if plan.has_table:
         check_pyarrow()
-    plan = Plan(batch.folder, batch.settings, tuple(batch.overrides), products, batch.thumbnails)
-    _refuse_unshared(plan, batch.jobs)
+    for url in [str(plan.folder), *(url for job in jobs for url in plan.urls(job))]:
+        if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
+            raise ConfigError(
+                f"expected files that all processes share, got {shown(url)}: each process has a "
+                "memory of its own"
+            )
     lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
     with lock, closing(Index(plan.folder)) as index:
-        remove_abandoned()  # what batches that were killed left
-        try:
-            return _run(plan, batch, index, means, watch)
-        finally:
-            remove_abandoned()  # of workers that were killed
+        return _run(plan, jobs, index, means, watch)
 
 
-def _run(plan: Plan, batch: Batch, index: Index, means: Means, watch: Watch) -> BatchResult:
-    rows = find_done(plan, batch.jobs)
-    left = [job for job in batch.jobs if job.id not in rows]
+def _run(plan: Plan, jobs: Sequence[Job], index: Index, means: Means, watch: Watch) -> BatchResult:
+    rows = find_done(plan, jobs)
+    left = [job for job in jobs if job.id not in rows]
     result = BatchResult(skipped=len(rows))
     num_failed = 0
     try:
         if left:
-            watch.begin(len(batch.jobs), len(rows))
+            watch.begin(len(jobs), len(rows))
         execute: Executor = means.executor or do_jobs
         ended = execute(
             left,
@@ -177,10 +152,10 @@ def _run(plan: Plan, batch: Batch, index: Index, means: Means, watch: Watch) -> 
         for job in left:
             # its worker may have been killed as it wrote; on a store, the next one removes that
             if job.id not in rows and isinstance(plan.folder, Path):
-                remove_leftovers(plan.folder / job.id)
-        result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in batch.jobs]
+                remove_leftovers(plan.folder / job.id, age=0)
+        result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
         try:
-            index.finish(result.rows, batch.has_table)
+            index.finish(result.rows, plan.has_table)
         except FullError as error:
             result.stopped = result.stopped or str(error)
     return result
@@ -193,13 +168,3 @@ def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     with ThreadPoolExecutor(1 if is_here else AT_ONCE) as pool:
         found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
-
-
-def _refuse_unshared(plan: Plan, jobs: Sequence[Job]) -> None:
-    """Refuse URLs of files that processes don't share."""
-    for url in [str(plan.folder), *(url for job in jobs for url in plan.urls(job))]:
-        if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
-            raise ConfigError(
-                f"expected files that all processes share, got {shown(url)}: each process has a "
-                "memory of its own"
-            )

@@ -1,4 +1,4 @@
-"""The scenes of a batch: from files, patterns, and lists of them."""
+"""Lists scenes from paths, patterns, files of rows and URLs."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, MissingDependencyError, shorten
 from navbake.types import Json
 
+LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
 LINE_END = re.compile(r"\r\n?|\n")
@@ -175,7 +176,7 @@ def _expand(source: str) -> Iterator[_Entry]:
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
     if not is_url(source) and not is_pattern and not os.path.exists(source):
         raise ConfigError(f"{WANTED} {source}: there is no such file")
-    if PurePosixPath(name).suffix.lower() in READERS:
+    if PurePosixPath(name).suffix.lower() in LISTS:
         yield from _read_list(source)
     elif source.endswith("/") or os.path.isdir(source):
         folder = name.rstrip("/")
@@ -199,10 +200,13 @@ def _expand(source: str) -> Iterator[_Entry]:
 
 
 def _read_list(source: str) -> Iterator[_Entry]:
+    """The scenes of a list, each with the place of its row for messages."""
     name = shown(source)
-    read = READERS[PurePosixPath(name).suffix.lower()]
+    kind = PurePosixPath(name).suffix.lower()
+    content = read_file(source)
+    rows = _parquet_rows(content, name) if kind == ".parquet" else _text_rows(content, name, kind)
     is_empty = True
-    for place, row in read(read_file(source), name):
+    for place, row in rows:
         is_empty = False
         yield _entry(row, parent(source), place)
     if is_empty:
@@ -246,78 +250,25 @@ def _without_nones(row: Mapping[str, Any]) -> Json:
     return found
 
 
-def _text_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
-    for place, line in _lines(content, source):
-        if not line.strip().startswith("#"):
+def _text_rows(content: bytes, name: str, kind: str) -> Iterator[tuple[str, Json]]:
+    """The rows of a `.txt`, `.csv` or `.jsonl`, each with the line that it begins at."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        number = 1 + len(LINE_END.findall(error.object[: error.start].decode()))
+        raise ConfigError(f"expected UTF-8 in {name}, line {number}: {error.reason}") from error
+    if kind == ".csv":
+        yield from _csv_rows(text, name)
+        return
+    for count, line in enumerate(LINE_END.split(text), 1):
+        place = f"{name}, line {count}"
+        if not line.strip() or (kind == ".txt" and line.strip().startswith("#")):
+            continue
+        if kind == ".txt":
             yield place, {"scene": line.strip()}
-
-
-def _csv_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
-    """The rows, each under the line that it begins at: a value in quotes may have several."""
-    text = io.StringIO(_text_of(content, source), newline="")
-    reader = csv.reader(text, strict=True, skipinitialspace=True)
-    names: list[str] = []
-    place = f"{source}, line 1"
-    try:
-        for values in reader:
-            if values and not names:
-                _check_columns(values, place)
-                names = values
-            elif values:
-                yield place, _csv_row(names, values, place)
-            place = f"{source}, line {reader.line_num + 1}"
-    except csv.Error as error:
-        raise ConfigError(f"broken CSV at {place}: {error}") from error
-
-
-def _csv_row(names: list[str], values: list[str], place: str) -> Json:
-    if len(values) > len(names):
-        raise ConfigError(
-            f"expected as many values as columns at {place}: {len(names)}, got {len(values)}: "
-            f"{show_value(','.join(values))}"
-        )
-    row = {name: value for name, value in zip(names, values, strict=False) if value}
-    scene = next((row[key] for key in SCENE_KEYS if key in row), "")
-    if scene.startswith("#"):
-        raise ConfigError(
-            f"expected a scene, got {show_value(scene)} at {place}: a CSV has no comments, "
-            "and a path that begins so is written with ./ before it"
-        )
-    return {name: value if name in TEXTS else _plain(value) for name, value in row.items()}
-
-
-def _check_columns(names: list[str], place: str) -> None:
-    if not {*names} & {*SCENE_KEYS}:
-        got = show_value(",".join(names))
-        raise ConfigError(
-            f"expected names of columns, `scene` or `config` among them, got {got} at {place}"
-        )
-    for name, count in Counter(names).items():
-        if name and count > 1:
-            raise ConfigError(f"expected each column once, got `{name}` {count} times at {place}")
-
-
-def _plain(text: str) -> Any:
-    """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
-    try:
-        return json.loads(text, object_pairs_hook=_object)
-    except (ValueError, RecursionError):
-        return text
-
-
-def _object(pairs: list[tuple[str, Any]]) -> Json:
-    """An object of JSON; a ValueError where a key stands twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        key = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key `{shorten(key)}` stands twice")
-    return found
-
-
-def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
-    for place, line in _lines(content, source):
+            continue
         try:
-            row = json.loads(line, object_pairs_hook=_object)
+            row = json.loads(line)
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"broken JSON at {place}: {error}") from error
         if not isinstance(row, dict):
@@ -325,7 +276,42 @@ def _json_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
         yield place, row
 
 
-def _parquet_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
+def _csv_rows(text: str, name: str) -> Iterator[tuple[str, Json]]:
+    """The rows, each under the line that it begins at: a value in quotes may have several."""
+    lines = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
+    columns: list[str] = []
+    place = f"{name}, line 1"
+    try:
+        for values in lines:
+            if values and not columns:
+                columns = values
+                if not {*columns} & {*SCENE_KEYS}:
+                    raise ConfigError(
+                        "expected names of columns, `scene` or `config` among them, got "
+                        f"{show_value(','.join(columns))} at {place}"
+                    )
+            elif len(values) > len(columns):
+                raise ConfigError(
+                    f"expected as many values as columns at {place}: {len(columns)}, got "
+                    f"{len(values)}: {show_value(','.join(values))}"
+                )
+            elif values:
+                cells = zip(columns, values, strict=False)
+                yield place, {key: v if key in TEXTS else _plain(v) for key, v in cells if v}
+            place = f"{name}, line {lines.line_num + 1}"
+    except csv.Error as error:
+        raise ConfigError(f"broken CSV at {place}: {error}") from error
+
+
+def _plain(text: str) -> Any:
+    """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
+def _parquet_rows(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
     try:
         from pyarrow import parquet  # the extra `batch`
     except ImportError as error:
@@ -334,34 +320,8 @@ def _parquet_rows(content: bytes, source: str) -> Iterator[tuple[str, Json]]:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
     except Exception as error:  # pyarrow raises its own, and what Python has for odd values
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ConfigError(f"broken Parquet in {source}: {reason}") from error
+        raise ConfigError(f"broken Parquet in {name}: {reason}") from error
     for number, row in enumerate(rows, 1):
         # pandas adds a column that nobody asked for
-        yield (
-            f"{source}, row {number}",
-            {key: value for key, value in row.items() if not key.startswith("__index_level_")},
-        )
-
-
-def _lines(content: bytes, source: str) -> Iterator[tuple[str, str]]:
-    """Lines that aren't blank, each with its place for messages; they may end as on any system."""
-    for number, line in enumerate(LINE_END.split(_text_of(content, source)), 1):
-        if line.strip():
-            yield f"{source}, line {number}", line
-
-
-def _text_of(content: bytes, name: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        before = error.object[: error.start].decode()
-        line = 1 + len(LINE_END.findall(before))
-        raise ConfigError(f"expected UTF-8 in {name}, line {line}: {error.reason}") from error
-
-
-READERS = {
-    ".txt": _text_rows,
-    ".csv": _csv_rows,
-    ".jsonl": _json_rows,
-    ".parquet": _parquet_rows,
-}
+        kept = {key: value for key, value in row.items() if not key.startswith("__index_level_")}
+        yield f"{name}, row {number}", kept

@@ -75,7 +75,7 @@ def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str
         key = override_key(override)
         if key[0] == "scene" and (len(key) == 1 or key[1] in OF_EACH):
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
-    outlines = _polygons_of(apply_overrides(shared, overrides))
+    outlines = outlines_of(apply_overrides(shared, overrides))
     is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_yaml, sources))
     if is_of_each or is_url(outlines):
         overrides = [*overrides, "rooms.polygons=[]"]
@@ -90,8 +90,8 @@ def settings_of(
 ) -> BakeConfig:
     """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
 
-    Its own are those of its YAML file, replaced by those of its row in a list. Files that overrides
-    name are relative to the YAML file's folder, as in `load_config`.
+    Its own are those of its YAML file, replaced by those of its row in a list. Files that its YAML
+    and overrides name are relative to the YAML's folder.
 
     Args:
         job: the scene.
@@ -102,26 +102,26 @@ def settings_of(
     Raises:
         ConfigError: they are wrong.
     """
-    place, folder = f"the settings of {job.place}", Path()
+    place = f"the settings of {job.place}"
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
     if is_yaml(job.source):
-        own, above = _read_mapping(job.source), parent(job.source)
-        if isinstance(above, Path):
-            folder = above
-        else:  # what it names is on the store
-            own = _with_files(own, lambda name: join(above, name))
-            overrides = _with_outlines(overrides, lambda name: join(above, name))
+        folder = parent(job.source)
+        own = _with_files(_read_mapping(job.source), lambda name: join(folder, name))
+        outlines = outlines_of(apply_overrides({}, overrides))
+        if outlines is not None:
+            overrides = [*overrides, f"rooms.polygons={join(folder, outlines)}"]
     settings: Mapping[str, Any] = of_id(job.id)
     for part in (shared, own, job.settings):
         settings = merge(settings, part, place)
     if fetch is not None:
-
-        def bring(name: str) -> str:
-            return str(fetch(name)) if is_url(name) else name
-
-        settings = _with_files(settings, bring)
-        overrides = _with_outlines(overrides, bring)
-    return parse_config(settings, place, overrides, folder=folder)
+        # after the overrides, which may name a file of a store, too
+        settings = _with_files(
+            apply_overrides(settings, overrides),
+            lambda name: str(fetch(name)) if is_url(name) else name,
+        )
+        outlines = outlines_of(settings)
+        overrides = [*overrides, *([f"rooms.polygons={outlines}"] if outlines else [])]
+    return parse_config(settings, place, overrides)
 
 
 def of_id(name: str) -> Json:
@@ -136,8 +136,8 @@ def is_yaml(source: str) -> bool:
 
 def urls_in(source: str, settings: Sequence[Json], overrides: Sequence[str]) -> list[str]:
     """The URLs that a scene's source, its settings and overrides name outside of any file."""
-    given = [source, *map(_polygons_of, settings), *map(_polygons_of, overrides)]
-    return [name for name in given if name is not None and is_url(name)]
+    named = map(outlines_of, [*settings, apply_overrides({}, overrides)])
+    return [name for name in (source, *named) if name is not None and is_url(name)]
 
 
 def merge(
@@ -145,15 +145,9 @@ def merge(
 ) -> dict[str, Any]:
     """Settings laid over others, section by section; a section without keys changes nothing.
 
-    Args:
-        below: what is replaced, key by key.
-        above: what replaces it.
-        place: what the settings are of, for messages.
-        section: the key under which both stand, for messages.
-
     Raises:
         ConfigError: there are keys above for what is a value below, as ``rooms: none``. They would
-            undo it; --set refuses that, too.
+            undo it; --set refuses that, too. The message names the `place` of the settings.
     """
     merged = dict(below)
     for key, value in above.items():
@@ -176,13 +170,8 @@ def merge(
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:
     """Settings by section, from keys such as ``agent.radius``; files are relative to a folder.
 
-    Args:
-        settings: keys and values; each setting may stand once, however its key is written.
-        folder: a Path, or the URL of a folder.
-        place: where the settings stand, for messages.
-
     Raises:
-        ConfigError: a setting stands twice, or a key is none.
+        ConfigError: a key is none, or has keys below a value; the message names the `place`.
     """
     nested: dict[str, Any] = {}
     for key, value in settings:
@@ -193,7 +182,7 @@ def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dic
             raise ConfigError(message) from error
         for section in reversed(sections):
             value = {section: value}
-        _add(nested, value, place)
+        nested = merge(nested, value, place)
 
     def resolve(name: str) -> str:
         path = join(folder, name)
@@ -202,17 +191,11 @@ def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dic
     return _with_files(nested, resolve)
 
 
-def _add(settings: dict[str, Any], more: Mapping[str, Any], place: str, section: str = "") -> None:
-    """Add settings to those of the same place, none of which they may set again."""
-    for key, value in more.items():
-        known, name = settings.get(key), f"{section}.{key}".lstrip(".")
-        if known is None and (key not in settings or isinstance(value, Mapping)):
-            settings[key] = value
-        elif isinstance(known, Mapping) and isinstance(value, Mapping):
-            settings[key] = dict(known)
-            _add(settings[key], value, place, name)
-        elif not (isinstance(known, Mapping) and value is None):
-            raise ConfigError(f"expected each setting once, got `{shorten(name)}` twice at {place}")
+def outlines_of(settings: Mapping[str, Any]) -> str | None:
+    """The file of room outlines that settings name; None where they name none."""
+    rooms = settings.get("rooms")
+    name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
+    return name if isinstance(name, str) else None
 
 
 def _read_mapping(path: str) -> Mapping[str, Any]:
@@ -222,21 +205,6 @@ def _read_mapping(path: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise ConfigError(f"expected a mapping of settings in {name}")
     return value
-
-
-def _polygons_of(settings: Mapping[str, Any] | str) -> str | None:
-    """The file of room outlines that settings, or an override, name; None where they name none."""
-    if isinstance(settings, str):
-        settings = apply_overrides({}, [settings])
-    rooms = settings.get("rooms")
-    name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
-    return name if isinstance(name, str) else None
-
-
-def _with_outlines(overrides: Sequence[str], change: Callable[[str], str]) -> list[str]:
-    """Overrides with another path of a file of room outlines; the last one for a key counts."""
-    names = [name for name in map(_polygons_of, overrides) if name is not None]
-    return [*overrides, *(f"rooms.polygons={change(name)}" for name in names)]
 
 
 def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:

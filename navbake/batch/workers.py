@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -66,7 +67,7 @@ class _Setup(NamedTuple):
     """What a worker is started with."""
 
     parent: int
-    stderr: Path
+    folder: Path  # of temporary files, and what each worker wrote on stderr by its id
     memory: float | None
     prepare: Callable[[], None] | None
 
@@ -244,7 +245,7 @@ class Workers:
         """The last line that a worker, or any, wrote on stderr, where libraries say why."""
         text = b""
         with suppress(OSError):
-            for path in [self._setup.stderr / str(pid)] if pid else self._setup.stderr.iterdir():
+            for path in self._setup.folder.glob(str(pid or "[0-9]*")):
                 text = path.read_bytes()[-16 * MOST_TEXT :] or text
         lines = [line.strip() for line in text.decode(errors="replace").splitlines()]
         return printable(next((line for line in reversed(lines) if line), "")[:MOST_TEXT])
@@ -282,8 +283,9 @@ def _settle(setup: _Setup) -> None:
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
-    words = os.open(setup.stderr / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    words = os.open(setup.folder / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     os.dup2(words, 2)
+    tempfile.tempdir = str(setup.folder)  # so what a killed worker leaves there is removed
     if setup.prepare is not None:
         setup.prepare()
     global _unlimited

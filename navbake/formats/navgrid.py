@@ -17,7 +17,6 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.files import FileState
 from navbake.formats.allowance import Allowance
 from navbake.formats.arrays import decode_array, encode_array
 from navbake.formats.source import Files, Source, check_path, read_json_text, write_bytes
@@ -99,21 +98,15 @@ def checked_grid(grid: NavGrid, top: JsonPath) -> NavGrid:
     return grid
 
 
-def write_navgrid(
-    grid: NavGrid, path: str | os.PathLike[str], *, unless_changed: FileState | None = None
-) -> None:
+def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
 
     The file is there as a whole or not at all.
 
-    Args:
-        unless_changed: what `navbake.files.file_state` said of the path when the work began; it
-            stays as it is if it was written since.
-
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
     """
-    write_bytes(_encode_for(grid, check_path(path)), path, unless_changed=unless_changed)
+    write_bytes(_encode_for(grid, check_path(path)), path)
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, TypeAlias
 import orjson
 
 from navbake.errors import FormatError
-from navbake.files import FileState, write_together, write_whole
+from navbake.files import write_together, write_whole
 from navbake.formats.allowance import MAX_BYTES, Allowance
 from navbake.formats.values import JsonPath, shown
 
@@ -191,20 +191,11 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
         ) from error
 
 
-def write_bytes(
-    data: bytes | Iterable[bytes],
-    path: str | os.PathLike[str],
-    *,
-    unless_changed: FileState | None = None,
-) -> None:
-    """Write a file as a whole or not at all, with the system's errors as FormatErrors.
-
-    Args:
-        data: the content, or pieces of it.
-    """
+def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
+    """Write a file, given as bytes or pieces, whole or not at all; errors are FormatErrors."""
     check_path(path)
     try:
-        write_whole(data, path, unless_changed=unless_changed)
+        write_whole(data, path)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
         raise _not_written([path], error) from error
 

@@ -17,7 +17,8 @@ from batch_in_process import Told
 from batch_processes import PATIENCE, digests, members, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
 from navbake.batch.cluster import RayExecutor
-from navbake.batch.run import Batch, Means, run_batch
+from navbake.batch.job import Plan
+from navbake.batch.run import Means, run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits
 from project_paths import ROOT
@@ -38,8 +39,8 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     source.write_text("".join(json.dumps(line) + "\n" for line in lines))
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
-    embedded = Batch(list_jobs(good), tmp_path / "one", {"grid": {"cell_size": 0.1}})
-    run_batch(embedded, Means(), Told())
+    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}})
+    run_batch(plan, list_jobs(good), Means(), Told())
     whole = digests(tmp_path / "one")
     assert len(whole) == COUNT
     with two_nodes(1) as nodes:

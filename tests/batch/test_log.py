@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from navbake.batch.index import LineFile
 from navbake.batch.job import stamp
-from navbake.batch.log import Log, LogFile
+from navbake.batch.log import Log
 from navbake.batch.workers import AGAIN, BEGUN, CRASHED, Ended
 from navbake.errors import NavbakeError
 
@@ -49,7 +50,7 @@ def test_lines_say_when_how_serious_and_what():
 def test_a_log_is_added_to_and_its_folder_made(tmp_path):
     path = tmp_path / "logs" / "a.jsonl"
     for number in range(2):
-        log = LogFile(path)
+        log = LineFile(path, "the log")
         log.add({"n": number, "id": "\u2028\n"})
         log.close()
     assert [json.loads(line)["n"] for line in path.read_bytes().splitlines()] == [0, 1]
@@ -57,12 +58,12 @@ def test_a_log_is_added_to_and_its_folder_made(tmp_path):
 
 def test_a_log_that_cannot_be_written_is_one_error(tmp_path):
     with pytest.raises(NavbakeError, match="cannot write the log"):
-        LogFile(tmp_path)
+        LineFile(tmp_path, "the log")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a device that is full")
 def test_a_full_disk_is_one_error():
-    log = LogFile(Path("/dev/full"))
+    log = LineFile(Path("/dev/full"), "the log /dev/full")
     with pytest.raises(NavbakeError, match="cannot write the log /dev/full: No space left"):
         log.add({})
     log.close()
@@ -71,7 +72,7 @@ def test_a_full_disk_is_one_error():
 def test_a_line_of_which_a_part_was_written_is_ended(tmp_path, monkeypatch):
     write = os.write
     monkeypatch.setattr("os.write", lambda file, data: write(file, data[:3]))
-    log = LogFile(tmp_path / "a.jsonl")
+    log = LineFile(tmp_path / "a.jsonl", "the log")
     log.add({"id": "a long one"})
     log.close()
     assert json.loads((tmp_path / "a.jsonl").read_bytes()) == {"id": "a long one"}

@@ -21,7 +21,7 @@ from batch_in_process import stay_in_process
 from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes
 from navbake import files
-from navbake.batch import index, log, store
+from navbake.batch import index, store
 from navbake.cli.commands import batch as command
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
@@ -374,13 +374,13 @@ def test_a_log_without_room_does_not_hide_what_the_batch_came_to(
 
     options = ("batch", "room.xml", "-o", "out", "--log", "log.jsonl", *COARSE)
     with monkeypatch.context() as patch:
-        patch.setattr(log, "write_all", write)
+        patch.setattr(index, "write_all", write)
         status, out, err = run(*options)
     assert (status, err) == (1, f"navbake: stopped: cannot write the log log.jsonl: {NO_ROOM}\n")
     assert out.startswith("1 baked" if lines else "1 left in ")
     count = iter(())
     with monkeypatch.context() as patch:
-        patch.setattr(log, "write_all", write)
+        patch.setattr(index, "write_all", write)
         status, out, err = run(*options, "--json", "--set", "grid.cell_size=0.2")
     assert (status, err) == (1, f"navbake: cannot write the log log.jsonl: {NO_ROOM}\n")
     assert json.loads(out.splitlines()[-1])["event"] == "end"
@@ -392,8 +392,8 @@ def test_thumbnails_without_room_are_no_fault_of_the_grids(folder, run, here, mo
     Path("out/room/thumbnail.png").unlink()
     real = files.create_temporary
 
-    def create(folder, mode=0o666):
-        return real(folder, mode) if folder.name != "room" else refuse_room()
+    def create(folder):
+        return real(folder) if folder.name != "room" else refuse_room()
 
     with monkeypatch.context() as patch:
         patch.setattr(files, "create_temporary", create)

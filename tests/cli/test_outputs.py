@@ -10,7 +10,6 @@ import pytest
 
 import navbake
 from command_line import run_command
-from navbake import files
 from navbake.formats.navgrid import dumps_navgrid
 from project_paths import GOLDEN
 
@@ -157,32 +156,6 @@ def test_two_bakes_without_timings_are_the_same_bytes(folder, run):
     assert timed.timings
     timed.timings = {}
     assert dumps_navgrid(timed) == Path("a.json").read_bytes()
-
-
-@pytest.mark.parametrize("existed", [False, True])
-def test_what_another_process_wrote_meanwhile_is_kept(folder, run, monkeypatch, existed):
-    from navbake.baker import pipeline
-
-    target = folder / "room.grid.json"
-    if existed:
-        target.write_text("before")
-    plain = pipeline.run_bake
-
-    def bake_slowly(*args, **kwargs):
-        result = plain(*args, **kwargs)
-        files.write_whole(b"another's", target)
-        return result
-
-    monkeypatch.setattr(pipeline, "run_bake", bake_slowly)
-    status, out, err = run("bake", "room.yaml")
-    assert (status, out) == (1, "")
-    assert "another process wrote it meanwhile" in err and err.count("\n") == 1
-    assert target.read_text() == "another's"
-    assert not list(folder.glob(".navbake-*"))
-    monkeypatch.undo()
-    monkeypatch.chdir(folder)
-    assert run("bake", "room.yaml", "-q") == (0, "", "")  # what is there beforehand is replaced
-    assert navbake.load(target).scene_id == "room"
 
 
 def test_a_descriptor_that_is_decoded_takes_no_options_of_grids(run):

@@ -32,7 +32,6 @@ from navbake.cli.printing import (
     say,
 )
 from navbake.errors import ConfigError, NavbakeError
-from navbake.files import file_state
 
 if TYPE_CHECKING:
     from navbake.baker.pipeline import BakeResult
@@ -183,7 +182,6 @@ def _bake_one(
     from navbake.cli.progress import stage_progress
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
 
-    before = file_state(target)
     with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
         limits = _limits(isolation)
         result = run_bake(config, threads=threads, progress=progress, limits=limits)
@@ -194,7 +192,7 @@ def _bake_one(
         write_stdout(dumps_navgrid(result.grid))
     else:
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_navgrid(result.grid, target, unless_changed=before)
+        write_navgrid(result.grid, target)
     result.timings["write"] = time.perf_counter() - begin
     if VOLUME.quiet:
         print_warnings(result.warnings)

@@ -140,8 +140,10 @@ def batch(
     """
     from navbake.batch.cluster import RayExecutor
     from navbake.batch.index import LOCK, NAME, TABLE
+    from navbake.batch.job import Plan
     from navbake.batch.page.page import NAME as PAGE
-    from navbake.batch.run import Batch, Means, run_batch
+    from navbake.batch.products import parse_products
+    from navbake.batch.run import Means, run_batch
     from navbake.batch.scenes import list_jobs
     from navbake.batch.settings import read_shared
     from navbake.batch.store import as_folder
@@ -166,11 +168,13 @@ def batch(
     witness = folder / LOCK if isinstance(folder, Path) else None
     executor = RayExecutor(machines.ray_address, witness) if is_ray else None
     means = Means(wholly.jobs, limits, wholly.max_failures, executor)
-    todo = Batch(jobs, folder, settings, overrides or [], make or [], wholly.parquet, wholly.page)
+    made = parse_products(make or [])
+    given = tuple(overrides or [])
+    plan = Plan(folder, settings, given, made, wholly.page, wholly.parquet)
     with ExitStack() as stack:
         watch = _Watch(stack, wholly, folder)
         try:
-            result = run_batch(todo, means, watch)
+            result = run_batch(plan, jobs, means, watch)
         except BaseException as error:
             watch.interrupt(error)
             raise
@@ -183,12 +187,13 @@ class _Watch:
     """Says how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
 
     def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
-        from navbake.batch.log import Log, LogFile
+        from navbake.batch.index import LineFile
+        from navbake.batch.log import Log
 
         self._stack, self._wholly, self._folder = stack, wholly, folder
         takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
         if wholly.log is not None:
-            log = LogFile(wholly.log)
+            log = LineFile(wholly.log, f"the log {wholly.log}")
             stack.callback(log.close)
             takers.append(log.add)
         self._log = Log(takers)

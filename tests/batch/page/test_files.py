@@ -8,8 +8,9 @@ import pytest
 
 from batch_in_process import Told, stay_in_process
 from batch_scenes import draw_room
+from navbake.batch.job import Plan
 from navbake.batch.page.page import LivePage, draw_thumbnails, write_page
-from navbake.batch.run import Batch, Means, run_batch
+from navbake.batch.run import Means, run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import read_file, remove_files, sizes_below
 from report_pages import content_of_page
@@ -23,12 +24,12 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     for name in ("first", "second"):
         (tmp_path / f"{name}.xml").write_text(draw_room(1))
     jobs = list_jobs([str(tmp_path / "*.xml")])
-    batch = Batch(jobs, FOLDER, {"grid": {"cell_size": 0.2}}, thumbnails=True)
-    run_batch(batch, Means(), Told())
+    plan = Plan(FOLDER, {"grid": {"cell_size": 0.2}}, thumbnail=True)
+    run_batch(plan, jobs, Means(), Told())
     thumbnail = f"{FOLDER}/first/thumbnail.png"
     drawn = read_file(thumbnail)
     remove_files(FOLDER, ["first/thumbnail.png"])
-    assert run_batch(batch, Means(), Told()).skipped == 2
+    assert run_batch(plan, jobs, Means(), Told()).skipped == 2
     assert draw_thumbnails(FOLDER, lambda share: None) == 0
     assert read_file(thumbnail) == drawn
     remove_files(FOLDER, ["second/thumbnail.png"])
@@ -41,5 +42,5 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     LivePage(FOLDER, 2).refresh(1)
     assert "index.html" not in sizes_below(FOLDER)
     # what is baked anew without a page has no old thumbnail
-    run_batch(Batch(jobs, FOLDER, {}), Means(), Told())
+    run_batch(Plan(FOLDER, {}), jobs, Means(), Told())
     assert not any(Path(name).name == "thumbnail.png" for name in sizes_below(FOLDER))
