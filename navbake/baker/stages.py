@@ -39,7 +39,7 @@ from navbake.baker.occupancy.occupancy import (
     OccupancyFinder,
     check_occupancy,
 )
-from navbake.baker.rooms.flags import Blocked, Overhead, OverheadFinder, RoomFlags, read_flags
+from navbake.baker.rooms.flags import ColumnFlags, RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
@@ -138,7 +138,7 @@ class _Cells(NamedTuple):
 
     occupancy: Occupancy
     contents: ContentsFinder | None
-    overhead: Overhead
+    of_columns: ColumnFlags
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,17 +270,22 @@ class Stages:
         with self.clock.stage("contents"):
             return None if finder is None else finder.found(self.config.names)
 
+    @property
+    def of_columns(self) -> ColumnFlags:
+        """What rooms read of columns."""
+        return self._cells.of_columns
+
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        floors, contents, overhead = self.floors, self.contents, self._cells.overhead
+        floors, contents, bits = self.floors, self.contents, self.of_columns.bits
         none = np.zeros(self.lattice.shape, dtype=np.bool_)
-        blocked = [Blocked(none, none) for _ in floors.levels]
+        blocked = [(none, none) for _ in floors.levels]
         if contents is not None:
             numbers = range(len(floors.levels))
-            blocked = [Blocked(contents.wall_cells(k), contents.low_cells(k)) for k in numbers]
+            blocked = [(contents.wall_cells(k), contents.low_cells(k)) for k in numbers]
         settings = self.config.rooms, self.config.agent
-        return read_flags(self.doorless, overhead, floors, blocked, *settings)
+        return read_flags(self.doorless, self._blocks, floors, bits, blocked, *settings)
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -302,15 +307,17 @@ class Stages:
                 if self._asks_contents:
                     known = self._known_geoms()
                     contents = ContentsFinder(self.doorless, tiled, known, floors, agent)
-            overhead = OverheadFinder(columns, floors.levels, agent)
+            of_columns = ColumnFlags(floors, agent)
             for block in columns.blocks():
                 occupancy.add(block)
                 with clock.part("contents"):
                     if contents is not None:
                         contents.add(block, occupancy.levels)
                 with clock.part("rooms"):
-                    overhead.add(block)
-            return _Cells(occupancy.found(), contents, overhead.found())
+                    first, end = block.known_rows.cells(self.lattice)
+                    crossings = block.crossings._replace(start=block.start[first : end + 1])
+                    of_columns.look(slice(first, end), crossings, floors.levels)
+            return _Cells(occupancy.found(), contents, of_columns)
 
     @cached_property
     def doors(self) -> Doors:

@@ -8,21 +8,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, ColumnSource
+from navbake.baker.columns import ColumnSource
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
-from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, RoomSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # The scene goes on beyond the lattice where it does so by more than this share of a cell
 BEYOND = 0.5
+LEAST_CELLS = 4096  # so many are worth a call on another thread
+EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
 
 
 class LevelFlags(NamedTuple):
@@ -32,7 +36,9 @@ class LevelFlags(NamedTuple):
         floor: heights, NaN for none, float64 [m].
         open: with a floor, and no wall or window, bool.
         hole: without a floor, and nothing stands at the height of an agent's body, bool.
-        edge: open cells at the edge of the grid, see `find_edge`, bool.
+        edge: open cells at the edge of the grid, bool: floor beyond which there is nothing up to
+            that edge, or ground that is too steep to stand on, such as the bank of a ditch. Walls
+            and pillars are left out: what reaches above heads.
         sky: with a floor, and nothing above an agent's head, bool.
         bank: without a floor, and the ground under the sky is too steep to stand on, bool.
     """
@@ -81,139 +87,58 @@ def _equal(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-class Overhead(NamedTuple):
-    """What lies highest over each cell, and holes in the floors of each level.
+class ColumnFlags:
+    """What rooms read of each cell's column, on each level.
 
     Attributes:
-        columns: all surfaces.
-        top: height of the highest surface of each cell, NaN for none, shape (cells,), float64 [m].
-        up: the z of that surface's unit normal, shape (cells,), float32.
-        holes: of each level, the cells without a floor in which nothing stands at the height of
-            an agent's body, shape (height, width), bool.
+        bits: by level, see `flag_columns`, shape (cells,), uint8.
     """
 
-    columns: ColumnSource
-    top: Float
-    up: NDArray[np.float32]
-    holes: list[Bool]
+    def __init__(self, floors: Floors, agent: AgentSettings) -> None:
+        self._limits = agent_limits(agent)
+        self.bits = [np.zeros(level.floor.size, dtype=np.uint8) for level in floors.levels]
 
-
-class OverheadFinder:
-    """Finds what lies highest over each cell, and holes in floors, block by block."""
-
-    def __init__(
-        self, columns: ColumnSource, levels: Sequence[LevelFloor], agent: AgentSettings
-    ) -> None:
-        num_cells = columns.lattice.width * columns.lattice.height
-        self._levels, self._agent = levels, agent
-        self._found = Overhead(
-            columns,
-            np.full(num_cells, np.nan),
-            np.zeros(num_cells, dtype=np.float32),
-            [np.isnan(level.floor) for level in levels],
-        )
-
-    def add(self, columns: Columns) -> None:
-        """Look at the columns of a block."""
-        first, end = columns.known_rows.cells(columns.lattice)
-        start = columns.start[first : end + 1]
-        filled = np.flatnonzero(np.diff(start))
-        last = start[filled + 1] - 1
-        self._found.top[first + filled] = columns.z[last]
-        self._found.up[first + filled] = columns.normal[last, 2]
-        for level, holes in zip(self._levels, self._found.holes, strict=True):
-            keep_holes(holes.ravel()[first:end], start, level.ground, columns, self._agent)
-
-    def found(self) -> Overhead:
-        """What was found in all blocks."""
-        return self._found
-
-
-def keep_holes(
-    holes: Bool, start: NDArray[np.int64], ground: float, columns: Columns, agent: AgentSettings
-) -> None:
-    """Keep the marks of cells in which nothing stands at the height of an agent's body.
-
-    That is so where the next surface over the level's ground and a step is higher than the agent,
-    unless it is the top of something.
-    """
-    cell = np.flatnonzero(holes)
-    if not len(cell):
-        return
-    below = columns.z <= ground + agent.traversable_floor_height
-    count = np.concatenate([[0], np.cumsum(below)])
-    begin, end = start[cell], start[cell + 1]
-    following = begin + count[end] - count[begin]
-    has_next = np.flatnonzero(following < end)
-    entry = following[has_next]
-    is_low = columns.z[entry] <= ground + agent.height
-    is_top = columns.normal[entry, 2] > 0
-    holes[cell[has_next[is_low | is_top]]] = False
-
-
-class Blocked(NamedTuple):
-    """What keeps cells of a level out of all rooms, shape (height, width), bool.
-
-    Attributes:
-        wall: cells that a wall stands in.
-        low: cells that a mesh of a whole building blocks, but not above heads; see `find_windows`.
-    """
-
-    wall: Bool
-    low: Bool
+    def look(self, cells: slice | Int, crossings: Crossings, levels: Sequence[LevelFloor]) -> bool:
+        """Look at the columns of some cells, numbered as they are; whether any flag changed."""
+        changed, found = False, np.empty(len(crossings.start) - 1, dtype=np.uint8)
+        for bits, level in zip(self.bits, levels, strict=True):
+            asked = crossings, level.floor.ravel()[cells], level.ground, self._limits, WALL_BAND[0]
+            run_in_bands(kernels.flag_columns, len(found), *asked, found, least=LEAST_CELLS)
+            changed |= not np.array_equal(bits[cells], found)
+            bits[cells] = found
+        return changed
 
 
 def read_flags(
     scene: Scene,
-    overhead: Overhead,
+    columns: ColumnSource,
     floors: Floors,
-    blocked: Sequence[Blocked],
+    of_columns: Sequence[NDArray[np.uint8]],
+    blocked: Sequence[tuple[Bool, Bool]],
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
     """Read from a scene, and from what was found in its columns, all that its rooms depend on.
 
+    Args:
+        of_columns: by level, see `ColumnFlags`.
+        blocked: by level, the cells that a wall stands in, and those that a mesh of a whole
+            building blocks, but not above heads; shape (height, width).
+
     Raises:
         ConfigError: a polygon names a level that does not exist.
     """
-    lattice, min_up = overhead.columns.lattice, agent_limits(agent).min_up
-    empty = np.isnan(overhead.top).reshape(lattice.shape)
-    top, up = overhead.top.reshape(lattice.shape), overhead.up.reshape(lattice.shape)
-    levels: list[LevelFlags] = []
-    of_levels = zip(floors.levels, blocked, overhead.holes, strict=True)
-    for level, (wall, low), hole in of_levels:
-        floor, bare = level.floor, np.isnan(level.floor)
-        open_cells = ~bare & ~wall & ~find_windows(low, wall, lattice.cell_size)
-        bank = bare & (up > 0) & (up < min_up)
-        edge = find_edge(empty | bank, open_cells, floor, overhead.columns)
-        sky = top <= floor + agent.height + SLACK
-        levels.append(LevelFlags(floor, open_cells, hole, edge, sky, bank))
-    bounds = scene.bounds
-    ends = np.zeros((2, 2), dtype=np.bool_) if bounds is None else find_ends(lattice, bounds)
+    lattice, levels = columns.lattice, list[LevelFlags]()
+    for level, bits, (wall, low) in zip(floors.levels, of_columns, blocked, strict=True):
+        marked = bits.reshape(lattice.shape)
+        empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
+        open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
+        edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells & ~tall
+        levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
+    ends = find_ends(lattice, scene.bounds)
     has_ground = len(scene.shapes.planes.geom) > 0
-    marks = mark_rooms(scene, overhead.columns, floors.levels, settings, agent)
+    marks = mark_rooms(scene, columns, floors.levels, settings, agent)
     return RoomFlags(lattice, levels, empty, ends, has_ground, floors.links, marks)
-
-
-def find_edge(beyond: Bool, open_cells: Bool, floor: Float, columns: ColumnSource) -> Bool:
-    """Mark the open cells of a level at the edge of the grid, or at what lies `beyond` it.
-
-    That is floor beyond which there is nothing up to that edge, or ground that is too steep to
-    stand on, such as the bank of a ditch. Walls and pillars are left out: what reaches above heads.
-    """
-    edge = edge_cells(beyond, np.ones((2, 2), dtype=np.bool_)) & open_cells
-    cell = np.flatnonzero(edge)
-    known, height = columns.at(cell), floor.ravel()[cell]
-    start, end = known.start[cell], known.start[cell + 1]
-    owner = np.repeat(np.arange(len(cell)), end - start)
-    entry = np.arange(len(owner)) + (start - np.cumsum(end - start) + (end - start))[owner]
-    below = known.z[entry] <= height[owner] + SAME
-    above = start + np.bincount(owner[below], minlength=len(cell))
-    tall = above < end
-    above = above[tall]
-    tall[tall] = (known.normal[above, 2] > 0) & (known.z[above] > height[tall] + WALL_BAND[0])
-    edge[edge] = ~tall
-    return edge
 
 
 def edge_cells(is_open: Bool, sides: Bool) -> Bool:
@@ -231,8 +156,10 @@ def edge_cells(is_open: Bool, sides: Bool) -> Bool:
     return edge & ~beyond[1:-1, 1:-1]
 
 
-def find_ends(lattice: Lattice, bounds: Float) -> Bool:
+def find_ends(lattice: Lattice, bounds: Float | None) -> Bool:
     """At which sides of a lattice the scene in a box ends: [[upper, lower], [left, right]]."""
+    if bounds is None:
+        return np.zeros((2, 2), dtype=np.bool_)
     x0, y0, x1, y1 = lattice.bounds
     (low_x, low_y), (high_x, high_y) = bounds[:, :2]
     more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])

@@ -72,6 +72,17 @@ def mark_rooms(
     return {source: found[source]() for source in settings.sources if source != "auto"}
 
 
+def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
+    """What of a scene may mark rooms: which geoms, (ngeom,) bool, and how sites are placed."""
+    model, data = scene.model, scene.data
+    geoms = np.zeros(model.ngeom, dtype=np.bool_)
+    if "geoms" in settings.sources:
+        geoms[match_geoms(own_names(model, "geom"), settings)[0]] = True
+    sites, _ = match_sites(own_names(model, "site"), settings)
+    placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
+    return geoms, np.hstack(placed)[sites if "sites" in settings.sources else []]
+
+
 @dataclass(frozen=True)
 class _Markers:
     scene: Scene

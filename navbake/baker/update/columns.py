@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -16,12 +16,10 @@ from navbake.baker.columns import (
     tile_shapes,
 )
 from navbake.baker.cracks import close_cracks
-from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Band, Crossings
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import TILE, tile_of
-from navbake.baker.rooms.flags import Overhead, keep_holes
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.baker.update.full_bake import FullBake
 from navbake.baker.update.kernels import pool as kernels
@@ -31,7 +29,7 @@ from navbake.baker.update.kernels.regions import (
     cells_of_boxes,
     near_tiles,
 )
-from navbake.config.settings import AgentSettings, BakeConfig
+from navbake.config.settings import BakeConfig
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
@@ -158,18 +156,6 @@ class LiveColumns:
         start = np.zeros(len(self.pool.first) + 1, dtype=np.int64)
         kernels.point_at(region.cells, region.columns.start, start)
         return Columns(self.lattice, region.columns._replace(start=start))
-
-    def overhead(self, levels: Sequence[LevelFloor], agent: AgentSettings) -> Overhead:
-        """What `OverheadFinder` finds."""
-        top, up = np.full(len(self.pool.first), np.nan), np.zeros(len(self.pool.first), np.float32)
-        kernels.find_tops(self.pool, top, up)
-        every = []
-        for level in levels:
-            holes = np.isnan(level.floor)
-            bare = self.at(np.flatnonzero(holes))
-            keep_holes(holes.ravel(), bare.start, level.ground, bare, agent)
-            every.append(holes)
-        return Overhead(self, top, up, every)
 
     def near(self, shapes: Shapes, cells: Int, reach: float, heights: Band) -> TiledShapes:
         """The part of the geometry that is near some cells, listed by tiles; all planes.

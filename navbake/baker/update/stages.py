@@ -21,11 +21,13 @@ from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Surroundings
 from navbake.baker.floors.growth import FloorChanges
 from navbake.baker.floors.levels import FloorFinder, Floors
+from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import check_footprints
-from navbake.baker.rooms.flags import find_ends
-from navbake.baker.rooms.rooms import Rooms
+from navbake.baker.rooms.flags import RoomFlags, read_flags
+from navbake.baker.rooms.rooms import find_rooms
+from navbake.baker.rooms.sources import find_markers
 from navbake.baker.stages import Stages
 from navbake.baker.update.columns import LEAST_CELLS, LiveColumns, Region, Scratch
 from navbake.baker.update.contents import LiveContents
@@ -34,9 +36,8 @@ from navbake.baker.update.following import Moved
 from navbake.baker.update.full_bake import FullBake
 from navbake.baker.update.kernels.regions import cells_of_boxes, join_cells
 from navbake.baker.update.kinds import NearMoved
-from navbake.baker.update.rooms import LiveRooms, Seen
 from navbake.errors import SceneError
-from navbake.threads import limit_threads, run_beside
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 
@@ -46,7 +47,6 @@ class Parts(NamedTuple):
     columns: LiveColumns
     floors: FloorFinder
     contents: LiveContents | None
-    rooms: LiveRooms
     doors: LiveDoors
 
 
@@ -72,6 +72,7 @@ class LiveStages:
         floors, finder = stages.judge_floors()
         stages.__dict__["floors"] = floors
         self._parts: Parts | None = None
+        self._room_flags: RoomFlags | None = None
         self._floor_layers: list[NDArray[np.float32]] | None = None
         self._weighed: dict[int, Weighed] = {}
         found = stages.contents
@@ -93,10 +94,11 @@ class LiveStages:
             if found is not None:
                 known_scene = stages.config, stages.doorless, found
                 self.contents = LiveContents(*known_scene, floors, stages.columns, columns)
-            rooms = LiveRooms(stages.config, stages.scene, columns, floors)
             live_doors = LiveDoors(stages.scene, stages.candidates, stages.lattice, columns.scratch)
-            self._parts = Parts(columns, finder, self.contents, rooms, live_doors)
+            self._parts = Parts(columns, finder, self.contents, live_doors)
             self._blocks = Blocks(stages.lattice)
+            self._markers = find_markers(stages.scene, stages.config.rooms)
+            self._of_columns, self._room_flags = stages.of_columns, stages.room_flags
         shapes = stages.doorless.shapes
         self._heights = height_range(shapes, stages.lattice)
         stages.free_geometry()
@@ -128,25 +130,26 @@ class LiveStages:
         if "boxes" in was.__dict__:
             stages.__dict__["boxes"] = was.boxes
         stages.__dict__["contents"] = None
-        same_ends = self._check_box(was, stages)
+        flags_hold = self._check_box(was, stages)
         touched: Int = np.empty(0, dtype=np.int64)
-        rooms: Rooms | None = was.rooms
         if len(boxes):
-            touched, rooms = self._follow_cells(parts, stages, boxes, own)
-        if parts.rooms.marks.have_moved(scene, moved.every) or not same_ends:
-            rooms = None
-        parts.rooms.marks.keep(scene)
-        rooms_same = rooms is not None
-        if rooms is None:
-            rooms = parts.rooms.find(stages.doorless, stages.floors, parts.contents)
-        stages.__dict__["rooms"] = rooms
+            touched, holds = self._follow_cells(parts, stages, boxes, own)
+            flags_hold &= holds
+        markers = find_markers(scene, stages.config.rooms)
+        flags_hold &= not (moved.every & markers[0]).any()
+        flags_hold &= np.array_equal(markers[1], self._markers[1])
+        planes, others = (len(one.doorless.shapes.planes.geom) for one in (stages, was))
+        flags_hold &= planes == others
+        self._markers = markers
+        if not flags_hold:
+            self._find_rooms(parts, stages)
+        near = touched if stages.rooms is was.rooms else None
         around = Surroundings(
             stages.floors.levels, stages.occupancy, stages.rooms, stages.footprints
         )
         stages.__dict__["doors"] = parts.doors.follow(
-            was.doors, scene, candidates, set(differ), touched if rooms_same else None, around,
-            stages.config.doors.state,
-        )  # fmt: skip
+            was.doors, scene, candidates, set(differ), near, around, stages.config.doors.state
+        )
         if stages.rooms is was.rooms and stages.doors is was.doors:
             stages.__dict__["room_table"] = was.room_table
         stages.__dict__["stated_settings"] = was.stated_settings
@@ -183,7 +186,7 @@ class LiveStages:
         return weights
 
     def _check_box(self, was: Stages, now: Stages) -> bool:
-        """Whether the scene ends at the same sides; FullBake where its box changes the grid."""
+        """Whether the scene has the same box; FullBake where that changes the grid."""
         old, new, config = was.scene.bounds, now.scene.bounds, now.config
         if old is None and new is None:
             return True
@@ -197,15 +200,15 @@ class LiveStages:
         if old[1, 2] != new[1, 2] and self.contents is not None:
             raise FullBake("the top of the scene has another height")
         now.__dict__.pop("boxes", None)
-        return np.array_equal(find_ends(lattice, old), find_ends(lattice, new))
+        return False
 
     def _follow_cells(
         self, parts: Parts, stages: Stages, boxes: Float, own: Bool
-    ) -> tuple[Int, Rooms | None]:
+    ) -> tuple[Int, bool]:
         """Bring columns, floors, occupancy and contents up to date near what moved.
 
         Returns:
-            All cells near it, and the rooms, None where they are to be found again.
+            All cells near it, and whether rooms read the same flags as before.
         """
         columns, shapes = parts.columns, stages.doorless.shapes
         lattice, flag = columns.lattice, columns.scratch.flag
@@ -225,7 +228,7 @@ class LiveStages:
 
     def _follow_near(
         self, parts: Parts, stages: Stages, own: Bool, touched: Int, asked: Int
-    ) -> tuple[Int, Rooms | None]:
+    ) -> tuple[Int, bool]:
         """See `_follow_cells`; what moved may stand in the `touched` cells."""
         columns, finder, contents = parts[:3]
         doorless, scratch, heights = stages.doorless, columns.scratch, self._heights
@@ -245,19 +248,35 @@ class LiveStages:
             near = columns.near(shapes, touched, reach, heights)
         region = columns.gather(touched)
         _check_cells(stages, region, near, scratch)
-        seen, walls = Seen(old, found, changes), False
-        rooms = run_beside(parts.rooms.follow, stages.rooms, was, floors, seen)
-        try:
-            if contents is not None:
-                moved = NearMoved(doorless, own, region, floors, changes)
-                walls = any(contents.follow(moved, near, stages.occupancy.levels))
-        finally:  # nothing goes on after an error here
-            found_rooms = rooms()
+        flags_hold = not self._of_columns.look(touched, region.columns, floors.levels)
+        flags_hold &= np.array_equal(was.links, floors.links) and not len(changed)
+        marks = self._markers[0]
+        flags_hold &= _same_surfaces(old.columns, found.columns, marks)
+        if contents is not None:
+            moving = NearMoved(doorless, own, region, floors, changes)
+            flags_hold &= not any(contents.follow(moving, near, stages.occupancy.levels))
+        if len(changed):
+            self._room_flags = None
         if len(changed):
             self._floor_layers = None
         if len(changed) or len(floors.levels) > 1:
             stages.__dict__.pop("boxes", None)
-        return touched, None if walls else found_rooms
+        return touched, flags_hold
+
+    def _find_rooms(self, parts: Parts, stages: Stages) -> None:
+        """Read what rooms depend on; find them again if it is not the same as before."""
+        config, shape, contents = stages.config, stages.lattice.shape, parts.contents
+        none = np.zeros(shape, dtype=np.bool_)
+        blocked = [(none, none) for _ in stages.floors.levels]
+        if contents is not None:
+            pairs = zip(contents.wall, contents.low, strict=True)
+            blocked = [(wall.reshape(shape), low.reshape(shape)) for wall, low in pairs]
+        found = stages.doorless, parts.columns, stages.floors, self._of_columns.bits, blocked
+        flags, known = read_flags(*found, config.rooms, config.agent), self._room_flags
+        if known is None or not flags.equal(known):
+            rooms = find_rooms(flags, config.rooms, config.agent.traversable_floor_height)
+            stages.__dict__["rooms"] = rooms
+        self._room_flags = flags
 
     def _find_floors(
         self,
@@ -304,6 +323,16 @@ def _check_cells(stages: Stages, region: Region, near: TiledShapes, scratch: Scr
             flat = layer.reshape(-1)
             flat[region.cells] = True
             flat[asked[0]] = taken
+
+
+def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:
+    """Whether some geoms have the same surfaces in columns of the same cells."""
+    found = []
+    for columns in (old, new):
+        cell = np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))
+        own = geoms[columns.geom]
+        found.append((cell[own], columns.z[own], columns.normal[own], columns.geom[own]))
+    return all(np.array_equal(one, other) for one, other in zip(*found, strict=True))
 
 
 def _are_level(mat: Float) -> bool:

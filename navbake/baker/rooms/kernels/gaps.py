@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
@@ -23,6 +24,10 @@ from navbake.types import Bool, Int, Int32
 REACH = 2
 # The bit of a way that follows its line exactly, see `_hold`
 EXACT = 8
+# What `flag_columns` finds out: nothing in the column; no floor, and nothing at the height of an
+# agent's body; no floor, and ground too steep to stand on under the sky; a floor under the sky; and
+# a floor that something stands on that reaches above heads
+COLUMN_FLAGS = EMPTY, HOLE, BANK, SKY, TALL = 1, 2, 4, 8, 16
 
 
 class Gaps(NamedTuple):
@@ -61,6 +66,38 @@ class Scan(NamedTuple):
     shift: Int
     depths: Int
     leans: Int
+
+
+@kernel(nogil=True)
+def flag_columns(crossings, floor, ground, limits, above_heads, flags, begin, end):
+    """Find the `COLUMN_FLAGS` of cells ``[begin, end)`` of a level.
+
+    Crossings and `floor`, NaN for none [m], are numbered as the cells are. Without a floor, a hole
+    is where the next surface over the level's `ground` and a step is higher than the agent, unless
+    it is the top of something. What stands on a floor is tall from `above_heads` on [m].
+    """
+    start, z, normal = crossings.start, crossings.z, crossings.normal
+    min_up = np.float32(limits.min_up)
+    for n in range(begin, end):
+        entry, last = start[n], start[n + 1]
+        has_floor, found = not np.isnan(floor[n]), 0 if entry < last else EMPTY
+        top = z[last - 1] if entry < last else np.inf
+        up = normal[last - 1, 2] if entry < last else np.float32(0.0)
+        least = floor[n] + SAME if has_floor else ground + limits.step
+        while entry < last and z[entry] <= least:
+            entry += 1
+        is_top = entry < last and normal[entry, 2] > 0.0
+        if has_floor:
+            if top <= floor[n] + limits.headroom + SLACK:
+                found |= SKY
+            if is_top and z[entry] > floor[n] + above_heads:
+                found |= TALL
+        else:
+            if up > 0.0 and up < min_up:
+                found |= BANK
+            if not is_top and (entry == last or z[entry] > ground + limits.headroom):
+                found |= HOLE
+        flags[n] = found
 
 
 @part

@@ -56,15 +56,6 @@ def copy_columns(source, at, columns, begin, end):
             j += 1
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def find_tops(pool, top, up):
-    """The height of each cell's highest surface [m], and the z of its normal: see `Overhead`."""
-    for cell in range(pool.first.shape[0]):
-        if pool.length[cell] > 0:
-            last = pool.first[cell] + pool.length[cell] - 1
-            top[cell], up[cell] = pool.z[last], pool.normal[last, 2]
-
-
 @part(inline="always")
 def _are_equal(one, other):
     """Whether two numbers are the same to the last bit; 0.0 and -0.0 aren't."""
