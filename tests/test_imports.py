@@ -26,7 +26,7 @@ KERNELS_ONLY = ("numpy", "numba", "llvmlite", "navbake.compiled", "navbake.types
 DOORS = {
     "mujoco": ("baker.scene", "verifier"),
     "fcl": ("baker.occupancy", "verifier"),
-    "trimesh": ("baker.scene", "views.viewer"),
+    "trimesh": ("baker.scene", "verifier", "views.viewer"),
     "matplotlib": ("views.plot",),
     "typer": ("cli",),
     "rich": ("cli",),

@@ -10,7 +10,6 @@ import numpy as np
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import FARTHEST
-from navbake.types import Json
 
 MODES = ("exact", "minos")
 MOST_RADIUS = 10_000.0  # for which a grid can be inflated [m]
@@ -36,39 +35,32 @@ class Agent(NamedTuple):
         Raises:
             FormatError: what it states is no size of an agent.
         """
-        most = float(FARTHEST / grid.unit)
-        _check(grid.metadata, "agentHeight", math.ulp(0.0), most, "a length > 0")
-        for key in ("agentRadius", "traversableFloorHeight"):
-            _check(grid.metadata, key, 0, most, "a length >= 0")
-        _check(grid.navbake, "maxSlope", 0, 90, "0 to 90 degrees")
+        most, slope = float(FARTHEST / grid.unit), grid.navbake.get("maxSlope")
+        stated = {**grid.metadata, "maxSlope": slope}
+        for key, least, largest, expected in (
+            ("agentHeight", math.ulp(0.0), most, "a length > 0"),
+            ("agentRadius", 0, most, "a length >= 0"),
+            ("traversableFloorHeight", 0, most, "a length >= 0"),
+            ("maxSlope", 0, 90, "0 to 90 degrees"),
+        ):
+            value = stated.get(key)
+            if value is not None and not _is_within(value, least, largest):
+                raise FormatError(
+                    f"the grid's metadata: expected {expected} as `{key}`, got "
+                    f"{repr(value)[:50]}: cells can't be judged for such an agent"
+                )
         if grid.agent_height <= grid.max_step:
             raise FormatError(
                 f"the grid's metadata: expected `agentHeight` above `traversableFloorHeight`, got "
                 f"{grid.agent_height:g} and {grid.max_step:g} m: nothing is left to judge cells by"
             )
-        slope = grid.navbake.get("maxSlope")
         min_up = float(np.cos(np.radians(45.0 if slope is None else slope)))
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
 
-    def footprint(self, cell_size: float) -> list[tuple[float, bool]]:
-        """The baked footprint: half-size and whether it is round, for square and disc [m]."""
-        half = cell_size / 2
-        parts = [(half, False)] if self.radius < half * np.sqrt(2.0) else []
-        return parts + ([(self.radius, True)] if self.radius > half else [])
 
-
-def _check(metadata: Json, key: str, least: float, most: float, expected: str) -> None:
-    value = metadata.get(key)
-    if value is not None and not _is_within(value, least, most):
-        raise FormatError(
-            f"the grid's metadata: expected {expected} as `{key}`, got {repr(value)[:50]}: "
-            "cells can't be judged for such an agent"
-        )
-
-
-def _is_within(value: object, least: float, most: float) -> bool:
+def _is_within(value: Any, least: float, most: float) -> bool:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and least <= value <= most  # type: ignore[operator]
+    return is_number and least <= value <= most
 
 
 class Inflation(NamedTuple):
@@ -116,11 +108,11 @@ def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[s
 
 def _stated_inflation(grid: GridBase) -> tuple[Inflation, list[str]]:
     """The inflation that the metadata state, and what a user should know of it."""
-    stated = grid.metadata.get("inflation")
-    entries = stated if isinstance(stated, list) else []
+    stated, notes = grid.metadata.get("inflation", []), []
+    entries = stated if isinstance(stated, list) else [stated]
     done = [e for e in entries if isinstance(e, dict) and e.get("mode") in MODES]
-    notes = []
-    if stated is not None and (len(done) < len(entries) or not isinstance(stated, list)):
+    if not isinstance(stated, list) or len(done) < len(entries):
+        done = done if isinstance(stated, list) else []
         notes.append(
             "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch "
             "something by itself"
@@ -131,11 +123,9 @@ def _stated_inflation(grid: GridBase) -> tuple[Inflation, list[str]]:
                 f"the grid's metadata: expected a radius of 0 to {MOST_RADIUS:,.0f} m in "
                 f"`inflation`, got {repr(entry.get('radius'))[:50]}"
             )
-    if not done:
-        return Inflation(), notes
-    largest = max(float(entry["radius"]) for entry in done)
+    largest = max((float(entry["radius"]) for entry in done), default=0.0)
     if all(entry["mode"] == "exact" for entry in done):
-        return Inflation(largest, largest), notes
+        return Inflation(largest if done else None, largest), notes
     notes.append(
         "inflated in the mode minos, which measures from the centres of cells: free cells are "
         "judged by the baked footprint"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +13,13 @@ import numpy as np
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Vector3
 from navbake.verifier.agent import Agent
-from navbake.verifier.lines import CRACK, FACES_UP, RIM, WAYS, Line, Lines, Surface
+from navbake.verifier.lines import AROUND, CRACK, FACES_UP, RIM, Line, Lines, Surface
 from navbake.verifier.report import FLOOR_OFF, Finding, LevelCounts
 from navbake.verifier.sample import LevelSample
 
 OFF = 1e-4  # metres that a floor may be off a surface, and
 SHARE = 1e-6  # a share of its distance from the origin, which float32 rounds off
+SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 class Unknown(NamedTuple):
@@ -41,17 +43,14 @@ def rounding(*coordinates: float) -> float:
     return OFF + SHARE * max(map(abs, coordinates))
 
 
-def is_same_height(z: float, floor: float) -> bool:
-    """Whether a surface is at the height of a floor [m]."""
-    return abs(z - floor) <= rounding(floor)
-
-
 class FloorCheck:
-    """Checks floors by MuJoCo's rays, and finds places that no level has."""
+    """Checks floors by MuJoCo's rays, and finds places that no level has.
+
+    Cells are given by level, row and column, also of cells beside the level.
+    """
 
     def __init__(self, grid: GridBase, lines: Lines, agent: Agent, crack: float = CRACK) -> None:
-        self._levels, self._lines, self._crack = grid.levels, lines, crack
-        self.agent = agent
+        self.agent, self._lines, self._crack = agent, lines, crack
         self._floors = [level.floor for level in grid.levels]
         self._free = [level.free for level in grid.levels]
         self._lattices = [level.lattice for level in grid.levels]
@@ -76,120 +75,96 @@ class FloorCheck:
         Columns whose floor is off, or beside the centre, are not asked for more.
         """
         findings, unknown = list[Finding](), list[Unknown]()
-        for cell in range(len(sample)):
-            if np.isnan(sample.floor[cell]):
-                unknown += self._find_unknown(sample, cell)
-                continue
-            counts.floors += 1
-            if self._has_floor(sample, cell, beside=False):
-                unknown += self._find_unknown(sample, cell)
-            elif self._has_floor(sample, cell, beside=True):
+        for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
+            x, y, z = place = sample.place(k)
+            line, off = self.line_at(sample.number, *sample.cell(k)), rounding(x, y, z)
+            counts.floors += not has_none
+            if has_none or line.faces_up(z - off, z + off):
+                unknown += self._find_unknown(sample, k)
+            elif self._is_in_crack(sample, k, off):
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
-                findings.append(self._describe_off(sample, cell))
+                gaps = [abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP]
+                nearest = min(gaps, default=None)
+                text = f"has its floor at {place[2]:.4f} m, "
+                off_by = "" if nearest is None else f"{nearest:.4f} m off the nearest surface"
+                text += off_by or "over no surface"
+                findings.append(sample.finding(FLOOR_OFF, k, text, None, nearest))
         return findings, unknown
 
-    # ------------------------------------------------------------ floors
-
-    def _has_floor(self, sample: LevelSample, cell: int, *, beside: bool) -> bool:
-        """Whether a surface faces up at a cell's floor: at its centre, or beside it."""
-        (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-        low, high = z - rounding(x, y, z), z + rounding(x, y, z)
-        place = sample.number, int(sample.rows[cell]), int(sample.cols[cell])
-        if not beside:
-            return self.line_at(*place).faces_up(low, high)
+    def _is_in_crack(self, sample: LevelSample, k: int, off: float) -> bool:
+        """Whether a surface faces up at a cell's floor beside its centre."""
+        place = sample.place(k)
         # at the edge of a crack, floors that slope have any height
-        is_gap = all(abs(s.z - z) > self.agent.step for s in self.standable_at(*place))
+        around = self.standable_at(sample.number, *sample.cell(k))
+        is_gap = all(abs(s.z - place[2]) > self.agent.step for s in around)
         min_up = self.agent.min_up if is_gap else np.inf
-        return self._lines.faces_up_beside(x, y, low, high, self._crack, min_up=min_up)
+        return self._lines.faces_up_beside(place, off, self._crack, min_up=min_up)
 
-    def _describe_off(self, sample: LevelSample, cell: int) -> Finding:
-        (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-        row, col = int(sample.rows[cell]), int(sample.cols[cell])
-        surfaces = self.line_at(sample.number, row, col).surfaces
-        off = min((abs(s.z - z) for s in surfaces if s.up >= FACES_UP), default=None)
-        text = f"has its floor at {z:.4f} m, "
-        text += "over no surface" if off is None else f"{off:.4f} m off the nearest surface"
-        return Finding(FLOOR_OFF, sample.number, (row, col), (x, y, z), text, None, off)
-
-    # ------------------------------------------------------------ places that are lost
-
-    def _find_unknown(self, sample: LevelSample, cell: int) -> list[Unknown]:
+    def _find_unknown(self, sample: LevelSample, k: int) -> list[Unknown]:
         """The places to stand in a column that no level has, lowest first.
 
         A place is a surface that an agent can stand on. A step beside a free cell, it is a fault.
         """
-        (x, y), found = sample.xy[cell].tolist(), []
-        place = sample.number, int(sample.rows[cell]), int(sample.cols[cell])
-        known = self.floors_at(*place)
-        for z, _, number in self.standable_at(*place):
-            if not any(is_same_height(z, floor) for floor in known):
-                is_step = self._is_a_step_from_free(*place, z) and self.is_sure(*place, z)
-                found.append(Unknown(place[1:], (x, y, z), self.name(number), is_step))
+        (x, y), cell, found = sample.xy[k].tolist(), sample.cell(k), []
+        for z, _, number in self.standable_at(sample.number, *cell):
+            if not self.is_known(sample.number, *cell, z):
+                is_step = self._is_a_step_from_free(sample.number, *cell, z)
+                is_step = is_step and self.is_sure(sample.number, *cell, z)
+                found.append(Unknown(cell, (x, y, z), self.name(number), is_step))
         return found
 
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
         return self._lines.obstacles.name(number)
 
-    def floors_at(self, number: int, row: int, col: int) -> list[float]:
-        """The floors of all levels in a column of one level's lattice [m]."""
-        found = []
-        for other in range(len(self._levels)):
-            r, c = self._on(number, other, row, col)
-            floors = self._floors[other]
-            if 0 <= r < floors.shape[0] and 0 <= c < floors.shape[1]:
-                floor = float(floors[r, c])
-                found += [floor] if floor == floor else []  # not NaN
-        return found
+    def is_known(self, number: int, row: int, col: int, z: float) -> bool:
+        """Whether any level has a floor at a height in a column [m]."""
+        cells = (self.on(number, other, row, col) for other in range(len(self._lattices)))
+        floors = [floor[cell] for floor, cell in zip(self._floors, cells, strict=True) if cell]
+        return any(abs(z - floor) <= rounding(floor) for floor in floors)  # NaN is none
 
-    def _on(self, number: int, other: int, row: int, col: int) -> tuple[int, int]:
+    def on(self, number: int, other: int, row: int, col: int) -> tuple[int, int] | None:
+        """A cell of one level, by row and column of another; None beside that."""
+        row, col = self.shifted(number, other, row, col)
+        height, width = self._floors[other].shape
+        return (row, col) if 0 <= row < height and 0 <= col < width else None
+
+    def shifted(self, number: int, other: int, row: int, col: int) -> tuple[int, int]:
         """A cell of one level, by row and column of another, also beside it."""
-        if number == other:
-            return row, col
         one, two = self._lattices[number], self._lattices[other]
         row += round((two.y_max - one.y_max) / one.cell_size)
         return row, col + round((one.x_min - two.x_min) / one.cell_size)
 
-    def on_lowest(self, number: int, cell: tuple[int, int]) -> tuple[int, int]:
-        """A cell of a level, by row and column of the lowest one, also beside it."""
-        return self._on(number, 0, *cell)
-
     def is_within(self, row: int, col: int) -> bool:
         """Whether a cell, by row and column of the lowest level, is one of any level."""
-        for other, lattice in enumerate(self._lattices):
-            r, c = self._on(0, other, row, col)
-            if 0 <= r < lattice.height and 0 <= c < lattice.width:
-                return True
-        return False
+        return any(self.on(0, other, row, col) for other in range(len(self._lattices)))
 
     def center(self, number: int, row: int, col: int) -> tuple[float, float]:
-        """World x and y of a cell, also beside the level [m]."""
+        """World x and y of a cell [m]."""
         x_min, y_max, cell_size, *_ = self._lattices[number]
         return x_min + (col + 0.5) * cell_size, y_max - (row + 0.5) * cell_size
 
     def is_sure(self, number: int, row: int, col: int, z: float) -> bool:
         """Whether the place is there beside the centre, too, and is no rim or touching limit."""
         agent, (x, y) = self.agent, self.center(number, row, col)
-        for a, b in WAYS[1::4]:
+        for a, b in AROUND[1::4]:
             found = self._lines.at(x + RIM * a, y + RIM * b)
-            heights = [s.z for s in found.standable(agent.height + OFF, agent.min_up + 1e-5)]
-            if not any(abs(h - z) <= OFF for h in heights):
+            places = found.standable(agent.height + OFF, agent.min_up + 1e-5)
+            if not any(abs(s.z - z) <= OFF for s in places):
                 return False
         return True
 
     def _is_a_step_from_free(self, number: int, row: int, col: int, z: float) -> bool:
-        for other, (floors, free) in enumerate(zip(self._floors, self._free, strict=True)):
-            for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                r, c = self._on(number, other, row + dr, col + dc)
-                if not (0 <= r < free.shape[0] and 0 <= c < free.shape[1]) or not free[r, c]:
-                    continue
-                floor = float(floors[r, c])
-                if abs(floor - z) > self.agent.step - OFF:
-                    continue
+        for other, (dr, dc) in product(range(len(self._lattices)), SIDES):
+            cell = self.on(number, other, row + dr, col + dc)
+            if cell is None or not self._free[other][cell]:
+                continue
+            floor = float(self._floors[other][cell])
+            if abs(floor - z) <= self.agent.step - OFF:
                 beside = self.standable_at(number, row + dr, col + dc)
-                if any(is_same_height(s.z, floor) for s in beside):
+                if any(abs(s.z - floor) <= rounding(floor) for s in beside):
                     return True
         return False
 
@@ -203,7 +178,6 @@ CLEARLY_LARGE = 1.25
 WALLED, DROPS, COVERS = 0.5, 0.2, 0.2
 MIN_WALL = 1.5  # parapets are lower than walls [m]
 REACHED = 3.0  # area of the floors that steps lead to, if it is to count as reached [m²]
-SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 Node = tuple[int, int, int]
 """Row and column on the lowest level's lattice, and the number of the surface in its column."""
@@ -253,32 +227,35 @@ class SheetSearch:
     could stand on (a ground). What is neither is counted, and reported in a note.
     """
 
-    def __init__(self, check: FloorCheck, agent: Agent, cell_size: float, shrink: float) -> None:
-        self._check, self._agent, self._shrink = check, agent, shrink
+    def __init__(self, check: FloorCheck, cell_size: float, shrink: float) -> None:
+        self._check, self._agent, self._shrink = check, check.agent, shrink
         self._stride = max(1, round(STRIDE / cell_size))
         self._edge = self._stride * cell_size
         self._seen: set[Node] = set()
 
-    def from_place(self, row: int, col: int, z: float, *, exact: bool = False) -> Sheet | None:
-        """The sheet of a place, by row and column of the lowest level.
+    def from_place(self, number: int, unknown: Unknown) -> Sheet | None:
+        """The sheet of a place that was looked for on a level.
 
         None if it was found before, or is as narrow as furniture. Places are looked at every
-        `STRIDE`, so what is narrower may be missed; `exact` begins at this very place.
+        `STRIDE`, so what is narrower may be missed, but beside a step from a free cell.
         """
-        if not exact:
+        row, col = self._check.shifted(number, 0, *unknown.cell)
+        if not unknown.is_step:
             row, col = (v - v % self._stride for v in (row, col))
-        start = self._near(row, col, z)
-        if start is None or (not exact and (row, col, start) in self._seen):
+        start = self._near(row, col, unknown.place[2])
+        if start is None:
             return None
         first = self._check.standable_at(0, row, col)[start]
-        if not exact and (
-            self._is_known(row, col, first.z)
-            or self._is_narrow(row, col, first.z)
-            or not self._check.is_sure(0, row, col, first.z)
-        ):
-            return None
-        x, y = self._check.center(0, row, col)
-        sheet = Sheet((x, y, first.z), self._check.name(first.number))
+        if not unknown.is_step:
+            far = [2 * self._stride * np.array(side) for side in SIDES]
+            ends = sum(self._near(row + dr, col + dc, first.z) is None for dr, dc in far)
+            is_narrow = ends >= 2
+            if (row, col, start) in self._seen or self._check.is_known(0, row, col, first.z):
+                return None
+            if is_narrow or not self._check.is_sure(0, row, col, first.z):
+                return None
+        place = (*self._check.center(0, row, col), first.z)
+        sheet = Sheet(place, self._check.name(first.number))
         own = self._search((row, col, start), sheet)
         places = {(r, c) for r, c, _ in own}
         reach = int(self._shrink / self._edge) + 1
@@ -291,11 +268,6 @@ class SheetSearch:
         sheet.area, sheet.inner, sheet.over = areas
         return sheet
 
-    def _is_narrow(self, row: int, col: int, z: float) -> bool:
-        """Whether it ends within two strides on two sides or more."""
-        ways = [(2 * self._stride * dr, 2 * self._stride * dc) for dr, dc in SIDES]
-        return sum(self._near(row + dr, col + dc, z) is None for dr, dc in ways) >= 2
-
     def _search(self, start: Node, sheet: Sheet) -> set[Node]:
         """Search from place to place; the places that no level has, as far as they were found.
 
@@ -303,47 +275,39 @@ class SheetSearch:
         stands on the floor may be one by its lower parts, without steps that lead there.
         """
         own, known, queue = {start}, set[Node](), deque([start])
-        below: list[Node] = []
-        self._seen.add(start)
+        below: list[Node | None] = []
         while queue and len(own) < MOST_PLACES and not sheet.reached:
-            row, col, number = queue.popleft()
+            row, col, number = here = queue.popleft()
             z = self._check.standable_at(0, row, col)[number].z
             for dr, dc in SIDES:
                 r, c = row + dr * self._stride, col + dc * self._stride
                 # of what lies beside the grid, no floors are known
-                is_beside = not self._check.is_within(r, c)
-                beside = None if is_beside else self._near(r, c, z)
-                is_own = (row, col, number) in own
+                beside = self._near(r, c, z) if self._check.is_within(r, c) else None
                 if beside is None:
-                    if is_own:
-                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
+                    if here in own:
+                        below.append(self._note_edge(sheet, (row, col), (dr, dc), z))
                     continue
                 node = (r, c, beside)
                 if node in own or node in known:
                     continue
-                if self._is_known(r, c, self._check.standable_at(0, r, c)[beside].z):
-                    if is_own and not self._walks(row, col, dr, dc, z):
-                        below += self._note_edge(sheet, (row, col), (dr, dc), z)
-                        continue
+                if not self._check.is_known(0, r, c, self._check.standable_at(0, r, c)[beside].z):
+                    own.add(node)
+                elif here in own and not self._walks(row, col, dr, dc, z):
+                    below.append(self._note_edge(sheet, (row, col), (dr, dc), z))
+                    continue
+                else:
                     known.add(node)
                     sheet.reached = len(known) * self._edge**2 >= REACHED
-                else:
-                    own.add(node)
-                    self._seen.add(node)
                 queue.append(node)
-        sheet.drops = sum(node not in own for node in below)
+        self._seen |= own
+        sheet.drops = sum(node is not None and node not in own for node in below)
         return own
 
     def _near(self, row: int, col: int, z: float) -> int | None:
         """The surface of a column that is a step at most from a height; None for none."""
-        heights = [surface.z for surface in self._check.standable_at(0, row, col)]
-        gaps = [abs(height - z) for height in heights]
-        best = min(range(len(gaps)), key=gaps.__getitem__, default=None)
-        return best if best is not None and gaps[best] <= self._agent.step - OFF else None
-
-    def _is_known(self, row: int, col: int, z: float) -> bool:
-        floors = self._check.floors_at(0, row, col)
-        return any(is_same_height(z, floor) for floor in floors)
+        gaps = [abs(surface.z - z) for surface in self._check.standable_at(0, row, col)]
+        best = min(gaps, default=np.inf)
+        return gaps.index(best) if best <= self._agent.step - OFF else None
 
     def _walks(self, row: int, col: int, dr: int, dc: int, z: float) -> bool:
         """Whether steps from cell to cell lead over a stride."""
@@ -357,7 +321,7 @@ class SheetSearch:
 
     def _note_edge(
         self, sheet: Sheet, here: tuple[int, int], way: tuple[int, int], z: float
-    ) -> list[Node]:
+    ) -> Node | None:
         """Note how a sheet ends, at a wall or not; the place that it drops to, if it drops."""
         sheet.edges += 1
         low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
@@ -366,6 +330,6 @@ class SheetSearch:
             line = self._check.line_at(0, row, col)
             if any(begin < low and end > high for begin, end in line.solid):
                 sheet.walls += 1
-                return []
-        lower = [s for s in self._check.standable_at(0, row, col) if s.z < z]
-        return [(row, col, len(lower) - 1)] if lower else []
+                return None
+        lower = sum(s.z < z for s in self._check.standable_at(0, row, col))
+        return (row, col, lower - 1) if lower else None

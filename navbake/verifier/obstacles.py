@@ -7,10 +7,8 @@ its hull is its hull there, also for rays, and what is drawn transparent is hit 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import fcl
@@ -18,98 +16,24 @@ import mujoco
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import QhullError
 
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
-from navbake.types import Bool, Float, Int, Json
+from navbake.lazy import lazy
+from navbake.types import Float, Int, Json
 
-SHEET, SOLID, CAVITY, UNCLEAR = "sheet", "solid", "cavity", "unclear"
-MOST_OPEN = 0.05  # share of open edges up to which a part may be a closed one with a flaw
-THINNEST = 1e-6  # volume by area of what is a sheet with two sides [m]
-
-
-class Part(NamedTuple):
-    """Triangles of a mesh.
-
-    Attributes:
-        kind: SHEET (encloses nothing), SOLID, CAVITY (a closed part that faces in) or UNCLEAR.
-        faces: shape (n, 3), indices of the mesh's vertices.
-    """
-
-    kind: str
-    faces: Int
-
-
-def split_parts(vertices: Float, faces: Int) -> list[Part]:
-    """All sheets as one part, and each part that encloses something, or may, by itself.
-
-    A part is what hangs together over edges. It encloses a volume where each of its edges is met
-    as often in one direction as in the other. What only might enclose one (edges that are met
-    twice, but in one direction) is unclear: there, only its surface is judged.
-
-    Args:
-        vertices: shape (n, 3) [m].
-        faces: shape (m, 3), counter-clockwise from outside.
-    """
-    _, point = np.unique(vertices, axis=0, return_inverse=True)
-    corner = point.reshape(-1)[faces]
-    whole = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
-    faces, corner = faces[whole], corner[whole]
-    if not len(faces):
-        return []
-    first, second = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
-    ends = np.sort(np.stack([first, second], axis=1), axis=1)
-    _, edge = np.unique(ends, axis=0, return_inverse=True)
-    edge = edge.reshape(-1)
-    face = np.repeat(np.arange(len(faces)), 3)
-    num_edges = int(edge.max()) + 1
-    # faces and edges as the nodes of one graph: faces with an edge in common hang together
-    graph = coo_array(
-        (np.ones(len(face), dtype=np.int8), (face, len(faces) + edge)),
-        shape=(len(faces) + num_edges,) * 2,
-    )
-    _, label = connected_components(graph, directed=False)
-    number, part = np.unique(label[: len(faces)], return_inverse=True)
-    direction = np.where(first < second, 1, -1)
-    surplus = np.bincount(edge, direction, num_edges)
-    met = np.bincount(edge, minlength=num_edges)
-    part_of_edge = np.zeros(num_edges, dtype=np.int64)
-    part_of_edge[edge] = part[face]
-    is_turned = np.bincount(part_of_edge, surplus != 0, len(number)) > 0
-    volume, area = _measure(vertices, faces, part, len(number))
-    is_thin = np.abs(volume) <= THINNEST * area
-    kind = np.where(volume > 0, SOLID, CAVITY).astype(object)
-    kind[is_turned] = UNCLEAR
-    # an almost closed part may enclose something, with a stray triangle or a membrane
-    open_edges = np.bincount(part_of_edge, met % 2, len(number))
-    all_edges = np.bincount(part_of_edge, minlength=len(number))
-    is_sheet = open_edges > MOST_OPEN * all_edges
-    kind[open_edges > 0] = UNCLEAR
-    kind[is_sheet | (is_thin & ~is_turned)] = SHEET
-    by_part = np.argsort(part, kind="stable")
-    pieces = np.split(faces[by_part], np.searchsorted(part[by_part], np.arange(1, len(number))))
-    sheets = [piece for piece, k in zip(pieces, kind, strict=True) if k == SHEET]
-    parts = [Part(k, f) for k, f in zip(kind, pieces, strict=True) if k != SHEET]
-    return [*parts, Part(SHEET, np.concatenate(sheets))] if sheets else parts
-
-
-def _measure(vertices: Float, faces: Int, part: Int, num: int) -> tuple[Float, Float]:
-    """Volume and area of each part, the volume as seen from its first corner [m³, m²]."""
-    _, first = np.unique(part, return_index=True)
-    corners = vertices[faces] - vertices[faces[first[part], 0]][:, None]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = np.bincount(part, np.einsum("ij,ij->i", corners[:, 0], cross), num) / 6
-    return volume, np.bincount(part, np.linalg.norm(cross, axis=1), num) / 2
-
+trimesh = lazy("trimesh")
 
 GEOM = mujoco.mjtGeom
-BIN = 0.5  # edge of the squares that obstacles are sorted into [m]
-MOST_BINS = 1000  # squares that an obstacle is listed in at most
+# What an obstacle is: convex solid or hull, endless plane, or height field; or a part of a mesh: a
+# sheet that encloses nothing, a closed part that faces out or in, or one that may enclose something
+CONVEX, HALF_SPACE, HEIGHT_FIELD = "convex", "half-space", "height field"
+SHEET, SOLID, CAVITY, UNCLEAR = "sheet", "solid", "cavity", "unclear"
+ENCLOSING = (HEIGHT_FIELD, SOLID, CAVITY)  # their surface alone doesn't show what is inside
+MOST_OPEN = 0.05  # share of open edges up to which a part may be a closed one with a flaw
+THINNEST = 1e-6  # volume by area of what is a sheet with two sides [m]
 FAR = 1e4  # half-size that stands for the infinite side of a plane with a finite one [m]
-CONVEX = "convex"  # what an obstacle is, beside the kinds of parts of meshes
-HALF_SPACE = "half-space"
-HEIGHT_FIELD = "height field"
 UPRIGHT = 1e-9  # least z of a unit normal, up or down, of what a vertical line can cross
 
 
@@ -122,9 +46,7 @@ class Obstacle:
         kind: CONVEX, HALF_SPACE, HEIGHT_FIELD, or a part's SHEET, SOLID, CAVITY or UNCLEAR.
         shape: FCL's object, in its place.
         low, high: its box, world frame [m]; infinite for half-spaces.
-        same_in_mujoco: whether MuJoCo collides the same shape: it knows no surfaces, and takes
-            finite planes for infinite ones.
-        points: corners of a hull, world frame, shape (n, 3) [m]; empty for all else.
+        points: corners of a hull, world frame, shape (n, 3) [m]; None for all else.
     """
 
     geom: int
@@ -132,8 +54,15 @@ class Obstacle:
     shape: Any
     low: Float
     high: Float
-    same_in_mujoco: bool
-    points: Float = field(default_factory=lambda: np.empty((0, 3)))
+    points: Float | None
+
+    @property
+    def same_in_mujoco(self) -> bool:
+        """Whether MuJoCo collides the same shape.
+
+        It has no surfaces, and takes finite planes for infinite ones.
+        """
+        return self.kind in (CONVEX, HALF_SPACE)
 
 
 @dataclass(eq=False)
@@ -142,80 +71,78 @@ class Obstacles:
 
     Attributes:
         items: obstacle i is geom i of the model.
+        names: of the scene's geoms, by id.
         model, data: the MuJoCo model; two more geoms, a box and a cylinder, are to probe with, and
             behind them are those of `facing`.
-        low, high: boxes of all, shape (n, 3) [m].
-        names: of the scene's geoms, by id.
         facing: of each surface of a mesh, the model's geoms with its triangles that face up, and
             with those that face down: where two lie in one place, a ray meets only one of them.
+        low, high: boxes of all, shape (n, 3) [m].
         pos, mat, size: poses and sizes of the model's geoms, its own arrays.
     """
 
     items: list[Obstacle]
+    names: list[str]
     model: Any
     data: Any
-    low: Float
-    high: Float
-    names: list[str]
     facing: dict[int, list[int]]
+    low: Float = field(init=False)
+    high: Float = field(init=False)
     pos: Float = field(init=False)
     mat: Float = field(init=False)
     size: Float = field(init=False)
 
     def __post_init__(self) -> None:
+        self.low = np.array([item.low for item in self.items]).reshape(-1, 3)
+        self.high = np.array([item.high for item in self.items]).reshape(-1, 3)
         # MuJoCo makes these anew whenever they are asked for
         self.pos, self.mat = self.data.geom_xpos, self.data.geom_xmat
         self.size = self.model.geom_size
+        x_and_y = self.low[:, 0], self.low[:, 1], self.high[:, 0], self.high[:, 1]
+        self._sides = [np.ascontiguousarray(side) for side in x_and_y]
 
-    @property
-    def box_probe(self) -> int:
-        """The model's geom for upright boxes."""
-        return len(self.items)
-
-    @property
-    def cylinder_probe(self) -> int:
-        """The model's geom for upright cylinders."""
-        return len(self.items) + 1
+    def probe_geom(self, *, is_round: bool) -> int:
+        """The model's geom for upright boxes, or for upright cylinders."""
+        return len(self.items) + is_round
 
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
         return self.names[self.items[number].geom]
 
-    def meets_box(self, low: Float, high: Float) -> bool:
-        """Whether the box of any obstacle meets a box."""
+    def meeting(self, low: Float, high: Float) -> list[int]:
+        """The obstacles whose boxes meet a box, ascending."""
         meets = (self.low <= high).all(axis=1) & (self.high >= low).all(axis=1)
-        return bool(meets.any())
+        found: list[int] = np.flatnonzero(meets).tolist()
+        return found
 
     def over(self, x: float, y: float) -> list[int]:
         """The obstacles whose boxes hold a vertical line, ascending."""
-        bins, everywhere = self._bins
-        boxes = self._sides
-        found = [*everywhere, *bins.get((int(x // BIN), int(y // BIN)), ())]
-        return sorted(
-            k for k in found if boxes[k][0] <= x <= boxes[k][2] and boxes[k][1] <= y <= boxes[k][3]
-        )
+        x0, y0, x1, y1 = self._sides
+        found: list[int] = np.flatnonzero((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).tolist()
+        return found
 
-    @cached_property
-    def _sides(self) -> list[list[float]]:
-        sides: list[list[float]] = np.hstack([self.low[:, :2], self.high[:, :2]]).tolist()
-        return sides
+    def support(self, number: int, way: Float) -> float:
+        """How far a convex obstacle or a half-space reaches along a unit vector [m]; may be inf."""
+        item = self.items[number]
+        if item.points is not None:
+            return float((item.points @ way).max())
+        pos, mat = self.pos[number], self.mat[number].reshape(3, 3)
+        if item.kind == HALF_SPACE:
+            return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
+        kind = int(self.model.geom_type[number])
+        return float(pos @ way + _reach(kind, self.size[number], mat.T @ way))
 
-    @cached_property
-    def _bins(self) -> tuple[dict[tuple[int, int], list[int]], list[int]]:
-        """The obstacles over each square of `BIN`, and those that are over too many."""
-        bins: dict[tuple[int, int], list[int]] = {}
-        everywhere = []
-        for number, sides in enumerate(self._sides):
-            if not np.isfinite(sides).all():
-                everywhere.append(number)
-                continue
-            x0, y0, x1, y1 = (int(side // BIN) for side in sides)
-            if (x1 - x0 + 1) * (y1 - y0 + 1) > MOST_BINS:
-                everywhere.append(number)
-                continue
-            for place in itertools.product(range(x0, x1 + 1), range(y0, y1 + 1)):
-                bins.setdefault(place, []).append(number)
-        return bins, everywhere
+
+def _reach(kind: int, size: Float, way: Float) -> float:
+    """How far a solid reaches from its centre along a unit vector of its own frame [m]."""
+    if kind == GEOM.mjGEOM_SPHERE:
+        return float(size[0])
+    if kind == GEOM.mjGEOM_CAPSULE:
+        return float(size[0] + size[1] * abs(way[2]))
+    if kind == GEOM.mjGEOM_ELLIPSOID:
+        return float(np.linalg.norm(size * way))
+    if kind == GEOM.mjGEOM_CYLINDER:
+        return float(size[0] * np.hypot(way[0], way[1]) + size[1] * abs(way[2]))
+    return float((size * np.abs(way)).sum())
 
 
 def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> Obstacles:
@@ -235,35 +162,67 @@ def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> 
     return builder.finish()
 
 
+class _Piece(NamedTuple):
+    """What an obstacle is made of, in its geom's frame.
+
+    Attributes:
+        kind: see `Obstacle`.
+        shape: FCL's.
+        geom: what MuJoCo's geom is made of.
+        points: corners; None for what has none.
+        triangles: those of a surface that vertical lines cross, by its points.
+    """
+
+    kind: str
+    shape: Any
+    geom: Json
+    points: Float | None = None
+    triangles: Int | None = None
+
+
 class _Builder:
     def __init__(self, scene: Scene, data: Any) -> None:
         self._scene, self._model, self._data = scene, scene.model, data
         self._spec = mujoco.MjSpec()
         self._items: list[Obstacle] = []
-        self._heights: list[Float] = []
-        self._shared: dict[tuple[int, str], list[Any]] = {}
-        self._facing: list[tuple[int, Json]] = []
-        self._halves: dict[tuple[str, bytes], list[str]] = {}
+        self._heights: list[Float] = []  # of height fields
+        self._meshes: dict[tuple[int, str], list[_Piece]] = {}
+        self._facing: dict[int, list[Json]] = {}
+        self._halves: dict[tuple[int, bytes], list[str]] = {}
 
-    def add(self, geom: int, mesh_mode: str) -> None:
-        kind, size = int(self._model.geom_type[geom]), self._model.geom_size[geom].copy()
-        if kind == GEOM.mjGEOM_PLANE:
-            self._add_plane(geom, size)
-        elif kind == GEOM.mjGEOM_HFIELD:
-            self._add_height_field(geom)
+    def add(self, geom: int, mode: str) -> None:
+        """Add a geom of the scene; a mesh of several parts becomes several obstacles."""
+        model, part = self._model, self._scene.parts.get(geom)
+        kind, size = int(model.geom_type[geom]), model.geom_size[geom].copy()
+        mat, pos = self._data.geom_xmat[geom].reshape(3, 3).copy(), self._data.geom_xpos[geom]
+        pieces = [_Piece(CONVEX, _solid(kind, size), {"type": kind, "size": size})]
+        if part is not None:  # in the world's frame
+            mat, pos = np.eye(3), np.zeros(3)
+            faces = part.faces.astype(np.int64)
+            pieces = self._mesh_pieces(part.vertices, faces, part.vertices, mode)
         elif kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
-            self._add_mesh(geom, mesh_mode)
-        else:
-            self._put(geom, CONVEX, _solid(kind, size), type=kind, size=size)
+            key = int(model.geom_dataid[geom]), mode
+            if key not in self._meshes:
+                self._meshes[key] = self._mesh_pieces(*_mesh_arrays(model, key[0]), mode)
+            pieces = self._meshes[key]
+        elif kind == GEOM.mjGEOM_HFIELD:
+            pieces = [self._height_field(int(model.geom_dataid[geom]))]
+        elif kind == GEOM.mjGEOM_PLANE:
+            pieces = [_plane(size)]
+        for piece in pieces:
+            self._put(geom, piece, mat, pos)
 
     def finish(self) -> Obstacles:
+        """Compile what was added."""
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
-        facing: dict[int, list[int]] = {}
-        for more, (number, settings) in enumerate(self._facing):
-            world.add_geom(**settings)
-            facing.setdefault(number, []).append(len(self._items) + 2 + more)
+        count, facing = len(self._items) + 2, {}
+        for number, halves in self._facing.items():
+            facing[number] = list(range(count, count + len(halves)))
+            count += len(halves)
+            for half in halves:
+                world.add_geom(**half)
         try:
             model = self._spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -274,138 +233,86 @@ class _Builder:
             model.hfield_data[first : first + heights.size] = heights.ravel()
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        none = np.empty((0, 3))
-        low = np.array([item.low for item in self._items]) if self._items else none
-        high = np.array([item.high for item in self._items]) if self._items else none
         names = [report.name for report in self._scene.geoms]
-        return Obstacles(self._items, model, data, low, high, names, facing)
+        return Obstacles(self._items, names, model, data, facing)
 
-    def _pose(self, geom: int) -> tuple[Float, Float]:
-        if geom in self._scene.parts:  # these are in the world's frame
-            return np.eye(3), np.zeros(3)
-        mat = self._data.geom_xmat[geom].reshape(3, 3).copy()
-        return mat, self._data.geom_xpos[geom].copy()
-
-    def _put(
-        self,
-        geom: int,
-        kind: str,
-        shape: Any,
-        *,
-        points: Float | None = None,
-        same: bool = True,
-        **settings: Any,
-    ) -> None:
-        """Place a shape of FCL, and the geom of MuJoCo that the settings describe."""
-        mat, pos = self._pose(geom)
-        placed = fcl.CollisionObject(shape, fcl.Transform(mat, pos))
+    def _put(self, geom: int, piece: _Piece, mat: Float, pos: Float) -> None:
+        """Place a piece, and in MuJoCo's model what stands for it."""
+        placed = fcl.CollisionObject(piece.shape, fcl.Transform(mat, pos))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, mat.ravel())
-        self._spec.worldbody.add_geom(pos=pos, quat=quat, **settings)
-        kind_of = int(settings["type"])
-        if kind == HALF_SPACE:
+        place = {"pos": pos, "quat": quat}
+        self._spec.worldbody.add_geom(**place, **piece.geom)
+        points = None if piece.points is None else piece.points @ mat.T + pos
+        if points is not None:
+            low, high = points.min(axis=0), points.max(axis=0)
+        elif piece.kind == HALF_SPACE:
             low, high = np.full(3, -np.inf), np.full(3, np.inf)
-        elif kind == CONVEX and kind_of != GEOM.mjGEOM_MESH:
-            half = _half_extents(kind_of, np.asarray(settings["size"]), mat)
-            low, high = pos - half, pos + half
-        else:
-            corners = np.asarray(points) @ mat.T + pos
-            low, high = corners.min(axis=0), corners.max(axis=0)
-        hull = corners if kind == CONVEX and kind_of == GEOM.mjGEOM_MESH else np.empty((0, 3))
-        self._items.append(Obstacle(geom, kind, placed, low, high, same, hull))
-
-    def _add_plane(self, geom: int, size: Float) -> None:
-        if (size[:2] <= 0).all():
-            shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-            self._put(geom, HALF_SPACE, shape, type=GEOM.mjGEOM_PLANE, size=[0, 0, 1])
-            mat, pos = self._pose(geom)
             if mat[2, 2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
-                self._items[-1].high[2] = pos[2]
-            return
-        x, y = np.where(size[:2] > 0, size[:2], FAR)
-        corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-        surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-        shown = {"type": GEOM.mjGEOM_PLANE, "size": [size[0], size[1], 1.0]}
-        self._put(geom, SHEET, surface, points=corners, same=False, **shown)
+                high[2] = pos[2]
+        else:
+            size = piece.geom["size"]
+            half = np.array([_reach(piece.geom["type"], size, axis) for axis in mat])
+            low, high = pos - half, pos + half
+        if piece.triangles is not None:
+            halves = self._split_facing(piece, mat[2])
+            common = place | {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}  # no hulls
+            self._facing[len(self._items)] = [common | {"meshname": half} for half in halves]
+        hull = points if piece.kind == CONVEX else None
+        self._items.append(Obstacle(geom, piece.kind, placed, low, high, hull))
 
-    def _add_height_field(self, geom: int) -> None:
-        model, field_id = self._model, int(self._model.geom_dataid[geom])
-        rows, cols = int(model.hfield_nrow[field_id]), int(model.hfield_ncol[field_id])
-        first = int(model.hfield_adr[field_id])
-        heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
-        size, name = model.hfield_size[field_id], f"field {len(self._heights)}"
-        self._heights.append(heights)
-        self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
-        vertices, faces = _field_surface(heights.astype(np.float64), size)
-        surface, shown = _surface(vertices, faces), {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
-        self._put(geom, HEIGHT_FIELD, surface, points=vertices, same=False, **shown)
+    def _split_facing(self, piece: _Piece, up: Float) -> list[str]:
+        """Make meshes of what faces up of a surface, and of what faces down; returns their names.
 
-    def _add_mesh(self, geom: int, mode: str) -> None:
-        part = self._scene.parts.get(geom)
-        key = (int(self._model.geom_dataid[geom]), mode)
-        pieces = None if part is not None else self._shared.get(key)
-        if pieces is None:
-            if part is not None:
-                own = part.vertices, part.faces.astype(np.int64), part.vertices
-                pieces = self._pieces(*own, mode)
-            else:
-                pieces = self._pieces(*_mesh_arrays(self._model, key[0]), mode)
-                self._shared[key] = pieces
-        for kind, shape, points, triangles, name in pieces:
-            shown: Json = {"type": GEOM.mjGEOM_MESH, "meshname": name}
-            if kind != CONVEX:
-                self._add_facing(name, points, triangles, *self._pose(geom))
-                shown |= {"contype": 0, "conaffinity": 0}  # needs no hull
-            self._put(geom, kind, shape, points=points, same=kind == CONVEX, **shown)
-
-    def _add_facing(self, name: str, points: Float, triangles: Int, mat: Float, pos: Float) -> None:
-        """Add what faces up of a surface, and what faces down, each as a mesh of its own."""
-        key = name, mat[2].tobytes()
-        if key not in self._halves:
-            a, b, c = (points[triangles[:, k]] for k in range(3))
+        `up` is the world's vertical in the surface's frame.
+        """
+        key = id(piece.shape), up.tobytes()
+        if key not in self._halves and piece.points is not None and piece.triangles is not None:
+            a, b, c = (piece.points[piece.triangles[:, k]] for k in range(3))
             normal = np.cross(b - a, c - a)
-            up, least = normal @ mat[2], UPRIGHT * np.linalg.norm(normal, axis=1)
-            halves = [triangles[up > least], triangles[up < -least]]
-            self._halves[key] = [self._name_mesh(*_used(points, h)) for h in halves if len(h)]
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, mat.ravel())
-        place = {"type": GEOM.mjGEOM_MESH, "pos": pos, "quat": quat, "contype": 0, "conaffinity": 0}
-        number = len(self._items)
-        self._facing += [(number, {**place, "meshname": half}) for half in self._halves[key]]
+            rise, least = normal @ up, UPRIGHT * np.linalg.norm(normal, axis=1)
+            halves = [piece.triangles[rise > least], piece.triangles[rise < -least]]
+            meshes = [_used(piece.points, half) for half in halves if len(half)]
+            self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
+        return self._halves[key]
 
-    def _pieces(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[Any]:
-        """Kind, FCL's shape, points, triangles and mesh name of each piece of a mesh."""
-        hull = _hull_of(on_hull) if mode == "hull" else None
-        if hull is not None:
+    def _mesh_pieces(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[_Piece]:
+        if mode == "hull" and (hull := _hull_of(on_hull)) is not None:
             points, triangles = hull
-            counted = np.concatenate([np.full((len(triangles), 1), 3), triangles], axis=1)
-            shape = fcl.Convex(points, len(triangles), counted.ravel())
-            return [(CONVEX, shape, points, triangles, self._name_mesh(points, triangles))]
-        parts = [(SHEET, faces)] if mode == "shell" else split_parts(vertices, np.asarray(faces))
-        pieces = []
-        for kind, own in parts:
-            points, triangles = _used(vertices, own)
+            counted = np.insert(triangles, 0, 3, axis=1).ravel()
+            shape = fcl.Convex(points, len(triangles), counted)
             name = self._name_mesh(points, triangles)
-            pieces.append((kind, _surface(points, triangles), points, triangles, name))
+            return [_Piece(CONVEX, shape, {"type": GEOM.mjGEOM_MESH, "meshname": name}, points)]
+        pieces = []
+        for kind, own in [(SHEET, faces)] if mode == "shell" else split_parts(vertices, faces):
+            points, triangles = _used(vertices, own)
+            # rays meet its halves; what stands for it in the numbering is never asked
+            stand_in: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
+            shape = _surface(points, triangles)
+            pieces.append(_Piece(kind, shape, stand_in, points, triangles))
         return pieces
 
+    def _height_field(self, number: int) -> _Piece:
+        model = self._model
+        rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+        first, size = int(model.hfield_adr[number]), model.hfield_size[number]
+        heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
+        name = f"field {len(self._heights)}"
+        self._heights.append(heights)
+        self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
+        points, faces = _field_surface(heights.astype(np.float64), size)
+        geom: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
+        return _Piece(HEIGHT_FIELD, _surface(points, faces), geom, points)
+
     def _name_mesh(self, points: Float, triangles: Int) -> str:
+        """Add a mesh to MuJoCo's model, and return its name."""
         if len(points) < 4:  # MuJoCo takes no fewer
             points = np.concatenate([points, points.mean(axis=0, keepdims=True)])
         name = f"mesh {len(self._spec.meshes)}"
-        self._spec.add_mesh(
-            name=name,
-            uservert=points.ravel(),
-            userface=triangles.ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        points, triangles = points.ravel(), triangles.ravel()
+        self._spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=shell)
         return name
-
-
-def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    """The vertices that faces use, and the faces by these."""
-    used, corners = np.unique(faces, return_inverse=True)
-    return vertices[used], corners.reshape(-1, 3)
 
 
 def _solid(kind: int, size: Float) -> Any:
@@ -420,18 +327,16 @@ def _solid(kind: int, size: Float) -> Any:
     return fcl.Box(*(2 * size))
 
 
-def _half_extents(kind: int, size: Float, mat: Float) -> Float:
-    """Half of the box round a solid, world frame [m]."""
-    axis = np.abs(mat[:, 2])
-    if kind == GEOM.mjGEOM_SPHERE:
-        return np.full(3, size[0])
-    if kind == GEOM.mjGEOM_CAPSULE:
-        return np.asarray(size[0] + axis * size[1])
-    if kind == GEOM.mjGEOM_ELLIPSOID:
-        return np.asarray(np.linalg.norm(mat * size, axis=1))
-    if kind == GEOM.mjGEOM_CYLINDER:
-        return np.asarray(axis * size[1] + size[0] * np.sqrt(np.clip(1 - axis**2, 0, None)))
-    return np.asarray(np.abs(mat) @ size)
+def _plane(size: Float) -> _Piece:
+    """An endless plane as a half-space, one with a finite side as a sheet."""
+    if (size[:2] <= 0).all():
+        shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        return _Piece(HALF_SPACE, shape, {"type": GEOM.mjGEOM_PLANE, "size": [0, 0, 1]})
+    x, y = np.where(size[:2] > 0, size[:2], FAR)
+    corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+    surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    geom: Json = {"type": GEOM.mjGEOM_PLANE, "size": [size[0], size[1], 1.0]}
+    return _Piece(SHEET, surface, geom, corners)
 
 
 def _surface(vertices: Float, faces: Int) -> Any:
@@ -440,6 +345,12 @@ def _surface(vertices: Float, faces: Int) -> Any:
     shape.addSubModel(np.ascontiguousarray(vertices, dtype=np.float64), faces)
     shape.endModel()
     return shape
+
+
+def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
+    """The vertices that faces use, and the faces by these."""
+    used, corners = np.unique(faces, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3)
 
 
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int, Float]:
@@ -458,15 +369,10 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int, Float]:
 def _hull_of(points: Float) -> tuple[Float, Int] | None:
     """Corners and triangles of a convex hull, counter-clockwise from outside; None if flat."""
     try:
-        hull = ConvexHull(points)
+        hull = trimesh.convex.convex_hull(points)
     except (QhullError, ValueError):
         return None
-    used, faces = np.unique(hull.simplices, return_inverse=True)
-    corners, faces = points[used], faces.reshape(-1, 3).astype(np.int64)
-    a, b, c = (corners[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return corners, faces
+    return np.array(hull.vertices, dtype=np.float64), np.array(hull.faces, dtype=np.int64)
 
 
 def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:
@@ -476,21 +382,62 @@ def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:
     """
     rows, cols = heights.shape
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
-    top = np.stack([x.ravel(), y.ravel(), (heights * size[2]).ravel()], axis=1)
-    base = np.stack([x.ravel(), y.ravel(), np.full(x.size, -size[3])], axis=1)
+    layers = [np.stack([x, y, z], axis=-1) for z in (heights * size[2], np.full_like(x, -size[3]))]
     index = np.arange(rows * cols).reshape(rows, cols)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]
-    under = [face[..., ::-1] + rows * cols for face in faces]
+    top = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
     rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
     p, q = rim[:-1], rim[1:]
-    sides = [np.stack([p + rows * cols, q + rows * cols, q], axis=-1)]
-    sides.append(np.stack([p + rows * cols, q, p], axis=-1))
-    everything = [part.reshape(-1, 3) for part in (*faces, *under, *sides)]
-    return np.concatenate([top, base]), np.concatenate(everything)
+    under = rows * cols
+    sides = [np.stack(f, axis=-1) for f in ((p + under, q + under, q), (p + under, q, p))]
+    return np.concatenate(layers).reshape(-1, 3), np.concatenate(
+        [top, top[:, ::-1] + under, *sides]
+    )
 
 
-def is_enclosing(obstacles: Obstacles) -> Bool:
-    """Which obstacles have an inside that their surface alone doesn't tell of."""
-    kinds = (HEIGHT_FIELD, SOLID, CAVITY)
-    return np.array([item.kind in kinds for item in obstacles.items], dtype=np.bool_)
+def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
+    """The parts of a mesh, by kind and faces; all sheets as one.
+
+    A part is what hangs together over edges. It encloses a volume where each of its edges is met
+    as often in one direction as in the other. What only might enclose one (edges that are met
+    twice, but in one direction) is unclear: there, only its surface is judged.
+
+    Args:
+        vertices: shape (n, 3) [m].
+        faces: shape (m, 3), counter-clockwise from outside.
+    """
+    _, point = np.unique(vertices, axis=0, return_inverse=True)
+    corner = point.reshape(-1)[faces]
+    whole = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
+    faces, corner = faces[whole], corner[whole]
+    if not len(faces):
+        return []
+    first, second = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    ends = np.sort(np.stack([first, second], axis=1), axis=1)
+    _, edge, met = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    # faces and edges as the nodes of one graph: faces with an edge in common hang together
+    face = np.repeat(np.arange(len(faces)), 3)
+    nodes = len(faces) + len(met)
+    graph = coo_array((np.ones(len(face), np.int8), (face, len(faces) + edge)), (nodes, nodes))
+    count, label = connected_components(graph, directed=False)
+    part, of_edge = np.split(label, [len(faces)])
+    surplus = np.bincount(edge, np.where(first < second, 1, -1))
+    is_turned = np.bincount(of_edge, surplus != 0, count) > 0
+    open_edges, all_edges = np.bincount(of_edge, met % 2, count), np.bincount(of_edge)
+    # volume as seen from the first corner of each part [m³], and area [m²]
+    origin = vertices[faces[np.unique(part, return_index=True)[1], 0]][part]
+    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
+    cross = np.cross(b - a, c - a)
+    volume = np.bincount(part, (a * cross).sum(axis=1)) / 6
+    area = np.bincount(part, np.linalg.norm(cross, axis=1)) / 2
+    kind = np.where(volume > 0, SOLID, CAVITY).astype(object)
+    # an almost closed part may enclose something, with a stray triangle or a membrane
+    kind[is_turned | (open_edges > 0)] = UNCLEAR
+    is_thin = np.abs(volume) <= THINNEST * area
+    kind[(open_edges > MOST_OPEN * all_edges) | (is_thin & ~is_turned)] = SHEET
+    by_part = np.argsort(part, kind="stable")
+    pieces = np.split(faces[by_part], np.cumsum(np.bincount(part))[:-1])
+    sheets = [piece for piece, k in zip(pieces, kind, strict=True) if k == SHEET]
+    parts = [(str(k), piece) for k, piece in zip(kind, pieces, strict=True) if k != SHEET]
+    return [*parts, (SHEET, np.concatenate(sheets))] if sheets else parts

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from navbake.types import Bool, Float, Int, Vector3
+from navbake.types import Bool, Float, Int
 from navbake.verifier.agent import Agent
 from navbake.verifier.lines import Lines
-from navbake.verifier.obstacles import UNCLEAR, is_enclosing
-from navbake.verifier.probes import (
-    APART,
-    DISPUTED,
-    FARTHEST,
-    TOUCHES,
-    Column,
-    Probes,
-    depth_of,
-    nearest_to,
-)
+from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, Obstacle
+from navbake.verifier.probes import APART, DISPUTED, FARTHEST, TOUCHES, Column, Probes
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
-from navbake.verifier.sample import Bands, CellIndex, LevelSample, Part, baked_volume, column_of
+from navbake.verifier.sample import LevelSample, Part
 
 MEASURED = 100  # findings of a kind whose depth or gap is measured
+
+
+class _Touched(NamedTuple):
+    """What touches the volumes over cells, each of shape (n,).
+
+    Attributes:
+        by: an obstacle that does, -1 for none.
+        part: the number of the volume's part that it touches.
+        disputed: where the libraries contradict each other.
+    """
+
+    by: Int
+    part: Int
+    disputed: Bool
 
 
 class OccupancyCheck:
@@ -48,74 +54,95 @@ class OccupancyCheck:
         """
         self._probes, self._lines, self._agent = probes, lines, agent
         self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
-        self._encloses = is_enclosing(self._obstacles)
         self._found: Counter[str] = Counter()
         self.num_groundless = 0
 
-    def run(
+    def check_free(
+        self, sample: LevelSample, counts: LevelCounts, volume: list[Part]
+    ) -> list[Finding]:
+        """Check free cells by a volume."""
+        asked = sample.free & ~np.isnan(sample.floor)
+        touched = self._touch(sample, asked, volume, -self._tolerance)
+        within = self._inside(sample, asked & (touched.by < 0), volume[0])
+        by = np.where(within >= 0, within, touched.by)
+        bare = self._find_bare(sample, asked & (by < 0))
+        disputed = touched.disputed & (by < 0) & ~bare
+        counts.disputed += int(disputed.sum())
+        counts.free_touches += int((by >= 0).sum())
+        counts.free_free += int((asked & (by < 0) & ~disputed & ~bare).sum())
+        text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
+        missing = (sample.free & ~asked, "is free, though it has no floor"), (bare, text)
+        findings = [
+            sample.finding(NO_FLOOR, cell, text)
+            for mask, text in missing
+            for cell in np.flatnonzero(mask).tolist()
+        ]
+        for cell in np.flatnonzero(by >= 0).tolist():
+            number = int(by[cell])
+            name, depth = self._obstacles.name(number), None
+            if within[cell] >= 0:
+                text = f"is free, but lies inside of {name!r}"
+            elif self._is_measured(FREE_TOUCHES):
+                place = _column_at(sample, cell, volume[touched.part[cell]])
+                depth = self._probes.depth(*place, number)
+                text = f"is free, but {name!r} reaches {depth:.4f} m into it"
+            else:
+                text = f"is free, but {name!r} reaches into it"
+            findings.append(sample.finding(FREE_TOUCHES, cell, text, name, depth))
+        return findings
+
+    def check_blocked(
         self, sample: LevelSample, counts: LevelCounts, volume: list[Part], excused: Bool
     ) -> list[Finding]:
-        """Check free cells by a volume, blocked ones by the baked volume.
+        """Check blocked cells by the baked volume.
 
         Args:
             excused: blocked cells that an inflation closed, and that have a reason for it.
         """
-        index = CellIndex(sample)
-        has_floor = ~np.isnan(sample.floor)
-        findings = [
-            _finding(NO_FLOOR, sample, cell, "is free, though it has no floor")
-            for cell in np.flatnonzero(sample.free & ~has_floor).tolist()
-        ]
-        findings += self._check_free(index, counts, volume)
-        findings += self._check_blocked(index, counts, excused)
-        return findings
+        asked = ~sample.free & ~np.isnan(sample.floor) & ~excused
+        touched = self._touch(sample, asked, volume, self._tolerance)
+        apart = asked & (touched.by < 0) & ~touched.disputed
+        apart &= self._inside(sample, apart, volume[0]) < 0
+        for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
+            # where the scene has no place to stand within a step of the ground, it may be blocked
+            places = self._lines.at(*sample.xy[cell]).standable(
+                self._agent.height, self._agent.min_up
+            )
+            floor = sample.floor[cell]
+            apart[cell] = any(abs(s.z - floor) <= self._agent.step for s in places)
+            self.num_groundless += not apart[cell]
+        unclear = np.zeros(len(sample), dtype=np.bool_)
+        for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
+            unclear[cell] |= (leaves + enters) % 2 == 1
+        apart &= ~unclear
+        num_unclear, num_apart = int(unclear.sum()), int(apart.sum())
+        counts.disputed += num_unclear
+        counts.blocked_apart += num_apart
+        counts.blocked_blocked += int((~sample.free).sum()) - num_unclear - num_apart
+        return [self._say_apart(sample, cell, volume) for cell in np.flatnonzero(apart).tolist()]
+
+    def _say_apart(self, sample: LevelSample, cell: int, volume: list[Part]) -> Finding:
+        name, gap = None, None
+        if self._reach > 0 and not sample.occupied[cell]:
+            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
+        elif not self._is_measured(BLOCKED_APART):
+            text = "is blocked, but touches nothing"
+        else:
+            places = [_column_at(sample, cell, part) for part in volume]
+            known = [found for place in places if (found := self._probes.nearest(*place))]
+            text = f"is blocked, but nothing is within {FARTHEST:g} m"
+            if known:
+                gap, number = min(known)
+                name = self._obstacles.name(number)
+                text = (
+                    "is blocked, but nothing touches the volume over it: the nearest geom, "
+                    f"{name!r}, is {gap:.4f} m off"
+                )
+        return sample.finding(BLOCKED_APART, cell, text, name, gap)
 
     def _is_measured(self, kind: str) -> bool:
         self._found[kind] += 1
         return self._found[kind] <= MEASURED
-
-    # ------------------------------------------------------------ free cells
-
-    def _check_free(
-        self, index: CellIndex, counts: LevelCounts, volume: list[Part]
-    ) -> list[Finding]:
-        sample = index.sample
-        asked = sample.free & ~np.isnan(sample.floor)
-        touched = np.full(len(sample), -1)
-        disputed = np.zeros(len(sample), dtype=np.bool_)
-        part_of = np.zeros(len(sample), dtype=np.int64)
-        for k, part in enumerate(volume):
-            for number, cells in self._candidates(index, asked, part):
-                cells = cells[touched[cells] < 0]
-                answers = self._ask(sample, cells, number, part, -self._tolerance)
-                touched[cells[answers == TOUCHES]] = number
-                part_of[cells[answers == TOUCHES]] = k
-                disputed[cells[answers == DISPUTED]] = True
-        within = self._inside(index, asked & (touched < 0), volume[0].bands)
-        is_inside = within >= 0
-        touched[is_inside] = within[is_inside]
-        bare = self._find_bare(sample, asked & (touched < 0))
-        disputed &= (touched < 0) & ~bare
-        counts.disputed += int(disputed.sum())
-        counts.free_touches += int((touched >= 0).sum())
-        counts.free_free += int((asked & (touched < 0) & ~disputed & ~bare).sum())
-        text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
-        findings = [
-            _finding(NO_FLOOR, sample, cell, text) for cell in np.flatnonzero(bare).tolist()
-        ]
-        for cell in np.flatnonzero(touched >= 0).tolist():
-            number = int(touched[cell])
-            name, depth = self._obstacles.name(number), None
-            if is_inside[cell]:
-                text = f"is free, but lies inside of {name!r}"
-            elif self._is_measured(FREE_TOUCHES):
-                place = self._place(sample, cell, volume[part_of[cell]])
-                depth = depth_of(self._probes, *place, number)
-                text = f"is free, but {name!r} reaches {depth:.4f} m into it"
-            else:
-                text = f"is free, but {name!r} reaches into it"
-            findings.append(_finding(FREE_TOUCHES, sample, cell, text, name, depth))
-        return findings
 
     def _find_bare(self, sample: LevelSample, asked: Bool) -> Bool:
         """Which cells of a level that states no floors have none within a step of its ground.
@@ -125,97 +152,38 @@ class OccupancyCheck:
         bare = np.zeros(len(sample), dtype=np.bool_)
         step = self._agent.step + self._tolerance
         for cell in np.flatnonzero(asked & (not sample.states_floors)).tolist():
-            (x, y), z = sample.xy[cell].tolist(), float(sample.floor[cell])
-            low, high = z - step, z + step
+            x, y, z = place = sample.place(cell)
             bare[cell] = not (
-                self._lines.at(x, y).faces_up(low, high)
-                or self._lines.faces_up_beside(x, y, low, high)
+                self._lines.at(x, y).faces_up(z - step, z + step)
+                or self._lines.faces_up_beside(place, step)
             )
         return bare
 
-    # ------------------------------------------------------------ blocked cells
-
-    def _check_blocked(self, index: CellIndex, counts: LevelCounts, excused: Bool) -> list[Finding]:
-        sample = index.sample
-        volume = baked_volume(sample, self._agent)
-        asked = ~sample.free & ~np.isnan(sample.floor) & ~excused
-        met = np.zeros(len(sample), dtype=np.bool_)
-        for part in volume:
-            for number, cells in self._candidates(index, asked & ~met, part):
-                cells = cells[~met[cells]]
-                answers = self._ask(sample, cells, number, part, self._tolerance)
-                met[cells[answers != APART]] = True
-        bands = volume[0].bands
-        met[self._inside(index, asked & ~met, bands) >= 0] = True
-        apart = np.flatnonzero(asked & ~met)
-        if not sample.states_floors:
-            can_stand = self._can_stand(sample, apart)
-            self.num_groundless += int(np.count_nonzero(~can_stand))
-            apart = apart[can_stand]
-        unclear = self._maybe_inside(sample, apart, bands)
-        apart = apart[~unclear]
-        counts.disputed += int(unclear.sum())
-        counts.blocked_apart += len(apart)
-        num_blocked = int(np.count_nonzero(~sample.free))
-        counts.blocked_blocked += num_blocked - int(unclear.sum()) - len(apart)
-        return [self._describe_apart(sample, cell, volume) for cell in apart.tolist()]
-
-    def _can_stand(self, sample: LevelSample, cells: Int) -> Bool:
-        """Where the scene has a place to stand within a step of the level's ground."""
-        agent, found = self._agent, []
-        for cell in cells.tolist():
-            x, y = sample.xy[cell].tolist()
-            places = self._lines.at(x, y).standable(agent.height, agent.min_up)
-            found.append(any(abs(s.z - sample.floor[cell]) <= agent.step for s in places))
-        return np.array(found, dtype=np.bool_)
-
-    def _describe_apart(self, sample: LevelSample, cell: int, volume: list[Part]) -> Finding:
-        if self._reach > 0 and not sample.occupied[cell]:
-            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
-            return _finding(BLOCKED_APART, sample, cell, text)
-        if not self._is_measured(BLOCKED_APART):
-            return _finding(BLOCKED_APART, sample, cell, "is blocked, but touches nothing")
-        gaps = [nearest_to(self._probes, *self._place(sample, cell, part)) for part in volume]
-        known = [gap for gap in gaps if gap is not None]
-        if not known:
-            text = f"is blocked, but nothing is within {FARTHEST:g} m"
-            return _finding(BLOCKED_APART, sample, cell, text)
-        gap, number = min(known)
-        name = self._obstacles.name(number)
-        text = (
-            "is blocked, but nothing touches the volume over it: the nearest geom, "
-            f"{name!r}, is {gap:.4f} m off"
+    def _touch(
+        self, sample: LevelSample, asked: Bool, volume: list[Part], margin: float
+    ) -> _Touched:
+        """What touches the volumes over cells, grown by a margin [m]."""
+        found = _Touched(
+            np.full(len(sample), -1), np.zeros(len(sample), np.int64), np.zeros(len(sample), bool)
         )
-        return _finding(BLOCKED_APART, sample, cell, text, name, gap)
-
-    # ------------------------------------------------------------ questions
-
-    def _place(self, sample: LevelSample, cell: int, part: Part) -> tuple[Column, Float]:
-        """The column of a part over a cell, and its centre [m]."""
-        middle = (part.bands.low[cell] + part.bands.high[cell]) / 2
-        return column_of(part, cell), np.array([*sample.xy[cell], middle])
-
-    def _candidates(self, index: CellIndex, asked: Bool, part: Part) -> Iterator[tuple[int, Int]]:
-        """Each obstacle with the cells that are asked and whose boxes meet its own."""
-        margin = 2 * self._tolerance
-        bands = Bands(part.bands.low - margin, part.bands.high + margin)
-        asked = asked & (part.bands.high > part.bands.low)
-        for number in range(len(self._obstacles.items)):
-            low, high = self._obstacles.low[number], self._obstacles.high[number]
-            cells = index.under(low, high, part.half + margin, bands)
-            cells = cells[asked[cells]]
-            if len(cells):
-                yield number, cells
+        for k, part in enumerate(volume):
+            asked_here = asked & (part.high > part.low)
+            for number, item in enumerate(self._obstacles.items):
+                cells = _near(sample, asked_here & (found.by < 0), item, part, 2 * abs(margin))
+                answers = self._ask(sample, cells, number, part, margin)
+                found.by[cells[answers == TOUCHES]] = number
+                found.part[cells[answers == TOUCHES]] = k
+                found.disputed[cells[answers == DISPUTED]] = True
+        return found
 
     def _ask(self, sample: LevelSample, cells: Int, number: int, part: Part, margin: float) -> Int:
         """How the columns of cells, grown by a margin, stand to an obstacle."""
         answers = np.full(len(cells), APART)
-        middle = (part.bands.low[cells] + part.bands.high[cells]) / 2
+        middle = (part.low[cells] + part.high[cells]) / 2
         centers = np.column_stack([sample.xy[cells], middle])
-        last: Column | None = None
-        probe = None
+        last, probe = None, None
         for k, (cell, center) in enumerate(zip(cells.tolist(), centers, strict=True)):
-            column = column_of(part, cell)
+            column = part.column(cell)
             if column != last:
                 last, grown = column, column.grown(margin)
                 probe = None if grown is None else self._probes.of(grown)
@@ -224,51 +192,43 @@ class OccupancyCheck:
                 answers[k] = probe.touches(number)
         return answers
 
-    def _inside(self, index: CellIndex, asked: Bool, bands: Bands) -> Int:
-        """The enclosing obstacle that a cell's column lies in, -1 for none."""
-        sample = index.sample
-        found = np.full(len(sample), -1)
-        depth = np.zeros(len(sample), dtype=np.int64)
-        for number in np.flatnonzero(self._encloses).tolist():
-            low, high = self._obstacles.low[number], self._obstacles.high[number]
-            cells = index.under(low, high, 0.0, bands)
-            for cell in cells[asked[cells]].tolist():
-                leaves, enters = self._lines.crossings(number, _middle(sample, cell, bands))
-                depth[cell] += leaves - enters  # less than 0 in a cavity
-                if leaves > enters:
-                    found[cell] = number
+    def _inside(self, sample: LevelSample, asked: Bool, part: Part) -> Int:
+        """The enclosing obstacle that the middle of a cell's volume lies in, -1 for none."""
+        found, depth = np.full(len(sample), -1), np.zeros(len(sample), dtype=np.int64)
+        for number, cell, leaves, enters in self._crossings(sample, asked, part, ENCLOSING):
+            depth[cell] += leaves - enters  # less than 0 in a cavity
+            if leaves > enters:
+                found[cell] = number
         found[depth <= 0] = -1
         return found
 
-    def _maybe_inside(self, sample: LevelSample, cells: Int, bands: Bands) -> Bool:
-        """Which cells lie in a part of a mesh that may enclose them or not."""
-        maybe = np.zeros(len(cells), dtype=np.bool_)
-        items = self._obstacles.items
-        for number in [k for k, item in enumerate(items) if item.kind == UNCLEAR]:
-            low, high = self._obstacles.low[number], self._obstacles.high[number]
-            for k, cell in enumerate(cells.tolist()):
-                point = _middle(sample, cell, bands)
-                if ((low < point) & (point < high)).all():
-                    maybe[k] |= sum(self._lines.crossings(number, point)) % 2 == 1
-        return maybe
+    def _crossings(
+        self, sample: LevelSample, asked: Bool, part: Part, kinds: Collection[str]
+    ) -> Iterator[tuple[int, int, int, int]]:
+        """Obstacles of some kinds and cells in their boxes: how often the way up leaves, enters."""
+        middle = (part.low + part.high) / 2
+        point = Part(0.0, False, middle, middle)
+        for number, item in enumerate(self._obstacles.items):
+            for cell in _near(sample, asked, item, point).tolist() if item.kind in kinds else ():
+                x, y = sample.xy[cell].tolist()
+                yield number, cell, *self._lines.crossings(number, (x, y, float(middle[cell])))
 
 
-def _middle(sample: LevelSample, cell: int, bands: Bands) -> Vector3:
-    """The middle of the volume over a cell [m]."""
-    x, y = sample.xy[cell].tolist()
-    return x, y, float(bands.low[cell] + bands.high[cell]) / 2
+def _near(sample: LevelSample, asked: Bool, item: Obstacle, part: Part, beyond: float = 0.0) -> Int:
+    """The asked cells over which a part, larger by `beyond` [m], meets an obstacle's box."""
+    lattice, reach = sample.level.lattice, part.half + beyond
+    # rows ascend in a sample; those that may meet it
+    ends = lattice.y_max - np.array([item.high[1] + reach, item.low[1] - reach])
+    first, last = np.clip(ends / lattice.cell_size, 0, lattice.height).astype(np.int64)
+    own = slice(*np.searchsorted(sample.rows, [first - 1, last + 1]))
+    (x, y), low, high = sample.xy[own].T, part.low[own] - beyond, part.high[own] + beyond
+    kept = asked[own] & (low < item.high[2]) & (high > item.low[2])
+    kept &= (x + reach > item.low[0]) & (x - reach < item.high[0])
+    kept &= (y + reach > item.low[1]) & (y - reach < item.high[1])
+    return np.asarray(own.start + np.flatnonzero(kept))
 
 
-def _finding(
-    kind: str,
-    sample: LevelSample,
-    cell: int,
-    text: str,
-    geom: str | None = None,
-    size: float | None = None,
-) -> Finding:
-    z = float(sample.floor[cell])
-    z = sample.level.ground if np.isnan(z) else z
-    position = (float(sample.xy[cell, 0]), float(sample.xy[cell, 1]), z)
-    place = int(sample.rows[cell]), int(sample.cols[cell])
-    return Finding(kind, sample.number, place, position, text, geom, size)
+def _column_at(sample: LevelSample, cell: int, part: Part) -> tuple[Column, Float]:
+    """The column of a part over a cell, and its centre [m]."""
+    middle = (part.low[cell] + part.high[cell]) / 2
+    return part.column(cell), np.array([*sample.xy[cell], middle])

@@ -7,19 +7,20 @@ and FCL's iteration may end early.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import NamedTuple
 
 import fcl
 import mujoco
 import numpy as np
 
 from navbake.types import Float
-from navbake.verifier.obstacles import CONVEX, HALF_SPACE, Obstacles
+from navbake.verifier.obstacles import Obstacles
 
 APART, TOUCHES, DISPUTED = 0, 1, 2
 SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
 FARTHEST = 1.0  # how far from a column the nearest obstacle is looked for [m]
-GEOM = mujoco.mjtGeom
+HALVINGS = 14  # of an interval of at most `FARTHEST`: to a tenth of a millimetre
 
 
 class Column(NamedTuple):
@@ -48,13 +49,12 @@ class Probe:
     def __init__(self, column: Column, obstacles: Obstacles) -> None:
         self.column, self._obstacles = column, obstacles
         x, y, z, is_round = column
-        shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
-        self._object = fcl.CollisionObject(shape)
-        self._geom = obstacles.cylinder_probe if is_round else obstacles.box_probe
+        self._object = fcl.CollisionObject(
+            fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
+        )
+        self._geom = obstacles.probe_geom(is_round=is_round)
         self._size = np.array([x, z, 0.0] if is_round else [x, y, z])
-        self._mat = np.eye(3)
-        self._center = np.zeros(3)
-        self._is_turned = False
+        self._mat, self._center, self._is_turned = np.eye(3), np.zeros(3), False
 
     def place(self, center: Float, yaw: float = 0.0) -> None:
         """Move it: its centre, shape (3,) [m], and its turn round the vertical [rad]."""
@@ -93,60 +93,32 @@ class Probe:
 
     def _is_separated(self, number: int) -> bool:
         """Whether one of a few planes provably lies between it and an obstacle."""
-        ends = np.zeros((2, 3))
-        model, data = self._obstacles.model, self._obstacles.data
+        ends, obstacles = np.zeros((2, 3)), self._obstacles
+        model, data = obstacles.model, obstacles.data
         mujoco.mj_geomDistance(model, data, self._geom, number, 10.0, ends.ravel())
         result = fcl.DistanceResult()
         request = fcl.DistanceRequest(enable_nearest_points=True)
-        fcl.distance(self._object, self._obstacles.items[number].shape, request, result)
+        fcl.distance(self._object, obstacles.items[number].shape, request, result)
+        middle = obstacles.pos[number] - self._center
+        mat = obstacles.mat[number].reshape(3, 3)
         ways = [ends[1] - ends[0], np.subtract(*result.nearest_points[::-1])]
-        middle = self._obstacles.pos[number] - self._center
         ways += [middle, middle * [1.0, 1.0, 0.0], *np.eye(3), *-np.eye(3), *self._mat.T]
-        mat = self._obstacles.mat[number].reshape(3, 3)
-        ways += [*mat.T, *-mat.T]
-        for way in ways:
+        for way in (*ways, *mat.T, *-mat.T):
             length = float(np.linalg.norm(way))
-            if not 1e-12 < length < np.inf:
-                continue
-            unit = way / length
-            gap = -support(self._obstacles, number, -unit) - self._support(unit)
-            if gap > SEPARATED:
-                return True
+            if 1e-12 < length < np.inf:
+                unit = way / length
+                if -obstacles.support(number, -unit) - self._support(unit) > SEPARATED:
+                    return True
         return False
 
     def _support(self, way: Float) -> float:
         """How far it reaches along a unit vector [m]."""
-        column, local = self.column, self._mat.T @ way
-        if column.is_round:
-            across = column.half_x * float(np.hypot(local[0], local[1]))
+        (half_x, half_y, half_z, is_round), local = self.column, self._mat.T @ way
+        if is_round:
+            across = half_x * float(np.hypot(local[0], local[1]))
         else:
-            across = column.half_x * abs(local[0]) + column.half_y * abs(local[1])
-        return float(self._center @ way + across + column.half_z * abs(local[2]))
-
-
-def support(obstacles: Obstacles, number: int, way: Float) -> float:
-    """How far a convex obstacle or a half-space reaches along a unit vector [m]; may be inf."""
-    item = obstacles.items[number]
-    if len(item.points):
-        return float((item.points @ way).max())
-    pos, mat = obstacles.pos[number], obstacles.mat[number].reshape(3, 3)
-    if item.kind == HALF_SPACE:
-        return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
-    if item.kind != CONVEX:
-        return np.inf
-    size, local = obstacles.size[number], mat.T @ way
-    kind = int(obstacles.model.geom_type[number])
-    if kind == GEOM.mjGEOM_SPHERE:
-        reach = size[0]
-    elif kind == GEOM.mjGEOM_CAPSULE:
-        reach = size[0] + size[1] * abs(local[2])
-    elif kind == GEOM.mjGEOM_ELLIPSOID:
-        reach = np.linalg.norm(size * local)
-    elif kind == GEOM.mjGEOM_CYLINDER:
-        reach = size[0] * np.hypot(local[0], local[1]) + size[1] * abs(local[2])
-    else:
-        reach = (size * np.abs(local)).sum()
-    return float(pos @ way + reach)
+            across = half_x * abs(local[0]) + half_y * abs(local[1])
+        return float(self._center @ way + across + half_z * abs(local[2]))
 
 
 class Probes:
@@ -154,65 +126,51 @@ class Probes:
 
     def __init__(self, obstacles: Obstacles) -> None:
         self.obstacles = obstacles
-        self._made: dict[Column, Probe] = {}
+        self._made = lru_cache(4096)(lambda column: Probe(column, obstacles))
 
     def of(self, column: Column) -> Probe:
         """The probe of a column, ready to be placed."""
-        if column not in self._made:
-            if len(self._made) > 4096:
-                self._made.clear()
-            self._made[column] = Probe(column, self.obstacles)
-        probe = self._made[column]
+        probe = self._made(column)
         probe.select()
         return probe
 
+    def depth(self, column: Column, center: Float, number: int, yaw: float = 0.0) -> float:
+        """By how much a column has to shrink on all sides to leave an obstacle [m].
 
-def depth_of(probes: Probes, column: Column, center: Any, number: int, yaw: float = 0.0) -> float:
-    """By how much a column has to shrink on all sides until it no longer touches an obstacle [m].
+        At most half of its least size, where it touches at its very middle.
+        """
+        return -self._margin(column, center, number, -min(column[:3]), 0.0, yaw)
 
-    Found by bisection with FCL; at most half of the column's least size, where it touches at its
-    very middle.
-    """
-    low, high = 0.0, min(column[:3])
-    for _ in range(12):
-        middle = (low + high) / 2
-        smaller = column.grown(-middle)
-        if smaller is None:
-            break
-        probe = probes.of(smaller)
+    def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
+        """By how much a column has to grow on all sides to touch anything [m], and what it touches.
+
+        None if nothing is within `FARTHEST`.
+        """
+        reach = np.array(column[:3]) + FARTHEST
+        nearest, gap = None, FARTHEST
+        for number in self.obstacles.meeting(center - reach, center + reach):
+            if self._touches(column, center, number, gap):
+                nearest, gap = number, self._margin(column, center, number, 0.0, gap)
+        return None if nearest is None else (gap, nearest)
+
+    def _margin(
+        self, column: Column, center: Float, number: int, low: float, high: float, yaw: float = 0.0
+    ) -> float:
+        """The margin by which a column has to grow to touch an obstacle, by bisection [m]."""
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            if self._touches(column, center, number, middle, yaw):
+                high = middle
+            else:
+                low = middle
+        return high
+
+    def _touches(
+        self, column: Column, center: Float, number: int, margin: float, yaw: float = 0.0
+    ) -> bool:
+        grown = column.grown(margin)
+        if grown is None:
+            return False
+        probe = self.of(grown)
         probe.place(center, yaw)
-        low, high = (middle, high) if probe.touches(number) == TOUCHES else (low, middle)
-    return low
-
-
-def nearest_to(probes: Probes, column: Column, center: Float) -> tuple[float, int] | None:
-    """By how much a column has to grow on all sides to touch anything [m], and what it touches.
-
-    Found by bisection; None if nothing is within `FARTHEST`.
-    """
-    obstacles = probes.obstacles
-    reach = np.array(column[:3]) + FARTHEST
-    near = (obstacles.low < center + reach).all(axis=1)
-    near &= (obstacles.high > center - reach).all(axis=1)
-    nearest, gap = None, FARTHEST
-    for number in np.flatnonzero(near).tolist():
-        if not _touches_grown(probes, column, center, number, gap):
-            continue
-        low = 0.0
-        for _ in range(14):  # to a tenth of a millimetre
-            middle = (low + gap) / 2
-            touches = _touches_grown(probes, column, center, number, middle)
-            low, gap = (low, middle) if touches else (middle, gap)
-        nearest = number
-    return None if nearest is None else (gap, nearest)
-
-
-def _touches_grown(
-    probes: Probes, column: Column, center: Float, number: int, margin: float
-) -> bool:
-    grown = column.grown(margin)
-    if grown is None:
-        return False
-    probe = probes.of(grown)
-    probe.place(center)
-    return probe.touches(number) != APART
+        return probe.touches(number) != APART

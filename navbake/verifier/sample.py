@@ -1,4 +1,4 @@
-"""The cells that are looked at, and what the grid says of them."""
+"""The cells that are looked at, what the grid says of them, and the volumes over them."""
 
 from __future__ import annotations
 
@@ -10,92 +10,13 @@ import numpy as np
 
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.agent import Agent
 from navbake.verifier.probes import Column
+from navbake.verifier.report import Finding
 
 SLACK = 1e-5  # that rounding may add to a step [m]
 TINY = 1e-10  # share of a radius by which a square only touches a disc; less than inflation takes
-
-
-class Surroundings:
-    """The floors of all levels, each by row and column of any other's lattice."""
-
-    def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
-        """Take the cells of a grid.
-
-        Args:
-            step: of the agent [m].
-            by_centres: whether all that is occupied closes cells, or only what is solid.
-        """
-        self._step, self._levels = step, grid.levels
-        self._floors = [level.floor for level in grid.levels]
-        # what is a reason has to be blocked itself, so that it is judged in its turn
-        self._occupied = [(level.occupancy != 0) & ~level.free for level in grid.levels]
-        if not by_centres:
-            self._occupied = [
-                occupied & (level.solid != 0)
-                for occupied, level in zip(self._occupied, grid.levels, strict=True)
-            ]
-
-    def floors_under(
-        self, number: int, rows: Int, cols: Int, floor: Float, radius: float
-    ) -> tuple[Float, Float]:
-        """The lowest and the highest floor that a disc stands on, shape (n,) [m].
-
-        Of all levels, what is within a step of the disc's own floor counts.
-        """
-        low, high = floor.copy(), floor.copy()
-        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
-            for other in range(len(self._levels)):
-                there, *_ = self._look(number, other, rows + row, cols + col)
-                near = np.abs(there - floor) <= self._step + SLACK
-                low = np.where(near, np.fmin(low, there), low)
-                high = np.where(near, np.fmax(high, there), high)
-        return low, high
-
-    def has_reason(self, number: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
-        """Whether a disc meets what may close its cell: an occupied square, an edge, a ledge.
-
-        Beyond each of several levels is no floor, which closes cells. Beyond a single level
-        nothing was baked, and nothing closes them.
-        """
-        found = np.zeros(len(rows), dtype=np.bool_)
-        is_single = len(self._levels) == 1
-        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
-            there, occupied, inside = self._look(number, number, rows + row, cols + col)
-            is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
-            found |= (occupied | is_ledge) & (inside | (not is_single))
-            for other in range(len(self._levels)):
-                if other != number:
-                    there, occupied, inside = self._look(number, other, rows + row, cols + col)
-                    found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
-        return found
-
-    def _look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
-        """Floor and occupancy of another level at cells of one, and whether it has them.
-
-        Where it has none, the floor is NaN, and they aren't occupied.
-        """
-        one, two = self._levels[number].lattice, self._levels[other].lattice
-        r = rows + round((two.y_max - one.y_max) / one.cell_size)
-        c = cols + round((one.x_min - two.x_min) / one.cell_size)
-        inside = (r >= 0) & (c >= 0) & (r < two.height) & (c < two.width)
-        r, c = np.where(inside, r, 0), np.where(inside, c, 0)
-        floor = np.where(inside, self._floors[other][r, c], np.nan)
-        return floor, inside & self._occupied[other][r, c], inside
-
-
-def _offsets(radius: float) -> list[tuple[int, int]]:
-    """The cells whose squares an open disc round a cell's centre meets; radius in cells."""
-    reach = int(radius + 0.5) + 1
-    span = range(-reach, reach + 1)
-    return [
-        (row, col)
-        for row in span
-        for col in span
-        if np.hypot(max(abs(row) - 0.5, 0), max(abs(col) - 0.5, 0)) < radius * (1 - TINY)
-    ]
 
 
 @dataclass(frozen=True)
@@ -126,6 +47,21 @@ class LevelSample:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def cell(self, k: int) -> tuple[int, int]:
+        """Row and column of a cell of the sample."""
+        return int(self.rows[k]), int(self.cols[k])
+
+    def place(self, k: int) -> Vector3:
+        """The centre of a cell, at its floor, or at the level's ground if it has none [m]."""
+        (x, y), z = self.xy[k].tolist(), float(self.floor[k])
+        return x, y, self.level.ground if np.isnan(z) else z
+
+    def finding(
+        self, kind: str, k: int, text: str, geom: str | None = None, size: float | None = None
+    ) -> Finding:
+        """A finding about one of the cells."""
+        return Finding(kind, self.number, self.cell(k), self.place(k), text, geom, size)
+
 
 def states_floors(level: SceneGrid2D) -> bool:
     """Whether the cells of a level have floors of their own.
@@ -148,11 +84,9 @@ def take_sample(
         with_floors: of each level, what `states_floors` said before the grid was inflated.
     """
     sizes = [level.width * level.height for level in grid.levels]
-    total, start = sum(sizes), np.cumsum([0, *sizes])
-    if number is None or number >= total:
-        chosen = np.arange(total)
-    else:
-        chosen = np.sort(np.random.default_rng(seed).choice(total, number, replace=False))
+    chosen, start = np.arange(sum(sizes)), np.cumsum([0, *sizes])
+    if number is not None and number < len(chosen):
+        chosen = np.sort(np.random.default_rng(seed).choice(len(chosen), number, replace=False))
     samples = []
     for k, (level, has_own) in enumerate(zip(grid.levels, with_floors, strict=True)):
         cells = chosen[(chosen >= start[k]) & (chosen < start[k + 1])] - start[k]
@@ -164,11 +98,82 @@ def take_sample(
     return samples
 
 
-class Bands(NamedTuple):
-    """The heights between which nothing may touch, of each cell [m]."""
+class Surroundings:
+    """The floors of all levels, each by row and column of any other's lattice."""
 
-    low: Float
-    high: Float
+    def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
+        """Take the cells of a grid.
+
+        Args:
+            step: of the agent [m].
+            by_centres: whether all that is occupied closes cells, or only what is solid.
+        """
+        self._step, self._levels = step, grid.levels
+        self._floors = [level.floor for level in grid.levels]
+        # what is a reason has to be blocked itself, so that it is judged in its turn
+        self._occupied = [
+            (level.occupancy != 0) & ~level.free & (by_centres | (level.solid != 0))
+            for level in grid.levels
+        ]
+
+    def floors_under(
+        self, number: int, rows: Int, cols: Int, floor: Float, radius: float
+    ) -> tuple[Float, Float]:
+        """The lowest and the highest floor that a disc stands on, shape (n,) [m].
+
+        Of all levels, what is within a step of the disc's own floor counts.
+        """
+        low, high = floor.copy(), floor.copy()
+        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
+            for other in range(len(self._levels)):
+                there, *_ = self._look(number, other, rows + row, cols + col)
+                near = np.abs(there - floor) <= self._step + SLACK
+                low = np.where(near, np.fmin(low, there), low)
+                high = np.where(near, np.fmax(high, there), high)
+        return low, high
+
+    def has_reason(self, number: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
+        """Whether a disc meets what may close its cell: an occupied square, an edge, a ledge.
+
+        Beyond each of several levels is no floor, which closes cells. Beyond a single level
+        nothing was baked, and nothing closes them.
+        """
+        found = np.zeros(len(rows), dtype=np.bool_)
+        is_single = len(self._levels) == 1
+        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
+            for other in range(len(self._levels)):
+                there, occupied, inside = self._look(number, other, rows + row, cols + col)
+                if other == number:
+                    is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
+                    found |= (occupied | is_ledge) & (inside | (not is_single))
+                else:
+                    found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
+        return found
+
+    def _look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
+        """Floor and occupancy of another level at cells of one, and whether it has them.
+
+        Where it has none, the floor is NaN, and they aren't occupied.
+        """
+        one, two = self._levels[number].lattice, self._levels[other].lattice
+        r = rows + round((two.y_max - one.y_max) / one.cell_size)
+        c = cols + round((one.x_min - two.x_min) / one.cell_size)
+        inside = (r >= 0) & (c >= 0) & (r < two.height) & (c < two.width)
+        r, c = np.where(inside, r, 0), np.where(inside, c, 0)
+        floor = np.where(inside, self._floors[other][r, c], np.nan)
+        return floor, inside & self._occupied[other][r, c], inside
+
+
+def _offsets(radius: float) -> list[tuple[int, int]]:
+    """The cells whose squares an open disc round a cell's centre meets; radius in cells."""
+    reach = int(radius + 0.5) + 1
+    span = range(-reach, reach + 1)
+    return [
+        (row, col)
+        for row in span
+        for col in span
+        if np.hypot(max(abs(row) - 0.5, 0), max(abs(col) - 0.5, 0)) < radius * (1 - TINY)
+    ]
 
 
 class Part(NamedTuple):
@@ -177,62 +182,39 @@ class Part(NamedTuple):
     Attributes:
         half: half of its edge, or its radius [m].
         is_round: whether it is a disc's.
-        bands: from where to where it is.
+        low, high: the heights between which nothing may touch, of each cell [m].
     """
 
     half: float
     is_round: bool
-    bands: Bands
+    low: Float
+    high: Float
+
+    def column(self, cell: int) -> Column:
+        """Its column over a cell, of a height to the micrometre, so that few differ."""
+        half_z = round(float(self.high[cell] - self.low[cell]) / 2, 6)
+        return Column(self.half, self.half, half_z, self.is_round)
 
 
-def baked_volume(sample: LevelSample, agent: Agent) -> list[Part]:
-    """The volume of the bake: from a step above the floor to the agent's height."""
-    bands = Bands(sample.floor + agent.step, sample.floor + agent.height)
-    return [Part(*part, bands) for part in agent.footprint(sample.level.lattice.cell_size)]
-
-
-def volume_for(
-    sample: LevelSample, agent: Agent, around: Surroundings, radius: float
+def volume_over(
+    sample: LevelSample, agent: Agent, around: Surroundings, radius: float | None = None
 ) -> list[Part]:
-    """The volume for a larger agent: the cell's square as baked, and the disc of its radius.
+    """The volume over each cell: its square as baked, joined with a disc.
 
-    The disc's is between the heights that all floors under it leave free.
+    The disc is that of the bake, from a step above the floor to the agent's height; or one for a
+    larger agent, between the heights that all floors under it leave free.
+
+    Args:
+        radius: of a larger agent [m]; None for the baked footprint.
     """
-    square = baked_volume(sample, agent._replace(radius=0.0))
-    if radius <= square[0].half:
-        return square
+    half, floor = sample.level.lattice.cell_size / 2, sample.floor
+    square = Part(half, False, floor + agent.step, floor + agent.height)
+    if radius is None:
+        disc = square._replace(half=agent.radius, is_round=True)
+        is_inside = agent.radius >= half * np.sqrt(2.0)
+        return ([] if is_inside else [square]) + ([disc] if agent.radius > half else [])
+    if radius <= half:
+        return [square]
     cells = sample.rows, sample.cols
-    low, high = around.floors_under(sample.number, *cells, sample.floor, radius)
-    return [*square, Part(radius, True, Bands(high + agent.step, low + agent.height))]
-
-
-class CellIndex:
-    """Finds the sampled cells under a box quickly."""
-
-    def __init__(self, sample: LevelSample) -> None:
-        self.sample = sample
-        self._at = np.full(sample.level.shape, -1, dtype=np.int64)
-        self._at[sample.rows, sample.cols] = np.arange(len(sample))
-
-    def under(self, low: Float, high: Float, reach: float, bands: Bands) -> Int:
-        """The cells whose columns, from their low to their high, meet a box widened sideways."""
-        lattice, sample = self.sample.level.lattice, self.sample
-        if np.isfinite(low[:2]).all() and np.isfinite(high[:2]).all():
-            window = lattice.window(np.array([low[:2], high[:2]]), reach)
-            if window is None:
-                return np.empty(0, dtype=np.int64)
-            found = self._at[window].ravel()
-            found = found[found >= 0]
-        else:
-            found = np.arange(len(sample))
-        kept = (bands.low[found] < high[2]) & (bands.high[found] > low[2])
-        for axis in (0, 1):
-            at = sample.xy[found, axis]
-            kept &= (at + reach > low[axis]) & (at - reach < high[axis])
-        return np.asarray(found[kept])
-
-
-def column_of(part: Part, cell: int) -> Column:
-    """A part's column over a cell, its height to the micrometre, so that few differ."""
-    half_z = round(float(part.bands.high[cell] - part.bands.low[cell]) / 2, 6)
-    return Column(part.half, part.half, half_z, part.is_round)
+    low, high = around.floors_under(sample.number, *cells, floor, radius)
+    return [square, Part(radius, True, high + agent.step, low + agent.height)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping
 from os import PathLike
@@ -25,7 +26,6 @@ from navbake.config.settings import (
 from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Json
 
 SCENES = "scenes"  # a folder in which scenes often are, as those of the samples
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any
@@ -75,82 +75,59 @@ def find_source(
         SceneError, ConfigError: the scene or its settings can't be read; the data is of another
             model.
     """
-    stated = stated_settings(grid)
+    stated = grid.navbake.get("settings")
+    stated = dict(stated) if isinstance(stated, dict) else {}
+    own = stated.get("scene")
+    own = dict(own) if isinstance(own, dict) else {}
     if given is None:
-        given = _find_file(grid, stated, grid_path)
+        given = _find_file(grid, own.get("path"), grid_path)
     opened: OpenScene | None = None
+    has_settings = False
     if is_in_memory(given):
-        config = _config_in_memory(given, stated, is_posed=data is not None)
+        if data is not None:  # which is the pose
+            own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
+        try:
+            config = memory_config(name_of(given), {**stated, "scene": own})
+        except ConfigError:
+            config = memory_config(name_of(given), {})
         opened = open_memory(given, data, config.scene)
     elif data is not None:
         raise ConfigError("expected a data with a mujoco.MjModel or MjSpec: give the model, too")
+    elif isinstance(given, str | PathLike) and Path(given).suffix.lower() not in YAML_SUFFIXES:
+        path = Path(given)
+        if not os.path.exists(path):
+            raise QueryError(f"no scene at {path}: it may have moved; give its path")
+        try:
+            config = parse_config({**stated, "scene": {**own, "path": str(path)}})
+        except ConfigError:
+            config = parse_config({"scene": {"path": str(path)}}, str(path))
     else:
-        config = _read(given, stated)
+        config, has_settings = as_config(given), True
     scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
     notes = _compare_scenes(grid, scene, config, force=force)
     are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
-    is_stated = bool(stated) and not _is_settings(given)
-    are_known = bool(grid.navbake) and (are_known or is_stated)
+    are_known = bool(grid.navbake) and (are_known or (bool(stated) and not has_settings))
     if grid.navbake and not are_known:
         notes.append("the settings are others than those of the bake (their digests differ)")
     return Source(scene, config, are_known, notes)
 
 
-def stated_settings(grid: GridBase) -> Json:
-    """The settings that a grid states: those that decide its cells and aren't the defaults."""
-    stated = grid.navbake.get("settings")
-    return dict(stated) if isinstance(stated, dict) else {}
-
-
-def _is_settings(given: SceneSource) -> bool:
-    """Whether a source brings settings of its own."""
-    if isinstance(given, str | PathLike):
-        return Path(given).suffix.lower() in YAML_SUFFIXES
-    return not is_in_memory(given)
-
-
-def _config_in_memory(given: Any, stated: Json, *, is_posed: bool) -> BakeConfig:
-    """The settings that the grid states, for a scene in memory, which may come with its pose."""
-    scene = dict(stated.get("scene") or {})
-    for key in ("keyframe", "joints") if is_posed else ():
-        scene.pop(key, None)
-    try:
-        return memory_config(name_of(given), {**stated, "scene": scene})
-    except ConfigError:
-        return memory_config(name_of(given), {})
-
-
-def _read(given: SceneSource, stated: Json) -> BakeConfig:
-    if _is_settings(given):
-        return as_config(given)
-    scene = stated.get("scene")
-    own = dict(scene) if isinstance(scene, dict) else {}
-    path = Path(given)  # type: ignore[arg-type]
-    if not os.path.exists(path):
-        raise QueryError(f"no scene at {path}: it may have moved; give its path")
-    settings = {**stated, "scene": {**own, "path": str(path)}}
-    try:
-        return parse_config(settings, "the settings that the grid states")
-    except ConfigError:
-        return parse_config({"scene": {"path": str(path)}}, str(path))
-
-
-def _find_file(grid: GridBase, stated: Json, grid_path: Path | None) -> Path:
-    scene = stated.get("scene")
-    name = scene.get("path") if isinstance(scene, dict) else None
-    if not isinstance(name, str) or not name:
+def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
+    """The scene's file, of which the grid states the name."""
+    if not isinstance(stated, str) or not stated:
         raise NoSceneError(
             f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
             "scene, or the settings of its bake"
         )
+    name = Path(stated).name
     folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
     for folder in folders:
-        for place in (folder / Path(name).name, folder / SCENES / Path(name).name):
+        for place in (folder / name, folder / SCENES / name):
             if os.path.isfile(place):
                 return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(
-        f"the scene {Path(name).name} that {grid.scene_id or 'the grid'} was baked from isn't in "
+        f"the scene {name} that {grid.scene_id or 'the grid'} was baked from isn't in "
         f"{' or '.join(names)}, nor in {SCENES!r} there: give its path, or the settings of its "
         "bake (--scene)"
     )
@@ -193,18 +170,16 @@ class DoorPose(NamedTuple):
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     """Move the doors of a scene into the states that a grid states."""
-    model = scene.model
-    bodies = {body_name(model, body): body for body in range(1, model.nbody)}
+    model, data = scene.model, copy.copy(scene.data)
+    numbered = [(body_name(model, body), body) for body in range(1, model.nbody)]
+    # doors whose name others share state their number, too
+    bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
     ends = find_subtree_ends(model)
-    data = mujoco.MjData(model)
-    data.qpos[:] = scene.data.qpos
-    data.mocap_pos[:], data.mocap_quat[:] = scene.data.mocap_pos, scene.data.mocap_quat
     removed: set[int] = set()
     geoms: set[int] = set()
     unknown = []
     for door in grid.doors:
-        body = bodies.get(door.id, _numbered(door.id, model.nbody))
-        if body is None:
+        if (body := bodies.get(door.id)) is None:
             unknown.append(door.id)
             continue
         own = set(geoms_of_bodies(model, body, int(ends[body])).tolist())
@@ -217,12 +192,6 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     return DoorPose(data, removed, geoms, unknown)
 
 
-def _numbered(name: str, count: int) -> int | None:
-    """The body of a door whose name others share, as in ``leaf (body 3)``."""
-    number = name.rpartition("(body ")[2].removesuffix(")")
-    return int(number) if number.isdecimal() and int(number) < count else None
-
-
 def _position(model: Any, body: int, door: Door) -> float | None:
     """Where its hinge or slide is in the door's state [rad or m]; None as it is modelled.
 
@@ -232,11 +201,12 @@ def _position(model: Any, body: int, door: Door) -> float | None:
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:
         return None
-    if int(model.jnt_type[joint]) not in (HINGE, SLIDE):
+    kind = int(model.jnt_type[joint])
+    if kind not in (HINGE, SLIDE):
         return None
     low, high = (float(v) for v in model.jnt_range[joint])
     if not model.jnt_limited[joint]:
-        low, high = 0.0, np.pi / 2 if int(model.jnt_type[joint]) == HINGE else 1.0
+        low, high = 0.0, np.pi / 2 if kind == HINGE else 1.0
     closed = min(max(0.0, low), high)
     if door.state == "closed":
         return closed

@@ -26,10 +26,9 @@ from navbake.verifier.report import PLACE_LOST, Finding, LevelCounts, VerifyRepo
 from navbake.verifier.sample import (
     LevelSample,
     Surroundings,
-    baked_volume,
     states_floors,
     take_sample,
-    volume_for,
+    volume_over,
 )
 from navbake.verifier.source import SceneSource, find_source, pose_doors
 from navbake.verifier.sweeps import sweep_paths
@@ -91,7 +90,20 @@ def verify(
             grid's metadata state sizes that no agent can have.
     """
     options = Options(sample, seed, radius, paths, tolerance)
-    _check_options(options)
+    whole, number = int | np.integer, int | float | np.integer | np.floating
+    asked: list[tuple[Any, Any, float, str]] = [
+        (sample, whole, 1, "a sample of at least 1 cell"),
+        (seed, whole, 0, "a whole number >= 0 as seed"),
+        (paths, whole, 0, "a number of paths >= 0"),
+        (radius, number, 0, "a radius >= 0 m"),
+        (tolerance, number, math.ulp(0.0), "a tolerance > 0 m"),
+    ]
+    for value, kind, least, expected in asked:
+        if value is None and expected.startswith(("a sample", "a radius")):
+            continue  # all cells, the grid's own radius
+        is_number = isinstance(value, kind) and not isinstance(value, bool)
+        if not (is_number and least <= value < np.inf):
+            raise QueryError(f"expected {expected}, got {value!r}")
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
     source = find_source(content, scene, path, force=force, data=data)
@@ -117,7 +129,14 @@ def verify_scene(
     """
     content: Any = grid.without_blocks()
     agent, doors = Agent.of(content), pose_doors(scene, content)
-    _check_tolerance(options.tolerance, agent, content)
+    sizes = [level.lattice.cell_size for level in content.levels]
+    most = min(*sizes, agent.height - agent.step) / 4
+    if options.tolerance > most:
+        raise QueryError(
+            f"expected a tolerance of at most {most:g} m, got {options.tolerance:g}: volumes are "
+            "made smaller by it on all sides, and half of a cell's width and of the height has to "
+            "stay"
+        )
     with_floors = [states_floors(level) for level in content.levels]
     content, inflation, told = inflate_for(content, options.radius)
     report = VerifyReport(
@@ -149,11 +168,10 @@ def verify_scene(
             excused = ~sample.free & ~sample.occupied & ~np.isnan(sample.floor)
             closed = sample.rows[excused], sample.cols[excused], sample.floor[excused]
             excused[excused] = around.has_reason(sample.number, *closed, inflation.reach)
-        if inflation.radius is None:
-            volume = baked_volume(sample, agent)
-        else:
-            volume = volume_for(sample, agent, around, inflation.radius)
-        report.findings += check.run(sample, counts, volume, excused)
+        volume = volume_over(sample, agent, around, inflation.radius)
+        report.findings += check.check_free(sample, counts, volume)
+        baked = volume_over(sample, agent, around)
+        report.findings += check.check_blocked(sample, counts, baked, excused)
     if all(with_floors):
         fixed = build_obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
         crack = CRACK if config is None else config.floors.crack
@@ -176,35 +194,6 @@ def verify_scene(
     return report
 
 
-def _check_options(options: Options) -> None:
-    sample, seed, radius, paths, tolerance = options
-    whole, number = int | np.integer, int | float | np.integer | np.floating
-    asked: list[tuple[Any, Any, float, str]] = [
-        (sample, whole, 1, "a sample of at least 1 cell"),
-        (seed, whole, 0, "a whole number >= 0 as seed"),
-        (paths, whole, 0, "a number of paths >= 0"),
-        (radius, number, 0, "a radius >= 0 m"),
-        (tolerance, number, math.ulp(0.0), "a tolerance > 0 m"),
-    ]
-    for value, kind, least, expected in asked:
-        if value is None and expected.startswith(("a sample", "a radius")):
-            continue  # all cells, the grid's own radius
-        is_number = isinstance(value, kind) and not isinstance(value, bool)
-        if not (is_number and least <= value < np.inf):
-            raise QueryError(f"expected {expected}, got {value!r}")
-
-
-def _check_tolerance(tolerance: float, agent: Agent, grid: GridBase) -> None:
-    """Refuse a tolerance that leaves less than half of a volume's width or height to be judged."""
-    sizes = [level.lattice.cell_size for level in grid.levels]
-    most = min(*sizes, agent.height - agent.step) / 4
-    if tolerance > most:
-        raise QueryError(
-            f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
-            "smaller by it on all sides, and half of a cell's width and of the height has to stay"
-        )
-
-
 def _check_floors(
     report: VerifyReport,
     grid: GridBase,
@@ -221,14 +210,13 @@ def _check_floors(
     has_floors = any((~np.isnan(level.floor_height)).any() for level in grid.levels)
     is_asked = not leaves_out or not has_floors
     settings = FloorSettings() if config is None else config.floors
-    search = SheetSearch(check, check.agent, grid.levels[0].lattice.cell_size, settings.shrink)
+    search = SheetSearch(check, grid.levels[0].lattice.cell_size, settings.shrink)
     left, area = 0, 0.0
     for sample, counts in zip(samples, report.levels, strict=True):
         wrong, places = check.run(sample, counts)
         report.findings += wrong
         for unknown in places:
-            row, col = check.on_lowest(sample.number, unknown.cell)
-            sheet = search.from_place(row, col, unknown.place[2], exact=unknown.is_step)
+            sheet = search.from_place(sample.number, unknown)
             if sheet is None:
                 continue
             how = sheet.why_floor(settings.min_area) if is_asked else None

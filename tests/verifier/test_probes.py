@@ -10,7 +10,7 @@ from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, UNCLEAR, build_obstacles, split_parts
-from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes, depth_of, support
+from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
 
@@ -72,13 +72,13 @@ def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, mon
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
     assert probe.touches(0) == TOUCHES  # nothing separates them
     way = np.array([1.0, 0.0, 0.0])
-    assert support(obstacles, 0, way) == pytest.approx(0.1)
+    assert obstacles.support(0, way) == pytest.approx(0.1)
 
 
 def test_depth_is_how_far_a_column_has_to_shrink(tmp_path):
     obstacles = obstacles_of(tmp_path, scene_xml([Thing("box", (0.5, 0.5, 0.5), (0.0, 0.0, 0.5))]))
     column, center = Column(0.1, 0.1, 0.4, False), np.array([0.58, 0.0, 0.5])
-    assert depth_of(Probes(obstacles), column, center, 0) == pytest.approx(0.02, abs=1e-4)
+    assert Probes(obstacles).depth(column, center, 0) == pytest.approx(0.02, abs=1e-4)
 
 
 def test_lines_cross_what_exact_geometry_crosses(tmp_path):
@@ -135,5 +135,5 @@ CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], 
 def test_parts_of_meshes_by_what_they_enclose(faces, kinds):
     points = np.concatenate([CORNERS, CORNERS / 2 + 0.25])
     parts = split_parts(points, np.array(faces))
-    assert sorted(part.kind for part in parts) == kinds
-    assert sum(len(part.faces) for part in parts) == len(faces)
+    assert sorted(kind for kind, _ in parts) == kinds
+    assert sum(len(own) for _, own in parts) == len(faces)
