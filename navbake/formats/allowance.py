@@ -1,4 +1,4 @@
-"""What a stranger's file may cost: cells, bytes and memory, for all readers of `formats`.
+"""What a stranger's file may hold and cost: values that are checked, and cells, bytes and memory.
 
 NavGrids, maps, voxels, images and arrays are published, and a few bytes of one may claim to stand
 for more than any memory holds: runs have any length, and packed data unpack a thousandfold. So a
@@ -11,83 +11,198 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
+from numbers import Real
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from navbake.errors import ConfigError, FormatError
-from navbake.formats.values import JsonPath, shown
+
+if TYPE_CHECKING:  # the command line lists formats before it loads numpy
+    from navbake.types import Json, Vector3
 
 MAX_BYTES = 4 << 30  # of any file
 MAX_CELLS = 100_000_000  # of all levels together
 MAX_VOXELS = 1 << 31  # 1290 along each axis
 MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompression bomb
+MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
+MAX_HEADER = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
 FREE_BYTES = 256 << 20  # of memory that any file may fill
 # and this much more for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
 BYTES_PER_BYTE = 512
 BYTES_PER_CELL = 128  # of all arrays together, where a caller says how many cells there may be
 TEXT_COST = 4  # bytes of memory that count for one of packed JSON: its values take more
 PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and what its values are made of
+SHOWN_LENGTH = 40  # characters of a culprit that an error shows
+LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is
+ALL = LEAVES | {dict, list, tuple}
+JSON = (str, int, float, dict, list, tuple)
 
 
-@dataclass
+# ---------------------------------------------------------------- values, and where they stand
+
+
+class _Missing:
+    """Stands for a field that is not there."""
+
+
+MISSING = _Missing()
+
+
+def shown(value: object) -> str:
+    """Format a value for an error message: short, on one line."""
+    if isinstance(value, _Missing):
+        return "nothing"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return f"an object of {len(value)} fields"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str):
+        value = value[: SHOWN_LENGTH + 1]
+    elif isinstance(value, int) and abs(value) > 10**SHOWN_LENGTH:
+        return f"{value:.3e}" if abs(value) < 10**300 else "an integer of over 300 digits"
+    text = repr(value)
+    return text if len(text) <= SHOWN_LENGTH else text[:SHOWN_LENGTH] + "…"
+
+
+@dataclass(frozen=True)
+class JsonPath:
+    """A location in a file, as errors name it."""
+
+    file: str
+    path: str = ""  # as in ``grids[1].weights.data[17]``; "" for the top
+
+    def __getitem__(self, key: str | int) -> JsonPath:
+        if isinstance(key, int):
+            step = f"[{key}]"
+        elif key.isidentifier():
+            step = f".{key}" if self.path else key
+        else:
+            step = f"[{shown(key)}]"
+        return JsonPath(self.file, self.path + step)
+
+    def fail(self, what: str, remedy: str = "") -> NoReturn:
+        """Raise a FormatError that says what is wrong, where, and what helps."""
+        where = f"at `{self.path}` in" if self.path else "in"
+        file = self.file if self.file.isprintable() else repr(self.file)
+        raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
+
+    def refuse(self, expected: str, value: object) -> NoReturn:
+        """Raise a FormatError that says what was expected here and what is there instead."""
+        self.fail(f"expected {expected}, got {shown(value)}")
+
+
+def whole_number(value: object, place: JsonPath, minimum: int) -> int:
+    """Read an integer; 59.0 is one, true is none."""
+    integral = type(value) is int or (isinstance(value, float) and value.is_integer())
+    if not integral or int(value) < minimum:  # type: ignore[call-overload]
+        place.refuse(f"a whole number >= {minimum}", value)
+    return int(value)  # type: ignore[call-overload,no-any-return]
+
+
+def number(value: object, place: JsonPath, *, positive: bool = False) -> float:
+    """Check a finite number; whole ones become int, so that JSON has no .0."""
+    try:
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        checked = float(value) if is_number else math.nan  # type: ignore[arg-type]
+    except OverflowError:  # YAML has whole numbers beyond all floats
+        checked = math.nan
+    if not math.isfinite(checked) or (positive and checked <= 0):
+        place.refuse("a number > 0" if positive else "a finite number", value)
+    return int(checked) if checked.is_integer() and abs(checked) < 2**53 else checked
+
+
+def vector(value: object, place: JsonPath) -> Vector3:
+    """Check three finite numbers."""
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        place.refuse("three numbers", value)
+    x, y, z = (float(number(entry, place[i])) for i, entry in enumerate(value))
+    return x, y, z
+
+
+def json_object(value: object, place: JsonPath) -> Json:
+    """Check that a value is an object."""
+    if not isinstance(value, dict):
+        place.refuse("an object", value)
+    return value
+
+
+def optional_object(content: Json, key: str, place: JsonPath) -> Json:
+    """Read an object that may be missing or null."""
+    value = content.get(key)
+    return {} if value is None else json_object(plain(value, place[key]), place[key])
+
+
+def plain(value: Any, place: JsonPath) -> Any:
+    """Check that a value is JSON and not too deep; layer by layer, which is fast."""
+    layer = [value]
+    for _ in range(MAX_DEPTH):
+        if set(map(type, layer)) <= LEAVES:
+            return value
+        others = (v for v in layer if type(v) not in ALL)
+        if not all(
+            math.isfinite(v) if isinstance(v, float) else isinstance(v, JSON) for v in others
+        ):
+            _find_odd(value, place)
+        # all keys, then all children, of one depth: no Python call for each value
+        objects = [v for v in layer if isinstance(v, dict)]
+        if not set(map(type, chain.from_iterable(objects))) <= {str}:
+            place.fail("expected strings as keys of objects, got others")
+        lists = [v for v in layer if isinstance(v, list | tuple)]
+        layer = list(chain.from_iterable([*map(dict.values, objects), *lists]))
+    place.fail(f"nested deeper than {MAX_DEPTH} levels")
+
+
+def _find_odd(value: Any, place: JsonPath) -> None:
+    """Refuse the first value that is not JSON."""
+    if isinstance(value, dict | list | tuple):
+        for key, child in value.items() if isinstance(value, dict) else enumerate(value):
+            _find_odd(child, place[key if isinstance(key, int) else str(key)])
+    elif isinstance(value, float) and not math.isfinite(value):
+        place.refuse("a finite number", value)
+    elif value is not None and not isinstance(value, JSON):
+        place.fail(f"expected a JSON value, got one of Python's type {type(value).__name__}")
+
+
+# ---------------------------------------------------------------- what may be reserved
+
+
 class Allowance:
-    """What reading a file may still reserve.
+    """What reading a file of so many bytes may still reserve: cells, memory and text [bytes].
 
-    Attributes:
-        num_bytes: size of the file.
-        keyword: the argument by which a caller of the reader raises the limit, "" for none.
-        most: what that argument said, None where it was left out.
-        cells: cells, voxels or pixels that may still come.
-        memory: that arrays may still fill [bytes].
-        text: JSON that may still be unpacked [bytes].
+    A caller of the reader raises the limits by a keyword, ``max_cells`` of grids and ``max_voxels``
+    of voxels, with which free memory is the other limit. Images have none.
     """
 
-    num_bytes: int
-    keyword: str
-    most: int | None
-    cells: int
-    memory: float
-    text: int
-
-    @classmethod
-    def of_grid(cls, num_bytes: int, max_cells: int | None = None) -> Allowance:
-        """The limits for a grid's file of so many bytes."""
-        cells = MAX_CELLS if max_cells is None else max_cells
+    def __init__(self, num_bytes: int, keyword: str = "", most: int | None = None) -> None:
+        if most is not None and not (isinstance(most, int) and most >= 1):
+            raise FormatError(f"expected {keyword} to be a whole number >= 1, got {most!r}")
+        self._keyword, self._most = keyword, most
         rule = FREE_BYTES + BYTES_PER_BYTE * num_bytes
-        memory = rule if max_cells is None else BYTES_PER_CELL * max_cells
-        return cls(num_bytes, "max_cells", max_cells, cells, memory, rule // TEXT_COST)
-
-    @classmethod
-    def of_voxels(cls, num_bytes: int, max_voxels: int | None = None) -> Allowance:
-        """The limits for a voxel file; with `max_voxels`, free memory is the other limit."""
-        if max_voxels is not None and not (isinstance(max_voxels, int) and max_voxels >= 1):
-            raise FormatError(f"expected max_voxels to be a whole number >= 1, got {max_voxels!r}")
-        cells = MAX_VOXELS if max_voxels is None else max_voxels
-        memory = FREE_BYTES + BYTES_PER_BYTE * num_bytes if max_voxels is None else math.inf
-        return cls(num_bytes, "max_voxels", max_voxels, cells, memory, 0)
-
-    @classmethod
-    def of_image(cls, num_bytes: int) -> Allowance:
-        """The limits for an image."""
-        return cls(num_bytes, "", None, MAX_PIXELS, FREE_BYTES + BYTES_PER_BYTE * num_bytes, 0)
+        self._rule = f"a file of {num_bytes:,} bytes may fill ({rule:,} bytes)"
+        self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
+        self._memory: float = rule
+        self._text, self._num_bytes = rule // TEXT_COST, num_bytes
+        if most is not None:
+            self._rule, self._cells = f"{keyword} = {most} allows", most
+            self._memory = BYTES_PER_CELL * most if keyword == "max_cells" else math.inf
 
     def take_cells(self, shape: Sequence[int], place: JsonPath) -> None:
         """Count the cells, voxels or pixels of a shape, or refuse them."""
-        if math.prod(shape) > self.cells:
-            unit = self.keyword.removeprefix("max_") or "pixels"
+        if math.prod(shape) > self._cells:
+            unit = self._keyword.removeprefix("max_") or "pixels"
             counts = " × ".join(shown(int(n)) for n in shape)
-            place.fail(f"too many {unit} ({counts}, expected {self.cells:,} at most)", self._remedy)
-        self.cells -= math.prod(shape)
+            what = f"too many {unit} ({counts}, expected {self._cells:,} at most)"
+            place.fail(what, self._remedy)
+        self._cells -= math.prod(shape)
 
     def take_array(self, shape: Sequence[int], itemsize: int, place: JsonPath) -> None:
         """Count the memory of an array, or refuse it."""
-        num_bytes = math.prod(shape) * itemsize
-        if num_bytes > self.memory:
-            rule = f"{self.keyword} = {self.most} allows"
-            if self.most is None:
-                whole = FREE_BYTES + BYTES_PER_BYTE * self.num_bytes
-                rule = f"a file of {self.num_bytes:,} bytes may fill ({whole:,} bytes)"
-            place.fail(f"more memory than {rule}", self._remedy)
-        self.memory -= num_bytes
-        if self.keyword == "max_voxels":
+        self._memory -= math.prod(shape) * itemsize
+        if self._memory < 0:
+            place.fail(f"more memory than {self._rule}", self._remedy)
+        if self._keyword == "max_voxels":
             from navbake.voxels.placement import check_memory  # loads numpy
 
             try:
@@ -97,11 +212,11 @@ class Allowance:
 
     def take_text(self, num_bytes: int, place: JsonPath) -> None:
         """Count JSON that a packed file unpacks to, or refuse it."""
-        self.text -= num_bytes
-        if self.text < 0:
-            what = f"more text than a file of {self.num_bytes:,} bytes may unpack to"
+        self._text -= num_bytes
+        if self._text < 0:
+            what = f"more text than a file of {self._num_bytes:,} bytes may unpack to"
             place.fail(what, "unpack it first if that is meant")
 
     @property
     def _remedy(self) -> str:
-        return f"pass {self.keyword} if that is meant" if self.keyword else ""
+        return f"pass {self._keyword} if that is meant" if self._keyword else ""

@@ -14,13 +14,12 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.formats.allowance import Allowance
-from navbake.formats.values import MISSING, JsonPath, whole_number
+from navbake.formats.allowance import MISSING, Allowance, JsonPath, whole_number
 from navbake.navgrid.metadata import datatype_name
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Float, Int
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-PIECE = 1 << 20  # cells that are written at once, for the memory that it takes
+PIECE = 1 << 20  # cells or runs that are encoded at once, for the memory that it takes
 
 
 def decode_array(
@@ -35,17 +34,9 @@ def decode_array(
     """Read an array: an object with ``data``, or a bare list, which is raw.
 
     Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` must be there; ``dataType``
-    is taken for ``datatype``. ``null`` becomes `null` in raw data as in runs. (The original
-    client does so in runs only and leaves it as it is in raw data, where arithmetic takes it
-    for 0.) Integers have none.
-
-    Args:
-        value: what the file has there.
-        place: where in the file.
-        shape: (height, width) of the level, one value a cell.
-        allowance: what the file may still fill.
-        default: the type that the metadata give for it; float64 if they don't either.
-        null: what ``null`` stands for in floats.
+    is taken for ``datatype``, else `default`, the type that the metadata give, else float64.
+    ``null`` becomes `null` in raw data as in runs. (The original client does so in runs only and
+    leaves it as it is in raw data, where arithmetic takes it for 0.) Integers have none.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
@@ -54,7 +45,13 @@ def decode_array(
         place.refuse("an array", value)
     if value.get("type") not in (None, "array"):
         place["type"].refuse("'array'", value["type"])
-    dtype, num_cells = _read_datatype(value, place, default), math.prod(shape)
+    own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
+    stated = value[own[0]] if own else "float64" if default is None else default
+    name = datatype_name(stated) if isinstance(stated, str) else ""
+    if name not in DATATYPES:
+        where = place[own[0]] if own else place
+        where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
+    dtype, num_cells = np.dtype(name), math.prod(shape)
     if value.get("length") is not None:
         length = whole_number(value["length"], place["length"], 0)
         if length != num_cells:
@@ -64,94 +61,18 @@ def decode_array(
     if not isinstance(data, list):
         data_place.refuse("a list", data)
     encoding = value.get("encoding")
-    if encoding == "rle":
-        return _decode_runs(data, data_place, num_cells, dtype, null).reshape(shape)
-    if encoding not in (None, "raw"):
+    if encoding not in (None, "raw", "rle"):
         place["encoding"].refuse("'rle' or 'raw'", encoding)
+    if encoding == "rle":
+        counts = _read_counts(data, data_place, num_cells)
+        return np.repeat(_cast(data, data_place, 2, dtype, null), counts).reshape(shape)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
     return _cast(data, data_place, 1, dtype, null).reshape(shape)
 
 
-def encode_array(array: NDArray[Any], place: JsonPath) -> Iterator[bytes]:
-    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``, in pieces.
-
-    NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
-    float32 gets its own shortest decimal.
-    """
-    if array.dtype.name not in DATATYPES:
-        place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
-    return _encode_runs(array.reshape(-1))
-
-
-def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
-    """Encode runs, for a piece of the cells at a time; one that goes on waits for its end."""
-    yield b"["
-    value, count, separator = cells[:0], 0, b""
-    for first in range(0, len(cells), PIECE):
-        values, counts = _find_runs(cells[first : first + PIECE])
-        if len(value) and _is_same(value, values[:1])[0]:
-            counts[0] += count
-        elif len(value):
-            values = np.concatenate([value, values])
-            counts = np.concatenate([[count], counts])
-        if len(counts) > 1:
-            yield separator + _dump_runs(values[:-1], counts[:-1])
-            separator = b","
-        value, count = values[-1:], int(counts[-1])
-    if len(value):
-        yield separator + _dump_runs(value, np.array([count]))
-    yield b"]"
-
-
-def _find_runs(cells: NDArray[Any]) -> tuple[NDArray[Any], Int]:
-    """The value and the length of each run."""
-    flat = cells.astype(cells.dtype.newbyteorder("="), copy=False)
-    if flat.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):  # of NaNs that signal, as an archive may have them
-            flat = np.where(np.isfinite(flat), flat + 0, flat.dtype.type(np.nan))
-    start = np.concatenate([[0], np.flatnonzero(~_is_same(flat[1:], flat[:-1])) + 1])
-    return flat[start], np.diff(start, append=flat.size)
-
-
-def _is_same(one: NDArray[Any], other: NDArray[Any]) -> Bool:
-    """Whether values are equal, or both NaN."""
-    same: Bool = one == other
-    if one.dtype.kind == "f":
-        same |= np.isnan(one) & np.isnan(other)
-    return same
-
-
-def _dump_runs(values: NDArray[Any], counts: Int) -> bytes:
-    """Runs as JSON, without brackets."""
-    if values.dtype.kind != "f":
-        return _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())[1:-1]
-    pieces = [b""] * (2 * len(counts))
-    pieces[0::2] = _dump(values)[1:-1].split(b",")
-    pieces[1::2] = _dump(counts)[1:-1].split(b",")
-    return b",".join(pieces).replace(b".0,", b",")
-
-
-def _dump(array: NDArray[Any]) -> bytes:
-    return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)
-
-
-def _read_datatype(value: Json, place: JsonPath, default: object) -> np.dtype[Any]:
-    """Find the dtype: what the array states, else the metadata, else float64."""
-    own = [key for key in ("datatype", "dataType") if value.get(key) is not None]
-    stated = value[own[0]] if own else default
-    if stated is None:
-        return np.dtype(np.float64)
-    name = datatype_name(stated) if isinstance(stated, str) else ""
-    if name not in DATATYPES:
-        where = place[own[0]] if own else place
-        where.refuse(f"a datatype of {', '.join(DATATYPES)}", stated)
-    return np.dtype(name)
-
-
-def _decode_runs(
-    data: list[Any], place: JsonPath, num_cells: int, dtype: np.dtype[Any], null: float
-) -> NDArray[Any]:
+def _read_counts(data: list[Any], place: JsonPath, num_cells: int) -> Int:
+    """The lengths of runs, which cover all cells; checked before anything of that size is made."""
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
     expected = "a count, a whole number >= 0"
@@ -160,7 +81,6 @@ def _decode_runs(
     if bad.any():
         index = 2 * int(np.argmax(bad)) + 1
         place[index].refuse(expected, data[index])
-    # checked before anything of that size is made: counts are as large as a file likes
     is_over = counts.cumsum() > num_cells
     if is_over.any():
         run = int(np.argmax(is_over))
@@ -168,7 +88,7 @@ def _decode_runs(
         place[index].refuse(f"a count <= {left}, what the array has left", data[index])
     if counts.sum() != num_cells:
         place.fail(f"expected runs over {num_cells} cells, got runs over {int(counts.sum())}")
-    return np.repeat(_cast(data, place, 2, dtype, null), counts.astype(np.int64))
+    return counts.astype(np.int64)
 
 
 def _cast(
@@ -201,3 +121,54 @@ def _to_float64(
         index = next(i for i in range(len(data))[part] if type(data[i]) not in kinds)
         place[index].refuse(expected, data[index])
     return np.array(entries, dtype=np.float64)
+
+
+def encode_array(array: NDArray[Any], place: JsonPath) -> Iterator[bytes]:
+    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``, in pieces.
+
+    NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
+    float32 gets its own shortest decimal.
+    """
+    if array.dtype.name not in DATATYPES:
+        place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
+    return _encode_runs(array.reshape(-1))
+
+
+def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
+    starts = [np.zeros(1, np.int64)]
+    for first in range(1, len(cells), PIECE):
+        piece = _as_written(cells[first - 1 : first + PIECE])
+        differs = piece[1:] != piece[:-1]
+        if piece.dtype.kind == "f":
+            differs &= ~(np.isnan(piece[1:]) & np.isnan(piece[:-1]))
+        starts.append(np.flatnonzero(differs) + first)
+    start = np.concatenate(starts)
+    count = np.diff(start, append=len(cells))
+    yield b"["
+    for first in range(0, len(start), PIECE):
+        values = _as_written(cells[start[first : first + PIECE]])
+        counts = count[first : first + PIECE]
+        if first:
+            yield b","
+        if values.dtype.kind == "f":
+            pieces = [b""] * (2 * len(counts))
+            pieces[0::2] = _dump(values).split(b",")
+            pieces[1::2] = _dump(counts).split(b",")
+            yield b",".join(pieces).replace(b".0,", b",")
+        else:
+            yield _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())
+    yield b"]"
+
+
+def _as_written(cells: NDArray[Any]) -> NDArray[Any]:
+    """Values of this machine's byte order, infinities as NaN and no -0.0."""
+    cells = cells.astype(cells.dtype.newbyteorder("="), copy=False)
+    if cells.dtype.kind != "f":
+        return cells
+    with np.errstate(invalid="ignore"):  # of NaNs that signal, as an archive may have them
+        return np.where(np.isfinite(cells), cells + 0, cells.dtype.type(np.nan))
+
+
+def _dump(array: NDArray[Any]) -> bytes:
+    """Numbers as JSON, without brackets."""
+    return orjson.dumps(array, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]

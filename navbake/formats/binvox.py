@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import Allowance
+from navbake.formats.allowance import MAX_HEADER, Allowance, JsonPath, shown
 from navbake.formats.source import read_bytes
-from navbake.formats.values import JsonPath, shown
 from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
@@ -35,7 +34,6 @@ VERSIONS = (1, 2)
 MAGIC = b"#binvox"
 BINVOX = "a binvox file that begins with #binvox"
 MOST = 255  # greatest value of a voxel, and most voxels of a run
-HEADER_LIMIT = 65536  # longest header, comments included [bytes]
 DECIMALS = 12  # of the numbers in the header
 ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
 NEAR = 1e-4  # relative; AirSim writes six digits
@@ -197,7 +195,7 @@ def read_binvox(
     nx, nz, ny = header.dim
     pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
     _check_runs(pairs, header, name)  # before anything of the size is made that the header claims
-    place, allowance = JsonPath(name), Allowance.of_voxels(len(data), max_voxels)
+    place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
@@ -274,7 +272,7 @@ def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
     """
     lines: dict[str, list[str]] = {}
     start = 0
-    while (end := data.find(b"\n", start, HEADER_LIMIT)) >= 0:
+    while (end := data.find(b"\n", start, MAX_HEADER)) >= 0:
         first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
         start = end + 1
         if first == "data":

@@ -14,9 +14,9 @@ from typing import Any
 import orjson
 
 from navbake.errors import FormatError
+from navbake.formats.allowance import shown
 from navbake.formats.shapes import DECIMALS, KINDS, ROOM, Shape, find_shapes, import_shapely
 from navbake.formats.source import Files, path_name, read_object
-from navbake.formats.values import shown
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Float, Json

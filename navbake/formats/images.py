@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import PIXEL_COST, Allowance
+from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
-from navbake.formats.values import JsonPath
 from navbake.navgrid.grid import NavGrid
 
 # Bytes of pixels that a byte of a file stands for at most, by Pillow's name of how they are coded:
@@ -51,7 +50,7 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
     begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
-    allowance, place = Allowance.of_image(len(data)), JsonPath(name)
+    allowance, place = Allowance(len(data)), JsonPath(name)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pixels are counted here; all else is read

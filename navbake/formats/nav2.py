@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
+from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.geojson import read_room_outlines
 from navbake.formats.images import Pixels, encode_pgm, encode_png, level_paths, read_pixels
 from navbake.formats.navgrid import checked_grid
@@ -45,7 +46,6 @@ from navbake.formats.occupancy import (
     values_of,
 )
 from navbake.formats.source import Files, check_path, path_name, read_bytes
-from navbake.formats.values import MISSING, JsonPath, number, vector
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.polygon import cover_cells

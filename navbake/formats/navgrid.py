@@ -2,6 +2,10 @@
 
 What the format does not know is kept and written back: fields of a grid, of its levels and of
 its metadata, and further tile attributes; not so fields inside of an array or a bbox.
+
+Names of what stands in each cell (``userData``) are most of a file of a furnished house, and few
+who load a grid ask for them. Of a file of `SPLIT_BYTES` and more, msgspec finds where each field of
+a level ends without making objects of it, and user data stay text until they are first used.
 """
 
 import gzip
@@ -9,40 +13,57 @@ import io
 import math
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import Allowance
-from navbake.formats.arrays import decode_array, encode_array
-from navbake.formats.source import Files, Source, check_path, read_json_text, write_bytes
-from navbake.formats.user_data import encode_user_data, parse_file, read_user_data
-from navbake.formats.values import (
+from navbake.formats.allowance import (
     MISSING,
+    Allowance,
     JsonPath,
     json_object,
     number,
     optional_object,
     plain,
+    shown,
     vector,
     whole_number,
 )
+from navbake.formats.arrays import decode_array, encode_array
+from navbake.formats.source import (
+    Files,
+    Source,
+    check_path,
+    parse_json,
+    read_json_text,
+    write_bytes,
+)
+from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.types import Float, Json, Vector3
+from navbake.navgrid.user_data import Shared, UserData
+from navbake.types import Json, Vector3
+
+if TYPE_CHECKING:
+    import msgspec
+else:
+    msgspec = lazy("msgspec")
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
     *("cellSize", "min", "unit", "bbox", "timings"),
 )
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
+SPLIT_BYTES = 1 << 20  # below, all is parsed at once and msgspec stays unloaded
+ENTRIES = 1 << 16  # cells whose user data are encoded at once, for the memory that it takes
 
-Shape = tuple[int, int]
-Layers = dict[str, NDArray[Any]]
+
+# ---------------------------------------------------------------- reading
 
 
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
@@ -67,23 +88,169 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
         FormatError: the file can't be read or does not follow the format.
     """
     text, num_bytes, top = read_json_text(source)
-    content = parse_file(text, top)
-    allowance = Allowance.of_grid(num_bytes, max_cells)
+    content = _parse(text, top)
+    allowance = Allowance(num_bytes, "max_cells", max_cells)
     kind = content.get("type", MISSING)
-    if kind == "SceneGrid2D":
-        grid: NavGrid = _read_level(content, top, allowance, {}, {})
-    elif kind == "MultiLevelGrid":
-        grid = _read_levels(content, top, allowance)
-    else:
+    if kind == "MultiLevelGrid":
+        return read_levels(content, top, allowance)
+    if kind != "SceneGrid2D":
         top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
-    return checked_grid(grid, top)
+    return checked_grid(read_level(content, top, allowance), top)
 
 
-def checked_grid(grid: NavGrid, top: JsonPath) -> NavGrid:
+def _parse(content: bytes, top: JsonPath) -> Json:
+    """Parse a file, with text in the place of each level's ``userData`` if it is long."""
+    if len(content) >= SPLIT_BYTES:
+        with suppress(msgspec.DecodeError, RecursionError, orjson.JSONDecodeError):
+            fields = msgspec.json.decode(content, type=dict[str, msgspec.Raw])
+            is_house = orjson.loads(memoryview(fields.get("type", b"null"))) == "MultiLevelGrid"
+            if not is_house or "grids" not in fields:
+                return _parse_level(fields)
+            levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
+            house = {key: key == "grids" or orjson.loads(memoryview(fields[key])) for key in fields}
+            return {**house, "grids": [_parse_level(level) for level in levels]}
+    return json_object(parse_json(content, top), top)  # which names the line of what is broken
+
+
+def _parse_level(fields: Json) -> Json:
+    views = {key: memoryview(raw) for key, raw in fields.items()}
+    return {key: view if key == "userData" else orjson.loads(view) for key, view in views.items()}
+
+
+def read_levels(
+    content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
+) -> MultiLevelGrid:
+    """Read a grid of several levels; `key` is what the file calls the list of its ``grids``."""
+    grids = content.get("grids", MISSING)
+    if not isinstance(grids, list) or not grids:
+        top[key].refuse("a list of at least one level", grids)
+    whole = {name: content[name] for name in ("cellSize", "unit") if content.get(name) is not None}
+    for name in whole:
+        number(whole[name], top[name], positive=True)
+    metadata = read_metadata(content, top)
+    levels = []
+    for i, value in enumerate(grids):
+        level = json_object(value, top[key][i])
+        if level.get("type", "SceneGrid2D") != "SceneGrid2D":
+            top[key][i]["type"].refuse("'SceneGrid2D'", level["type"])
+        levels.append(read_level(level, top[key][i], allowance, {**whole, "metadata": metadata}))
+    house = MultiLevelGrid(
+        grids=levels,
+        cell_size=float(whole.get("cellSize", levels[0].cell_size)),
+        unit=float(whole.get("unit", 1)),
+        metadata=metadata,
+        timings=optional_object(content, "timings", top),
+        extra=_unknown(content, MULTI_FIELDS, top),
+    )
+    checked_grid(house, top, key)
+    return house
+
+
+def read_level(
+    content: Json, place: JsonPath, allowance: Allowance, whole: Json | None = None
+) -> SceneGrid2D:
+    """Read a level, which takes over what it lacks from what the whole grid states.
+
+    A layer may be a function of its shape and place, which reads it, in place of JSON.
+    """
+    metadata = read_metadata(content, place) or (whole or {}).get("metadata", {})
+    stated = {"unit": 1, **(whole or {}), **{k: v for k, v in content.items() if v is not None}}
+    size, unit = (
+        float(number(stated.get(key, MISSING), place[key], positive=True))
+        for key in ("cellSize", "unit")
+    )
+    width, height = (
+        whole_number(content.get(key, MISSING), place[key], 1) for key in ("width", "height")
+    )
+    allowance.take_cells((width, height), place)
+
+    def layer(value: Any, at: JsonPath, **given: Any) -> NDArray[Any]:
+        if callable(value):
+            read: NDArray[Any] = value((height, width), at)
+            return read
+        return decode_array(value, at, (height, width), allowance, **given)
+
+    types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
+    stored, at = stated.get("tileAttributes", {}), place["tileAttributes"]
+    attributes = {
+        name: layer(value, at[name], default=types.get(name))
+        for name, value in json_object(stored, at).items()
+    }
+    if "weights" in stated:
+        weights = layer(stated["weights"], place["weights"], null=math.inf)
+        weights = weights if callable(stated["weights"]) else weights.astype(np.float64, copy=False)
+    else:
+        allowance.take_array((height, width), 8, place["weights"])
+        weights = np.ones((height, width))
+        if "occupancy" in attributes:
+            weights[attributes["occupancy"] != 0] = np.inf
+        if "floorHeight" in attributes:
+            weights[~np.isfinite(attributes["floorHeight"])] = np.inf
+    return SceneGrid2D(
+        width=width,
+        height=height,
+        cell_size=size,
+        min_yup=vector(content.get("min", MISSING), place["min"]),
+        bbox_yup=_read_bbox(content.get("bbox"), place["bbox"]),
+        unit=unit,
+        weights=weights,
+        attributes=attributes,
+        user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
+        metadata=metadata,
+        timings=optional_object(content, "timings", place),
+        extra=_unknown(content, SCENE_FIELDS, place),
+    )
+
+
+def read_metadata(content: Json, place: JsonPath) -> Json:
+    """Read the metadata of a grid or level, and check what readers rely on."""
+    metadata = optional_object(content, "metadata", place)
+    optional_object(metadata, "navbake", place["metadata"])
+    entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
+    if not isinstance(entries, list | None):
+        place.refuse("a list", entries)
+    for i, entry in enumerate(entries or []):
+        name = json_object(entry, place[i]).get("name", MISSING)
+        if not isinstance(name, str):
+            place[i]["name"].refuse("a string", name)
+    return metadata
+
+
+def _read_bbox(value: object, place: JsonPath) -> tuple[Vector3, Vector3] | None:
+    if value is None:
+        return None
+    low, high = (json_object(value, place).get(key, MISSING) for key in ("min", "max"))
+    return vector(low, place["min"]), vector(high, place["max"])
+
+
+def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
+    return {key: plain(content[key], place[key]) for key in content if key not in known}
+
+
+def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
+    """Check user data: at once, or those that are still text on first use."""
+
+    def check(value: Any) -> dict[int, Json]:
+        stored: Json = {} if value is None else json_object(plain(value, place), place)
+        ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in stored]
+        for key, cell_id in zip(stored, ids, strict=True):
+            if not 0 <= cell_id < num_cells or str(cell_id) != key:
+                what = f"expected a cell's id from 0 to {num_cells - 1} as key, got {shown(key)}"
+                place.fail(what)
+        if not set(map(type, stored.values())) <= {dict}:
+            key, odd = next((k, v) for k, v in stored.items() if not isinstance(v, dict))
+            place[int(key)].refuse("an object", odd)
+        return dict(zip(ids, stored.values(), strict=True))
+
+    if isinstance(value, memoryview):
+        return UserData(lambda: check(parse_json(value, place)))
+    return UserData(check(value))
+
+
+def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     """Check what a file says of a whole grid: how large its cells are, links, doors and rooms."""
     for k, level in enumerate(grid.levels):
-        place = top["grids"][k] if isinstance(grid, MultiLevelGrid) else top
-        edge = level.lattice.cell_size
+        place, edge = top[key][k] if key else top, level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
             place.fail(f"expected cells of {LEAST_EDGE:g} m or more, got {edge:g} m")
         if not all(abs(value) <= FARTHEST for value in (*level.lattice.bounds, level.ground)):
@@ -98,6 +265,9 @@ def checked_grid(grid: NavGrid, top: JsonPath) -> NavGrid:
     return grid
 
 
+# ---------------------------------------------------------------- writing
+
+
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
 
@@ -106,17 +276,14 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
     """
-    write_bytes(_encode_for(grid, check_path(path)), path)
+    [(file, content)] = encode_files(grid, Path(check_path(path))).items()
+    write_bytes(content, file)
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
     """The file that `write_navgrid` writes, as `navbake.formats.convert` takes it."""
-    return {path: _encode_for(grid, path.name)}
-
-
-def _encode_for(grid: NavGrid, name: str) -> Iterator[bytes]:
     pieces = _encode_navgrid(grid)
-    return _gzip(pieces) if name.lower().endswith(".gz") else pieces
+    return {path: _gzip(pieces) if path.name.lower().endswith(".gz") else pieces}
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
@@ -133,31 +300,15 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     return b"".join(_encode_navgrid(grid))
 
 
-class _Later:
-    """Parts of the JSON that are long: written piece by piece, when all else has been encoded."""
-
-    def __init__(self) -> None:
-        self._parts: list[Iterator[bytes]] = []
-
-    def put(self, pieces: Iterator[bytes]) -> orjson.Fragment:
-        """Return a placeholder for such a part: JSON never has the character 0 itself."""
-        self._parts.append(pieces)
-        return orjson.Fragment(b"\0%d\0" % (len(self._parts) - 1))
-
-    def fill_in(self, text: bytes) -> Iterator[bytes]:
-        """Yield the text with all parts where they belong."""
-        for k, piece in enumerate(text.split(b"\0")):
-            if k % 2:
-                yield from self._parts[int(piece)]
-            else:
-                yield piece
-
-
 def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
-    """See `dumps_navgrid`; in pieces, of which the first comes when all has been checked."""
-    top, later = JsonPath("the grid to be written"), _Later()
+    """See `dumps_navgrid`; in pieces, of which the first comes when all has been checked.
+
+    Long parts are encoded piece by piece, when all else has been: until then, the number of a part
+    between two characters 0, which JSON never has itself, keeps its place.
+    """
+    top, parts = JsonPath("the grid to be written"), list[Iterator[bytes]]()
     if isinstance(grid, SceneGrid2D):
-        fields = _level_fields(grid, top, grid.metadata, later)
+        fields = _level_fields(grid, top, grid.metadata, parts)
     else:
         _ = grid.link_array  # checks them
         fields = {
@@ -166,14 +317,22 @@ def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
             "cellSize": number(grid.cell_size, top["cellSize"], positive=True),
             "unit": number(grid.unit, top["unit"], positive=True),
             "grids": [
-                _level_fields(level, top["grids"][i], _own_metadata(grid, i), later)
+                _level_fields(level, top["grids"][i], _own_metadata(grid, i), parts)
                 for i, level in enumerate(grid.grids)
             ],
             "timings": plain(grid.timings, top["timings"]),
         } | _extra(grid, top)
+
+    def join(text: bytes) -> Iterator[bytes]:
+        for k, piece in enumerate(text.split(b"\0")):
+            if k % 2:
+                yield from parts[int(piece)]
+            else:
+                yield piece
+
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
         option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
-        return later.fill_in(orjson.dumps(fields, option=option))
+        return join(orjson.dumps(fields, option=option))
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
 
@@ -189,149 +348,42 @@ def _gzip(pieces: Iterator[bytes]) -> Iterator[bytes]:
     yield packed.getvalue()
 
 
-def _read_levels(content: Json, top: JsonPath, allowance: Allowance) -> MultiLevelGrid:
-    grids = content.get("grids", MISSING)
-    if not isinstance(grids, list) or not grids:
-        top["grids"].refuse("a list of at least one level", grids)
-    metadata = _read_metadata(content, top)
-    inherited = {key: content[key] for key in ("cellSize", "unit") if content.get(key) is not None}
-    for key in inherited:
-        number(inherited[key], top[key], positive=True)
-    levels = []
-    for i, value in enumerate(grids):
-        place = top["grids"][i]
-        level = json_object(value, place)
-        if level.get("type", "SceneGrid2D") != "SceneGrid2D":
-            place["type"].refuse("'SceneGrid2D'", level["type"])
-        levels.append(_read_level(level, place, allowance, inherited, metadata))
-    return MultiLevelGrid(
-        grids=levels,
-        cell_size=float(inherited.get("cellSize", levels[0].cell_size)),
-        unit=float(inherited.get("unit", 1)),
-        metadata=metadata,
-        timings=optional_object(content, "timings", top),
-        extra=_unknown(content, MULTI_FIELDS, top),
-    )
+def _level_fields(
+    grid: SceneGrid2D, place: JsonPath, metadata: Json | None, parts: list[Iterator[bytes]]
+) -> Json:
+    def later(pieces: Iterator[bytes]) -> orjson.Fragment:
+        parts.append(pieces)
+        return orjson.Fragment(b"\0%d\0" % (len(parts) - 1))
 
+    def runs(array: NDArray[Any], at: JsonPath, **stated: str) -> Json:
+        if array.shape != grid.shape:
+            at.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
+        data = later(encode_array(array, at["data"]))
+        return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
-def _read_level(
-    content: Json, place: JsonPath, allowance: Allowance, inherited: Json, metadata: Json
-) -> SceneGrid2D:
-    own_metadata = _read_metadata(content, place) or metadata
-    width = whole_number(content.get("width", MISSING), place["width"], 1)
-    height = whole_number(content.get("height", MISSING), place["height"], 1)
-    allowance.take_cells((width, height), place)
-    shape = height, width
-    attributes = _read_attributes(content, place, shape, allowance, own_metadata)
-    return SceneGrid2D(
-        width=width,
-        height=height,
-        cell_size=_inherit(content, "cellSize", inherited, MISSING, place),
-        min_yup=vector(content.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(content, place["bbox"]),
-        unit=_inherit(content, "unit", inherited, 1, place),
-        weights=_read_weights(content, place, shape, allowance, attributes),
-        attributes=attributes,
-        user_data=read_user_data(content.get("userData"), place["userData"], width * height),
-        metadata=own_metadata,
-        timings=optional_object(content, "timings", place),
-        extra=_unknown(content, SCENE_FIELDS, place),
-    )
-
-
-def _inherit(content: Json, key: str, inherited: Json, default: object, place: JsonPath) -> float:
-    value = content.get(key)
-    if value is None:
-        value = inherited.get(key, default)
-    return float(number(value, place[key], positive=True))
-
-
-def _read_metadata(content: Json, place: JsonPath) -> Json:
-    metadata = optional_object(content, "metadata", place)
-    optional_object(metadata, "navbake", place["metadata"])
-    entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
-    if not isinstance(entries, list | None):
-        place.refuse("a list", entries)
-    for i, entry in enumerate(entries or []):
-        name = json_object(entry, place[i]).get("name", MISSING)
-        if not isinstance(name, str):
-            place[i]["name"].refuse("a string", name)
-    return metadata
-
-
-def _read_attributes(
-    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, metadata: Json
-) -> Layers:
-    types = {entry["name"]: entry.get("type") for entry in metadata.get("cellAttributes") or []}
-    stored, place = content.get("tileAttributes"), place["tileAttributes"]
-    arrays = json_object({} if stored is None else stored, place)
-    return {
-        name: decode_array(value, place[name], shape, allowance, default=types.get(name))
-        for name, value in arrays.items()
-    }
-
-
-def _read_weights(
-    content: Json, place: JsonPath, shape: Shape, allowance: Allowance, attributes: Layers
-) -> Float:
-    stored, place = content.get("weights"), place["weights"]
-    if stored is not None:
-        read = decode_array(stored, place, shape, allowance, null=math.inf)
-        return read.astype(np.float64, copy=False)
-    allowance.take_array(shape, 8, place)
-    weights = np.ones(shape)
-    if "occupancy" in attributes:
-        weights[attributes["occupancy"] != 0] = np.inf
-    if "floorHeight" in attributes:
-        weights[~np.isfinite(attributes["floorHeight"])] = np.inf
-    return weights
-
-
-def _read_bbox(content: Json, place: JsonPath) -> tuple[Vector3, Vector3] | None:
-    if content.get("bbox") is None:
-        return None
-    low, high = (json_object(content["bbox"], place).get(key, MISSING) for key in ("min", "max"))
-    return vector(low, place["min"]), vector(high, place["max"])
-
-
-def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
-    return {key: plain(content[key], place[key]) for key in content if key not in known}
-
-
-def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None, later: _Later) -> Json:
     fields: Json = {"type": "SceneGrid2D"}
     if metadata is not None:
         fields["metadata"] = _metadata(grid, place)
-    weights, attributes = grid.weights.astype(np.float64, copy=False), place["tileAttributes"]
     fields |= {
-        "weights": _runs(weights, grid.shape, place["weights"], later),
-        "userData": later.put(encode_user_data(grid, place["userData"])),
+        "weights": runs(grid.weights.astype(np.float64, copy=False), place["weights"]),
+        "userData": later(encode_user_data(grid, place["userData"])),
         "tileAttributes": {
-            name: _runs(array, grid.shape, attributes[name], later, datatype=array.dtype.name)
+            name: runs(array, place["tileAttributes"][name], datatype=array.dtype.name)
             for name, array in grid.attributes.items()
         },
         "width": whole_number(int(grid.width), place["width"], 1),
         "height": whole_number(int(grid.height), place["height"], 1),
         "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
-        "min": _vector(grid.min_yup, place["min"]),
+        "min": [number(value, place["min"][i]) for i, value in enumerate(grid.min_yup)],
         "unit": number(grid.unit, place["unit"], positive=True),
     }
     if grid.bbox_yup is not None:
-        (low, high), box = grid.bbox_yup, place["bbox"]
-        fields["bbox"] = {"min": _vector(low, box["min"]), "max": _vector(high, box["max"])}
+        fields["bbox"] = {
+            key: [number(value, place["bbox"][key][i]) for i, value in enumerate(corner)]
+            for key, corner in zip(("min", "max"), grid.bbox_yup, strict=True)
+        }
     fields["timings"] = plain(grid.timings, place["timings"])
     return fields | _extra(grid, place)
-
-
-def _vector(values: Vector3, place: JsonPath) -> list[float]:
-    return [number(value, place[i]) for i, value in enumerate(values)]
-
-
-def _runs(array: NDArray[Any], shape: Shape, place: JsonPath, later: _Later, **stated: str) -> Json:
-    if array.shape != shape:
-        place.fail(f"expected shape (height, width) = {shape}, got {array.shape}")
-    data = later.put(encode_array(array, place["data"]))
-    return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
 
 def _metadata(grid: NavGrid, place: JsonPath) -> Json:
@@ -352,6 +404,11 @@ def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
     return None if same else level.metadata
 
 
+def _extra(grid: NavGrid, place: JsonPath) -> Json:
+    check_extra(grid.extra, type(grid), place)
+    return {key: plain(grid.extra[key], place[key]) for key in grid.extra}
+
+
 def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
     """Refuse extra fields of a grid of this kind that have the name of one of the format's own."""
     for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
@@ -359,6 +416,36 @@ def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
             place[key].fail("extra fields can't stand in for one of the format's own")
 
 
-def _extra(grid: NavGrid, place: JsonPath) -> Json:
-    check_extra(grid.extra, type(grid), place)
-    return {key: plain(grid.extra[key], place[key]) for key in grid.extra}
+def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
+    """User data by ascending cell id, in pieces; entries that cells share are encoded once.
+
+    All is checked before the first piece.
+    """
+    num_cells = grid.width * grid.height
+    source = UserData.of(grid.user_data).source
+    if isinstance(source, Shared):
+        cells, numbers, entries = source.cells.tolist(), source.number.tolist(), source.entries
+        plain(list(entries), place)
+    else:
+        for cell_id, value in source.items():
+            if not isinstance(cell_id, int | np.integer):
+                place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {shown(cell_id)}")
+            if not isinstance(value, dict):
+                place[int(cell_id)].refuse("an object", value)
+        cells = sorted(map(int, source))
+        numbers, entries = range(len(cells)), [source[cell] for cell in cells]
+        plain({str(cell): entry for cell, entry in zip(cells, entries, strict=True)}, place)
+    if cells and not 0 <= cells[0] <= cells[-1] < num_cells:
+        wrong = cells[0] if cells[0] < 0 else cells[-1]
+        place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong}")
+    encoded = [orjson.dumps(entry) for entry in entries]
+
+    def join() -> Iterator[bytes]:
+        yield b"{"
+        for first in range(0, len(cells), ENTRIES):
+            part = slice(first, first + ENTRIES)
+            own = zip(cells[part], map(encoded.__getitem__, numbers[part]), strict=True)
+            yield (b"," if first else b"") + b",".join(map(b'"%d":%b'.__mod__, own))
+        yield b"}"
+
+    return join()

@@ -27,22 +27,27 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import Allowance
-from navbake.formats.navgrid import check_extra, checked_grid
-from navbake.formats.source import Files, parse_json, read_bytes
-from navbake.formats.user_data import encode_user_data, read_user_data
-from navbake.formats.values import (
+from navbake.formats.allowance import (
     MISSING,
+    Allowance,
     JsonPath,
     json_object,
     number,
     optional_object,
     plain,
-    vector,
     whole_number,
 )
+from navbake.formats.navgrid import (
+    check_extra,
+    checked_grid,
+    encode_user_data,
+    read_level,
+    read_levels,
+    read_metadata,
+)
+from navbake.formats.source import Files, parse_json, read_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
-from navbake.types import Json, Vector3
+from navbake.types import Json
 from navbake.voxels.grid import VoxelGrid
 
 Content = str | PathLike[str] | bytes  # a file, or its content
@@ -51,9 +56,7 @@ VERSION = 1  # of both kinds of archives
 ZIP, NPY = b"PK", b"\x93NUMPY"
 GRID = "grid"  # the array that only archives of grids have
 REQUIRED = ("values", "origin", "res")  # that only archives of voxels have
-MAX_IDS = 1 << 20  # entries of the table of IDs
-PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-RESERVED = ("weights", "userData")
+PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
 # ---------------------------------------------------------------- arrays of an archive
@@ -121,12 +124,11 @@ def _reading(expected: str, name: str) -> Iterator[None]:
 def _read_header(file: Any, num_bytes: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and dtype of an array; a ValueError if they need more than so many bytes."""
     version = np.lib.format.read_magic(file)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
-    else:
+    if version not in ((1, 0), (2, 0)):
         raise ValueError(f"{name} has version {version} of the format")
+    own = np.lib.format
+    read = own.read_array_header_1_0 if version == (1, 0) else own.read_array_header_2_0
+    shape, _, dtype = read(file)
     # numpy reserves what the header claims before it reads
     needed = math.prod(shape) * dtype.itemsize
     if any(n < 0 for n in shape) or dtype.hasobject or needed > num_bytes:
@@ -135,14 +137,7 @@ def _read_header(file: Any, num_bytes: int, name: str) -> tuple[tuple[int, ...],
 
 
 def read_npy(source: Content) -> NDArray[Any]:
-    """Read a single array (``.npy``).
-
-    Args:
-        source: the file, or its content.
-
-    Raises:
-        FormatError: it is no such file, broken, or holds objects.
-    """
+    """Read a single array (``.npy``), a file or its content; a FormatError for what is none."""
     expected = "an array (.npy)"
     data, name = read_bytes(source, begins=NPY, expected=expected)
     file = io.BytesIO(data)
@@ -151,6 +146,13 @@ def read_npy(source: Content) -> NDArray[Any]:
         file.seek(0)
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array
+
+
+@contextmanager
+def _opened(source: Content, expected: str, keyword: str, most: int | None) -> Iterator[_Archive]:
+    data, name = read_bytes(source, begins=ZIP, expected=expected)
+    with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
+        yield _Archive(packed, Allowance(len(data), keyword, most), JsonPath(name))
 
 
 def _pack(arrays: Json) -> bytes:
@@ -186,44 +188,36 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read voxels from a ``.npz`` that `encode_npz` made.
+    """Read voxels from a ``.npz``, a file or its content, that `encode_npz` made.
 
     Args:
-        source: the file, or its content.
         max_voxels: see `navbake.formats.voxels.read_voxels`.
 
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
-    expected = "a .npz of voxels"
-    data, name = read_bytes(source, begins=ZIP, expected=expected)
-    top, allowance = JsonPath(name), Allowance.of_voxels(len(data), max_voxels)
-    with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
-        archive = _Archive(packed, allowance, top)
+    with _opened(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
+        top = archive.top
         if GRID in archive and "values" not in archive:
-            raise FormatError(f"{name} holds a grid, no voxels: navbake.from_npz reads it")
-        allowance.take_cells(archive.header("values", top)[0], top)
-        arrays = {key: archive.read(key, top) for key in REQUIRED}
-        arrays |= {key: archive.read(key, top) for key in ("ids", "names") if key in archive}
-        known = archive.read("known", top) if "known" in archive else None
+            raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
+        archive.allowance.take_cells(archive.header("values", top)[0], top)
+        values, origin, res = (archive.read(key, top) for key in REQUIRED)
+        ids, names, known = (
+            archive.read(key, top) if key in archive else None for key in ("ids", "names", "known")
+        )
+        ids, names = (np.zeros(0) if array is None else array for array in (ids, names))
+        if ids.shape != names.shape or ids.ndim != 1:
+            raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
         try:
             return VoxelGrid(
-                values=arrays["values"],
-                origin=tuple(arrays["origin"].tolist()),
-                res=float(arrays["res"]),
-                names=_name_table(arrays),
+                values=values,
+                origin=tuple(origin.tolist()),
+                res=float(res),
+                names={int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)},
                 known=known,
             )
         except FormatError as error:
-            raise FormatError(f"{name}: {error}") from error
-
-
-def _name_table(arrays: dict[str, NDArray[Any]]) -> dict[int, str]:
-    """The names by ID; arrays of any dtype, as other programs may have them."""
-    ids, names = arrays.get("ids", np.zeros(0)), arrays.get("names", np.zeros(0))
-    if ids.shape != names.shape or ids.ndim != 1 or len(ids) > MAX_IDS:
-        raise ValueError(f"expected as many names as IDs, got {names.shape} for {ids.shape}")
-    return {int(i): str(n) for i, n in zip(ids.tolist(), names.tolist(), strict=True)}
+            raise FormatError(f"{top.file}: {error}") from error
 
 
 # ---------------------------------------------------------------- grids
@@ -247,7 +241,11 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
     for k, level in enumerate(grid.levels):
         is_own = isinstance(grid, MultiLevelGrid) and not grid.takes_over(k, level)
         place = top["levels"][k]
-        names = {name: _member(name, i) for i, name in enumerate(level.attributes)}
+        # an array is called as its attribute is where zip allows it
+        names = {
+            name: name if PLAIN_NAME.fullmatch(name) else f"attribute {i}"
+            for i, name in enumerate(level.attributes)
+        }
         document["levels"].append(
             _facts(level, level.metadata if is_own else None, place)
             | {"width": level.width, "height": level.height, "attributes": names}
@@ -278,97 +276,64 @@ def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
     }
 
 
-def _member(name: str, index: int) -> str:
-    """What an attribute's array is called in the archive: as itself where zip allows it."""
-    is_plain = PLAIN_NAME.fullmatch(name) and name not in RESERVED
-    return name if is_plain else f"attribute {index}"
-
-
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
-    """Read a grid from an archive that `encode_grid_npz` made.
+    """Read a grid from an archive, a file or its content, that `encode_grid_npz` made.
 
     Args:
-        source: the file, or its content.
         max_cells: as of `navbake.load`.
 
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
     expected = "a .npz of a grid"
-    data, name = read_bytes(source, begins=ZIP, expected=expected)
-    top = JsonPath(name)
-    with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
-        archive = _Archive(packed, Allowance.of_grid(len(data), max_cells), top)
+    with _opened(source, expected, "max_cells", max_cells) as archive:
+        top, allowance = archive.top, archive.allowance
         if GRID not in archive:
-            hint = (
-                ": it holds voxels, navbake.load_voxels reads them" if "values" in archive else ""
-            )
-            raise FormatError(f"expected {expected}, {name} has no array `{GRID}`{hint}")
-        return checked_grid(_read_grid(archive, top), top)
+            hint = ": it holds voxels, navbake.load_voxels reads them"
+            hint = hint if "values" in archive else ""
+            raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
+        document = json_object(parse_json(archive.text(GRID, top), top), top)
+        version = whole_number(document.get("version", MISSING), top["version"], 1)
+        if version > VERSION:
+            top["version"].refuse(f"{VERSION} at most: a newer navbake wrote it", version)
+        stated, kind = document.get("levels", MISSING), document.get("type", MISSING)
+        if not isinstance(stated, list) or not stated:
+            top["levels"].refuse("a list of levels", stated)
+        levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
+        if kind == "MultiLevelGrid":
+            whole = _with_extra(document, MultiLevelGrid, top)
+            return read_levels({**whole, "grids": levels}, top, allowance, "levels")
+        if kind != "SceneGrid2D" or len(stated) != 1:
+            top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
+        _ = _with_extra(document, SceneGrid2D, top)
+        whole = {"metadata": read_metadata(document, top)}
+        return checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
 
 
-def _read_grid(archive: _Archive, top: JsonPath) -> NavGrid:
-    document = json_object(parse_json(archive.text(GRID, top), top), top)
-    version = whole_number(document.get("version", MISSING), top["version"], 1)
-    if version > VERSION:
-        top["version"].refuse(f"{VERSION} at most: a newer navbake wrote it", version)
-    stated = document.get("levels", MISSING)
-    if not isinstance(stated, list) or not stated:
-        top["levels"].refuse("a list of levels", stated)
-    kind = document.get("type", MISSING)
-    is_single = kind == "SceneGrid2D" and len(stated) == 1
-    if not is_single and kind != "MultiLevelGrid":
-        top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
-    facts = _read_facts(document, SceneGrid2D if is_single else MultiLevelGrid, top)
-    levels = [
-        _read_level(archive, k, json_object(entry, top["levels"][k]), top["levels"][k])
-        for k, entry in enumerate(stated)
-    ]
-    if is_single:
-        levels[0].metadata = facts["metadata"]
-        return levels[0]
-    return MultiLevelGrid(grids=levels, **facts)
-
-
-def _read_level(archive: _Archive, k: int, entry: Json, place: JsonPath) -> SceneGrid2D:
-    width = whole_number(entry.get("width", MISSING), place["width"], 1)
-    height = whole_number(entry.get("height", MISSING), place["height"], 1)
-    archive.allowance.take_cells((width, height), place)
-    shape = height, width
+def _content(archive: _Archive, k: int, value: object) -> Json:
+    """A level as a NavGrid file has it, with functions that read its layers."""
+    place = archive.top["levels"][k]
+    entry = json_object(value, place)
     members = json_object(entry.get("attributes", MISSING), place["attributes"])
-    text = memoryview(archive.text(f"{k}/userData", place["userData"]))
-    return SceneGrid2D(
-        width=width,
-        height=height,
-        min_yup=vector(entry.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(entry.get("bbox"), place["bbox"]),
-        weights=archive.layer(f"{k}/weights", shape, place["weights"]),
-        attributes={
-            name: archive.layer(f"{k}/{member}", shape, place["attributes"][name])
-            for name, member in members.items()
-        },
-        user_data=read_user_data(text, place["userData"], width * height),
-        **_read_facts(entry, SceneGrid2D, place),
-    )
+    corners = entry.get("bbox")
+    if corners is not None and not (isinstance(corners, list) and len(corners) == 2):
+        place["bbox"].refuse("two corners", corners)
 
+    def reader(member: str) -> Any:
+        return lambda shape, at: archive.layer(f"{k}/{member}", shape, at)
 
-def _read_facts(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
-    size, unit = entry.get("cellSize", MISSING), entry.get("unit", MISSING)
-    facts: Json = {
-        key: optional_object(entry, key, place) for key in ("metadata", "timings", "extra")
-    }
-    check_extra(facts["extra"], kind, place["extra"])
-    optional_object(facts["metadata"], "navbake", place["metadata"])
     return {
-        **facts,
-        "cell_size": float(number(size, place["cellSize"], positive=True)),
-        "unit": float(number(unit, place["unit"], positive=True)),
+        **_with_extra(entry, SceneGrid2D, place),
+        "bbox": corners and dict(zip(("min", "max"), corners, strict=True)),
+        "weights": reader("weights"),
+        "tileAttributes": {name: reader(member) for name, member in members.items()},
+        "userData": memoryview(archive.text(f"{k}/userData", place["userData"])),
     }
 
 
-def _read_bbox(value: object, place: JsonPath) -> tuple[Vector3, Vector3] | None:
-    if value is None:
-        return None
-    if not isinstance(value, list) or len(value) != 2:
-        place.refuse("two corners", value)
-    return vector(value[0], place[0]), vector(value[1], place[1])
+def _with_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
+    """The fields of an entry, and its extra fields beside them."""
+    extra = optional_object(entry, "extra", place)
+    check_extra(extra, kind, place["extra"])
+    other = ("version", "extra", "levels", "attributes")
+    return {**extra, **{key: value for key, value in entry.items() if key not in other}}

@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import Allowance
+from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.binvox import read_header
 from navbake.formats.source import read_bytes
-from navbake.formats.values import JsonPath
 from navbake.types import Int, Int32
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import finite_array
@@ -223,7 +222,7 @@ def read_octomap(
 
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     header = _read_header(data, name)
-    place, allowance = JsonPath(name), Allowance.of_voxels(len(data), max_voxels)
+    place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
     leaves, notes = _read_leaves(data, header, allowance, place)
     first, shape = _box_leaves(leaves) if bounds is None else _box_keys(bounds, header.res)
     allowance.take_cells(shape, place)

@@ -21,9 +21,9 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.formats.allowance import shown
 from navbake.formats.images import encode_png, level_paths, open_image
 from navbake.formats.source import Files
-from navbake.formats.values import shown
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
 from navbake.navgrid.rooms import measure_rooms

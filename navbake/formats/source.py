@@ -17,8 +17,7 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.files import write_together, write_whole
-from navbake.formats.allowance import MAX_BYTES, Allowance
-from navbake.formats.values import JsonPath, shown
+from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
@@ -51,7 +50,7 @@ def shown_type(value: object) -> str:
     return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
 
-def os_message(error: Exception) -> str:
+def _os_message(error: Exception) -> str:
     """The operating system's message of an error, without its number."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
@@ -75,7 +74,7 @@ def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
         else:
             yield source, name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        raise FormatError(f"cannot read {path_name(name)}: {os_message(error)}") from error
+        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
 
 
 def read_bytes(
@@ -84,48 +83,44 @@ def read_bytes(
     begins: bytes | tuple[bytes, ...] = b"",
     expected: str = "",
     remedy: str = "",
-    limit: int = MAX_BYTES,
 ) -> tuple[bytes, str]:
     """Read a file whole: its content, and its name for messages.
 
-    Args:
-        begins: how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
-            begin so and has no length: it may be a device that never ends.
-        expected, remedy: what was expected then, and what helps, for the message.
-        limit: most bytes that such a file may have.
-
-    Raises:
-        FormatError: it can't be read, is too large, or does not begin so.
+    `begins` is how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
+    begin so and has no length: it may be a device that never ends. The message says what was
+    expected then, and what helps.
     """
     with _opened(source) as (stream, name):
-        left = _bytes_left(stream)
-        too_large = f"more than {limit >> 20} MiB of data"
-        if left > limit:
+        left = 0
+        if isinstance(stream, io.BufferedReader):
+            try:
+                status = os.fstat(stream.fileno())
+                is_plain = stat.S_ISREG(status.st_mode)
+                left = max(0, status.st_size - stream.tell()) if is_plain else 0
+            except OSError:  # a stream over no file, or one that can't tell where it is
+                pass
+        too_large = f"more than {MAX_BYTES >> 20} MiB of data"
+        if left > MAX_BYTES:
             JsonPath(name).fail(too_large)
         data = stream.read(max(left, CHUNK))
         if not isinstance(data, bytes):
             got = "text" if isinstance(data, str) else shown_type(data)
             JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
         if not data.startswith(begins):
-            JsonPath(name).fail(f"expected {expected}, got {_shown_text(data)}", remedy)
+            JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
         pieces, size = [data], len(data)
         while piece := stream.read(CHUNK):
             pieces.append(piece)
             size += len(piece)
-            if size > limit:
+            if size > MAX_BYTES:
                 JsonPath(name).fail(too_large)
         return data if len(pieces) == 1 else b"".join(pieces), name
 
 
-def _bytes_left(stream: BinaryIO) -> int:
-    """How many bytes a plain file still has; 0 if the stream isn't one."""
-    if not isinstance(stream, io.BufferedReader):
-        return 0
-    try:
-        status = os.fstat(stream.fileno())
-        return max(0, status.st_size - stream.tell()) if stat.S_ISREG(status.st_mode) else 0
-    except OSError:  # a stream over no file, or one that can't tell where it is
-        return 0
+def _beginning(text: bytes) -> str:
+    """How a text begins, as an error shows it."""
+    begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
+    return f"{shown(begin)[1:]}…" if begin else "nothing"
 
 
 def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
@@ -135,30 +130,22 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
         Its text without a byte order mark, the file's size, and the place that errors name.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
-    content, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
-    top = JsonPath(name)
-    text = (_unpack(content, top) if content.startswith(GZIP) else content).removeprefix(BOM)
-    if _shown_text(text)[1:2] != "{":
-        top.fail(f"expected {NAVGRID}, got {_shown_text(text)}", NAVGRID_REMEDY)
-    return text, len(content), top
-
-
-def _shown_text(text: bytes) -> str:
-    """How a text begins, as an error shows it."""
-    begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
-    return f"{shown(begin)[1:]}…" if begin else "nothing"
-
-
-def _unpack(packed: bytes, top: JsonPath) -> bytes:
-    allowance, pieces = Allowance.of_grid(len(packed)), []
-    try:
-        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as unpacked:
-            while piece := unpacked.read(16 * CHUNK):
-                allowance.take_text(len(piece), top)
-                pieces.append(piece)
-    except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"broken gzip data in {top.file}: {os_message(error)}") from error
-    return b"".join(pieces)
+    text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
+    num_bytes, top = len(text), JsonPath(name)
+    if text.startswith(GZIP):
+        allowance, pieces = Allowance(num_bytes, "max_cells"), []
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(text)) as unpacked:
+                while piece := unpacked.read(16 * CHUNK):
+                    allowance.take_text(len(piece), top)
+                    pieces.append(piece)
+        except (EOFError, OSError, zlib.error) as error:
+            raise FormatError(f"broken gzip data in {name}: {_os_message(error)}") from error
+        text = b"".join(pieces)
+    text = text.removeprefix(BOM)
+    if _beginning(text)[1:2] != "{":
+        top.fail(f"expected {NAVGRID}, got {_beginning(text)}", NAVGRID_REMEDY)
+    return text, num_bytes, top
 
 
 def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
@@ -174,52 +161,37 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
 
 
 def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
-    """Read a file that should hold a JSON object: what it holds, and its name for messages.
-
-    Args:
-        expected: what was expected, for the message.
-
-    Raises:
-        FormatError: it can't be read, or holds no JSON.
-    """
+    """Read a JSON file that should hold what is expected; also its name for messages."""
     content, name = read_bytes(path)
     try:
         return orjson.loads(content.removeprefix(BOM)), name
     except orjson.JSONDecodeError as error:
-        raise FormatError(
-            f"expected {expected}, {path_name(name)} can't be read: {error}"
-        ) from error
+        message = f"expected {expected}, {path_name(name)} can't be read: {error}"
+        raise FormatError(message) from error
 
 
 def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
-    """Write a file, given as bytes or pieces, whole or not at all; errors are FormatErrors."""
+    """Write a file, given as bytes or pieces, as a whole or not at all."""
     check_path(path)
-    try:
+    with _refusing([path]):
         write_whole(data, path)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        raise _not_written([path], error) from error
 
 
 def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
-    """Write several files that belong together: all, or none where one can't be written.
-
-    Returns:
-        Their paths.
-
-    Raises:
-        FormatError: the system refuses one of them.
-    """
-    try:
+    """Write files that belong together, all or none; their paths."""
+    with _refusing(files):
         write_together(files)
-    except (OSError, ValueError) as error:
-        raise _not_written(files, error) from error
     return list(files)
 
 
-def _not_written(paths: Iterable[str | os.PathLike[str]], error: Exception) -> FormatError:
-    why, names = os_message(error), " and ".join(map(path_name, paths))
-    if isinstance(error, FileNotFoundError):
-        folders = {os.path.dirname(os.path.realpath(path)) for path in paths}
-        missing = sorted(folder for folder in folders if not os.path.isdir(folder))
-        why = f"there is no folder {path_name(missing[0])}" if missing else why
-    return FormatError(f"cannot write {names}: {why}")
+@contextmanager
+def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        why, names = _os_message(error), " and ".join(map(path_name, paths))
+        if isinstance(error, FileNotFoundError):
+            folders = {os.path.dirname(os.path.realpath(path)) for path in paths}
+            missing = sorted(folder for folder in folders if not os.path.isdir(folder))
+            why = f"there is no folder {path_name(missing[0])}" if missing else why
+        raise FormatError(f"cannot write {names}: {why}") from error

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from navbake.errors import FormatError
+from navbake.formats.allowance import shown
 from navbake.formats.binvox import (
     IdMapping,
     encode_binvox,
@@ -18,7 +19,6 @@ from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
 from navbake.formats.source import check_path, read_object, write_bytes
-from navbake.formats.values import shown
 from navbake.voxels.grid import VoxelGrid
 
 MAX_DIGITS = 10  # of an ID

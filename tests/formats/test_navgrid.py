@@ -870,5 +870,5 @@ def test_pieces_make_no_difference(monkeypatch, dtype):
     assert navbake.load(whole).user_data == user_data
     for size in (1, 2, 7, 100, 239):
         monkeypatch.setattr(arrays, "PIECE", size)
-        monkeypatch.setattr("navbake.formats.user_data.ENTRIES", size)
+        monkeypatch.setattr("navbake.formats.navgrid.ENTRIES", size)
         assert dumps_navgrid(grid) == whole

@@ -14,7 +14,7 @@ import pytest
 
 from differences import first_difference
 from navbake.errors import FormatError
-from navbake.formats import user_data as reader
+from navbake.formats import navgrid as reader
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.user_data import Shared, UserData

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from navbake.errors import FormatError, QueryError, printable
+from navbake.formats.allowance import shown
 from navbake.formats.source import read_object, write_bytes
-from navbake.formats.values import shown
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.describe import describe
