@@ -10,9 +10,10 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import wraps
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
@@ -79,7 +80,9 @@ PLACE = "X,Y[,Z|,LEVEL]"
 """How help texts show a place."""
 PLACE_HELP = "in metres; a third number is z, L0 is the lowest level"
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-SPELLED = re.compile(rf"({NUMBER}),({NUMBER})(?:,(?:({NUMBER})|L(\d+)))?")
+SPELLED = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
+    rf"[(\[]?({NUMBER})[\s,;]+({NUMBER})(?:[\s,;]+(?:({NUMBER})|(?i:l|level)\s*(\d+)))?[)\]]?"
+)
 PYTHON_TYPE = re.compile(r" <[^<>]*>$")
 """What typer adds to the name of an argument."""
 
@@ -128,6 +131,16 @@ def _is_same(path: Path, other: Path) -> bool:
         return path.resolve() == other.resolve()
 
 
+def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
+    """Write a picture of a grid, or a PNG to stdout; for the arguments see `plot_grid`."""
+    from navbake.views.plot import plot_grid, render_png  # loads numpy
+
+    if output == STDOUT:
+        write_stdout(render_png(grid, **drawn))
+    else:
+        plot_grid(grid, output, **drawn)
+
+
 def write_stdout(data: bytes) -> None:
     """Write a file's content to stdout.
 
@@ -173,7 +186,6 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the arguments apart."""
-        given = list(args)
         if any(each.name == "place" for each in self.params):  # it may begin with a minus
             places = [
                 word
@@ -183,10 +195,12 @@ class Command(TyperCommand):
             args = [word for word in args if word not in places] + ["--" for _ in places[:1]]
             args += places
         try:
-            return list(super().parse_args(ctx, args))
+            return list(super().parse_args(ctx, [*args]))
         except BadParameter as error:
-            value = _value_of(error.param.opts if error.param else [], given)
-            if value and value not in error.message:
+            names = error.param.opts if error.param else []
+            words = [part for word in args for part in word.split("=", 1)]
+            value = next((word for name, word in pairwise(words) if name in names), "")
+            if value not in error.message:
                 error.message = f"{error.message}, got {value!r}"
             raise
 
@@ -200,17 +214,6 @@ class Command(TyperCommand):
             if lines:
                 with formatter.section(title):
                     formatter.write_dl(lines)
-
-
-def _value_of(names: Sequence[str], args: Sequence[str]) -> str:
-    """The value of an option among the arguments; empty if it can't be told."""
-    for before, word in zip(["", *args], args, strict=False):
-        name, _, value = word.partition("=")
-        if before in names:
-            return word
-        if name in names and value:
-            return value
-    return ""
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:
@@ -266,17 +269,15 @@ class GivenPlace(NamedTuple):
 
 
 def parse_place(text: str, option: str) -> GivenPlace:
-    """Read a place; the error of any other spelling names the right one.
+    """Read a place.
 
     Raises:
         BadParameter: the text is none.
     """
     found = SPELLED.fullmatch(text)
     if not found:
-        meant = _correct(text)
-        hint = f": did you mean {meant}?" if meant else ""
         raise BadParameter(
-            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}",
+            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}",
             param_hint=option,
         )
     x, y, z, level = found.groups()
@@ -336,16 +337,3 @@ def _only_level(grid: NavGrid, x: float, y: float, option: str) -> int:
 def _has_floor(grid: NavGrid, x: float, y: float, level: int) -> bool:
     cell = grid.cell_at((x, y), level)
     return cell is not None and not math.isnan(grid.levels[level].floor[cell.row, cell.col])
-
-
-def _correct(text: str) -> str:
-    """The right spelling of what was probably meant; empty if that can't be told."""
-    found = re.fullmatch(
-        rf"[^\w.+-]*({NUMBER})[\s,;:]+({NUMBER})(?:[\s,;:]+(?:({NUMBER})|(?:l|level)\s*(\d+)))?[^\w.]*",
-        text,
-        flags=re.IGNORECASE,
-    )
-    if not found:
-        return ""
-    x, y, z, level = found.groups()
-    return ",".join([x, y, *([z] if z else []), *([f"L{level}"] if level else [])])

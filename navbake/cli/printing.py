@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
 
 LOG = logging.getLogger("navbake")
-PIPE_WIDTH = 10_000  # columns where stdout is no terminal, so that nothing is cut or wrapped
 LEVEL_COLUMNS = {
     "#": "{index}",
     "name": "{name}",
@@ -144,7 +143,7 @@ def is_terminal(stream: TextIO | None) -> bool:
 
 def print_tables(*tables: Table) -> None:
     """Print tables on stdout, one under the other, at most as wide as the terminal."""
-    width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else PIPE_WIDTH
+    width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
     for index, table in enumerate(tables):
         print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 
@@ -268,7 +267,7 @@ def verify_table(report: VerifyReport) -> Table:
     return make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"})
 
 
-# --- tables as text: as wide as the terminal, and no name broken ---------------------------------
+# --- tables as text -------------------------------------------------------------------------------
 
 
 class Table(NamedTuple):
@@ -305,27 +304,44 @@ def without_empty_columns(table: Table) -> Table:
     return table._replace(headings=[table.headings[i] for i in kept], rows=rows)
 
 
-def lay_out(table: Table, width: int) -> list[str]:
-    """The lines of a table that is at most so many characters wide.
+def lay_out(table: Table, width: int | None = None) -> list[str]:
+    """The lines of a table; of one that is wider than `width` characters, rich wraps the cells."""
+    shown = [table.headings, *table.rows] if any(table.headings) else table.rows
+    widths = [max(map(text_width, column)) for column in zip(*shown, strict=True)]
+    if width is not None and sum(widths) + table.gap * (len(widths) - 1) > width:
+        return _wrap(table, width)
+    lines = []
+    for row in shown:
+        cells = []
+        for heading, cell, most in zip(table.headings, row, widths, strict=True):
+            blank = " " * (most - text_width(cell))
+            cells.append(blank + cell if heading in table.numbers else cell + blank)
+        lines.append((" " * table.gap).join(cells).rstrip())
+    return lines
 
-    Where it is too wide, the widest columns are narrowed first, and their cells are broken at
-    spaces, never within a word. Where even that is too wide, each row becomes a block of lines
-    with a heading and a value each, and only a value longer than a line goes beyond the width.
-    """
-    shown = [list(table.headings)] if any(table.headings) else []
-    rows = [*shown, *(list(row) for row in table.rows)]
-    columns = [list(column) for column in zip(*rows, strict=True)]
-    least = [max(_longest_word(cell) for cell in column) for column in columns]
-    most = [max(text_width(cell) for cell in column) for column in columns]
-    if not shown and least:
-        least[0] = most[0]  # what each row is called stays on one line
-    space = width - table.gap * (len(columns) - 1)
-    if sum(least) > space:
-        return _as_blocks(table, width) if shown else _as_rows(table, rows, least)
-    cap = max(most, default=0)
-    while sum(_narrowed(least, most, cap)) > space:
-        cap -= 1
-    return _as_rows(table, rows, _narrowed(least, most, cap))
+
+def _wrap(table: Table, width: int) -> list[str]:
+    from rich.console import Console  # only what is too wide needs rich, which takes 0.1 s to load
+    from rich.table import Table as RichTable
+
+    wrapped = RichTable(
+        box=None,
+        pad_edge=False,
+        padding=(0, table.gap, 0, 0),
+        show_header=any(table.headings),
+        header_style="",
+    )
+    for heading in table.headings:
+        is_number = heading in table.numbers
+        wrapped.add_column(
+            heading, justify="right" if is_number else "left", overflow="fold", no_wrap=is_number
+        )
+    for row in table.rows:
+        wrapped.add_row(*row)
+    console = Console(width=width, color_system=None, markup=False, highlight=False, emoji=False)
+    with console.capture() as captured:
+        console.print(wrapped)
+    return [line.rstrip() for line in captured.get().splitlines()]
 
 
 def text_width(text: str) -> int:
@@ -335,56 +351,3 @@ def text_width(text: str) -> int:
     from rich.cells import cell_len  # without rich, --help starts a fifth sooner
 
     return cell_len(text)
-
-
-def _narrowed(least: list[int], most: list[int], cap: int) -> list[int]:
-    return [max(low, min(high, cap)) for low, high in zip(least, most, strict=True)]
-
-
-def _as_rows(table: Table, rows: list[list[str]], widths: list[int]) -> list[str]:
-    lines = []
-    for row in rows:
-        cells = [_wrap(cell, width) for cell, width in zip(row, widths, strict=True)]
-        for number in range(max(map(len, cells))):
-            parts = []
-            for heading, cell, width in zip(table.headings, cells, widths, strict=True):
-                text = cell[number] if number < len(cell) else ""
-                blank = " " * (width - text_width(text))
-                parts.append(blank + text if heading in table.numbers else text + blank)
-            lines.append((" " * table.gap).join(parts).rstrip())
-    return lines
-
-
-def _as_blocks(table: Table, width: int) -> list[str]:
-    margin = max(text_width(heading) for heading in table.headings) + table.gap
-    lines: list[str] = []
-    for row in table.rows:
-        lines += [""] if lines else []
-        for heading, cell in zip(table.headings, row, strict=True):
-            for number, text in enumerate(_wrap(cell, max(width - margin, 1))):
-                begin = heading if number == 0 else ""
-                lines.append(f"{begin}{' ' * (margin - text_width(begin))}{text}".rstrip())
-    return lines
-
-
-def _wrap(text: str, width: int) -> list[str]:
-    """Lines of at most so many columns, broken after commas where that does, else at spaces.
-
-    A word that is longer has a line of its own.
-    """
-    if text_width(text) <= width:
-        return [text]
-    pieces = text.replace(", ", ",\n").split("\n")
-    if max(map(text_width, pieces)) > width:
-        pieces = text.split(" ")
-    lines: list[str] = []
-    for word in pieces:
-        if lines and text_width(lines[-1]) + 1 + text_width(word) <= width:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(word)
-    return lines
-
-
-def _longest_word(text: str) -> int:
-    return max(map(text_width, text.split(" ")))

@@ -67,7 +67,7 @@ def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(run, mo
     def fail(*_args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", fail)
+    monkeypatch.setattr(files.os, "replace", fail)
     status, out, err = run("house.json.gz", "big.json")
     assert (status, out) == (1, "")
     assert "No space left" in err

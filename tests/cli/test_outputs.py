@@ -109,17 +109,6 @@ def test_pictures_and_settings_on_stdout(folder, capfdbinary, names):
     assert run_command(capfdbinary, "geoms", "again.yaml")[0] == 0
 
 
-def test_several_scenes_of_one_name_are_laid_out_by_folder(folder, scenes, run, names):
-    assert run("bake", *scenes, *COARSE, "-q", "-o", "grids/") == (0, "", "")
-    assert names(folder / "grids") == [
-        "attic/scene.grid.json",
-        "deep/cellar/scene.grid.json",
-        "hall/scene.grid.json",
-    ]
-    assert run("bake", "room.xml", scenes[0], *COARSE, "-q", "-o", "flat/") == (0, "", "")
-    assert names(folder / "flat") == ["room.grid.json", "scene.grid.json"]
-
-
 def test_names_of_several_scenes(folder, scenes, run, names):
     assert run("bake", *scenes, *COARSE, "-q", "-o", "a/", "--name", "{parent}") == (0, "", "")
     assert names(folder / "a") == ["attic.grid.json", "cellar.grid.json", "hall.grid.json"]
@@ -128,6 +117,8 @@ def test_names_of_several_scenes(folder, scenes, run, names):
     assert names(folder / "b") == ["attic/scene-scene.grid.json", "hall/scene-scene.grid.json"]
     status, _, err = run("bake", *scenes[:2], *COARSE, "-q", "-o", "c/", "--name", "{id}")
     assert status == 1 and "--name '{parent}-{stem}'" in err
+    assert run("bake", "room.xml", scenes[0], *COARSE, "-q", "-o", "flat/") == (0, "", "")
+    assert names(folder / "flat") == ["room.grid.json", "scene.grid.json"]
 
 
 @pytest.mark.parametrize(

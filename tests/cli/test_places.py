@@ -26,7 +26,7 @@ def test_the_three_spellings(text, place):
 
 
 @pytest.mark.parametrize(
-    ("text", "meant"),
+    ("text", "plain"),
     [
         ("1.5 -2", "1.5,-2"),
         ("1.5, -2, 1", "1.5,-2,1"),
@@ -38,18 +38,16 @@ def test_the_three_spellings(text, place):
         ("1,2,level1", "1,2,L1"),
     ],
 )
-def test_other_spellings_are_refused_with_the_right_one(text, meant):
-    with pytest.raises(BadParameter, match=rf"did you mean {meant}\?"):
-        parse_place(text, "--at")
+def test_other_spellings_mean_the_same(text, plain):
+    assert parse_place(text, "--at") == parse_place(plain, "--at")
 
 
 @pytest.mark.parametrize(
     "text", ["", "here", "1", "1,2,3,4", "1,2,Lx", "1,2,L-1", "nan,0", "inf,0", "1,2,L1.5"]
 )
 def test_what_is_no_place_is_refused(text):
-    with pytest.raises(BadParameter, match="expected X,Y") as caught:
+    with pytest.raises(BadParameter, match="expected X,Y"):
         parse_place(text, "--at")
-    assert "did you mean" not in str(caught.value)
 
 
 def test_numbers_beyond_floats_are_refused():

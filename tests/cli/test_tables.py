@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.cli.printing import (
@@ -25,36 +25,22 @@ def test_a_wide_table_has_one_line_a_row():
     assert lay_out(table, 80) == ["id  geom  body  why", " 1  a     b c   it counts"]
 
 
-def test_no_name_is_broken_in_80_columns():
+def test_cells_are_wrapped_where_a_row_is_wider_than_the_terminal():
     row = (7, LONG, "shelf", "excluded: its body matches the pattern of `scene.exclude.bodies`")
-    lines = lay_out(make_table(HEADINGS, [row]), 80)
-    assert max(map(len, lines)) <= 80
-    assert any(LONG in line for line in lines)
+    lines = lay_out(make_table(HEADINGS, [row], numbers=("id",)), 80)
+    assert max(map(len, lines)) <= 80 < len(lay_out(make_table(HEADINGS, [row]))[1])
     assert len(lines) > 2
 
 
-def test_rows_become_blocks_where_names_leave_no_room():
-    lines = lay_out(make_table(HEADINGS, [(7, LONG, LONG, "it counts")] * 2), 80)
-    assert lines[:4] == ["id    7", f"geom  {LONG}", f"body  {LONG}", "why   it counts"]
-    assert lines[4] == "" and lines[5:] == lines[:4]
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.lists(st.lists(st.text("ab 語\x1b", max_size=30), min_size=3, max_size=3), max_size=4),
-    st.integers(10, 90),
+    st.lists(st.lists(st.text("ac 語\r", max_size=30), min_size=3, max_size=3), max_size=4),
+    st.one_of(st.integers(20, 90), st.none()),
 )
-def test_every_word_stays_whole(rows, width):
-    table = make_table(("one", "two", "three"), rows)
-    printed = set(" ".join(lay_out(table, width)).split())
-    for row in table.rows:
-        assert printed >= {word for cell in row for word in cell.split()}
-
-
-def test_what_a_row_is_called_stays_on_one_line_where_there_are_no_headings():
-    lines = lay_out(make_table(("", ""), [("agent max slope", "some words to wrap")]), 24)
-    assert lines[0] == "agent max slope  some"
-    assert len(lines) == 3
+def test_every_character_is_printed(rows, width):
+    table = make_table(("1", "2", "3"), rows)
+    printed = "".join(lay_out(table, width))
+    for letter in "ac語":
+        assert printed.count(letter) == sum(cell.count(letter) for row in rows for cell in row)
 
 
 def test_wide_characters_take_two_columns():

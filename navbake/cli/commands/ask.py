@@ -12,14 +12,13 @@ from navbake.cli import printing
 from navbake.cli.options import (
     PLACE,
     PLACE_HELP,
-    STDOUT,
     AsJson,
     GridFile,
     beside_output,
     check_output,
     parse_place,
     position_of_place,
-    write_stdout,
+    write_picture,
 )
 from navbake.cli.printing import print_json, say
 from navbake.errors import QueryError
@@ -153,12 +152,7 @@ def path(
         else:
             say(f"no path: {reason}")
     if output is not None:
-        from navbake.views.plot import plot_grid, render_png  # loads numpy
-
-        if output == STDOUT:
-            write_stdout(render_png(content, layers=("occupancy",), route=found))
-        else:
-            plot_grid(content, output, layers=("occupancy",), route=found)
+        write_picture(content, output, layers=("occupancy",), route=found)
     if not found:
         raise Exit(1)
 

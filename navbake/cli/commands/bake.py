@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,8 +88,7 @@ def bake(
         None,
         metavar="NAME",
         help="What to call the files in the folder, without .grid.json: {id} is the scene's, "
-        "{stem} CONFIG's, {parent} that of its folder.  [default: {id}; of several scenes with "
-        "one id, in folders as the CONFIGs are]",
+        "{stem} CONFIG's, {parent} that of its folder.  [default: {id}]",
     ),
     overrides: Overrides = None,
     threads: int | None = Option(
@@ -250,33 +248,21 @@ def lay_out(
     """Find the file that each scene's grid is written to.
 
     That is `output`, or a file in that folder, or what the settings say, or a file in the current
-    folder. In a folder, files are called by `name`; without one by the scene's id. Then those of
-    one name are laid out in folders, as their CONFIGs are from the folder that all CONFIGs have
-    in common.
+    folder. In a folder, files are called by `name`, see `check_name`; without one by the scene's
+    id.
 
     Args:
         jobs: each CONFIG, and the settings that it gives.
         output: a file if there is but one job, a folder, or None for what the settings say.
-        name: with fields, see `check_name`; or None.
+        name: with fields; or None.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
-    folder = Path(output or "")
-    targets = [
+    return [
         config.output
         if output is None and name is None and config.output
-        else folder / f"{_fill(name or '{id}', path, config)}.grid.json"
+        else Path(output or "") / f"{_fill(name or '{id}', path, config)}.grid.json"
         for path, config in jobs
-    ]
-    if name is not None:
-        return targets
-    count = Counter(targets)
-    homes = [path.resolve().parent for path, _ in jobs]
-    return [
-        target
-        if count[target] == 1 or config.output == target
-        else target.parent / _below_common(home, homes) / target.name
-        for target, home, (_, config) in zip(targets, homes, jobs, strict=True)
     ]
 
 
@@ -290,11 +276,3 @@ def _fill(name: str, path: Path, config: BakeConfig) -> str:
     if not filled:
         raise ConfigError(f"`--name {name}` gives {path} no name")
     return filled
-
-
-def _below_common(folder: Path, folders: Sequence[Path]) -> Path:
-    """A folder, relative to the one that all of them have in common."""
-    try:
-        return folder.relative_to(os.path.commonpath(folders))
-    except ValueError:  # Windows: they are on several drives
-        return Path(folder.name)

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from typer import BadParameter, Exit, Option
 
 import navbake
-from navbake.cli.options import (
-    STDOUT,
-    AsJson,
-    GridFile,
-    beside_output,
-    check_output,
-    write_stdout,
-)
+from navbake.cli.options import AsJson, GridFile, beside_output, check_output, write_picture
 from navbake.cli.printing import print_json, print_tables, say, verify_table
 
 if TYPE_CHECKING:
@@ -167,10 +160,6 @@ def _write_marked(
     grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
 ) -> None:
     """Draw a grid's occupancy with marks: level, world x and y [m], and what is there."""
-    from navbake.views.plot import Mark, plot_grid, render_png  # loads matplotlib
+    from navbake.views.plot import Mark  # loads numpy
 
-    drawn = [Mark(*mark) for mark in marks]
-    if output == STDOUT:
-        write_stdout(render_png(grid, layers=("occupancy",), marks=drawn))
-    else:
-        plot_grid(grid, output, layers=("occupancy",), marks=drawn)
+    write_picture(grid, output, layers=("occupancy",), marks=[Mark(*mark) for mark in marks])

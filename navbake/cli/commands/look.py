@@ -17,6 +17,7 @@ from navbake.cli.options import (
     Overrides,
     check_output,
     refuse_unused,
+    write_picture,
     write_stdout,
 )
 from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
@@ -52,7 +53,7 @@ def plot(
     Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
     """
     from navbake.views.layers import LAYERS
-    from navbake.views.plot import DEFAULT_LAYERS, plot_grid, render_png
+    from navbake.views.plot import DEFAULT_LAYERS
 
     for layer in layers or ():
         if layer not in LAYERS:
@@ -61,10 +62,9 @@ def plot(
             )
     check_output(output, ".png", ".svg", inputs=[grid])
     content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
-    if output == STDOUT:
-        write_stdout(render_png(content, level=level, layers=chosen))
-    else:
-        say_unless_quiet(plot_grid(content, output, level=level, layers=chosen))
+    write_picture(content, output, level=level, layers=chosen)
+    if output != STDOUT:
+        say_unless_quiet(output)
 
 
 def report(
