@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from navbake.errors import printable
+from navbake.lazy import lazy
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import GeomReport
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from navbake.navgrid.rooms import Room
     from navbake.types import Json
     from navbake.verifier.report import VerifyReport
+
+rich_console = lazy("rich.console")  # which take 0.1 s: only what is too wide needs them
+rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
 LEVEL_COLUMNS = {
@@ -321,10 +325,7 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
 
 
 def _wrap(table: Table, width: int) -> list[str]:
-    from rich.console import Console  # only what is too wide needs rich, which takes 0.1 s to load
-    from rich.table import Table as RichTable
-
-    wrapped = RichTable(
+    wrapped = rich_table.Table(
         box=None,
         pad_edge=False,
         padding=(0, table.gap, 0, 0),
@@ -338,9 +339,11 @@ def _wrap(table: Table, width: int) -> list[str]:
         )
     for row in table.rows:
         wrapped.add_row(*row)
-    console = Console(width=width, color_system=None, markup=False, highlight=False, emoji=False)
-    with console.capture() as captured:
-        console.print(wrapped)
+    screen = rich_console.Console(
+        width=width, color_system=None, markup=False, highlight=False, emoji=False
+    )
+    with screen.capture() as captured:
+        screen.print(wrapped)
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
