@@ -23,29 +23,35 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import MAX_HEADER, Allowance, JsonPath, shown
 from navbake.formats.source import read_bytes
 from navbake.navgrid.lattice import FARTHEST
-from navbake.types import Vector3
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 Layout: TypeAlias = Literal["auto", "binvox", "airsim"]
 LAYOUTS = ("auto", "binvox", "airsim")
-VERSIONS = (1, 2)
 MAGIC = b"#binvox"
-BINVOX = "a binvox file that begins with #binvox"
 MOST = 255  # greatest value of a voxel, and most voxels of a run
 DECIMALS = 12  # of the numbers in the header
 ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
+# of each line of the header, in the order of `Header`: how many numbers, and of what kind
+LINES: dict[str, tuple[int, type]] = {
+    "version": (1, int),
+    "dim": (3, int),
+    "translate": (3, float),
+    "scale": (1, float),
+}
+
+
 class Header(NamedTuple):
     """What stands before the data."""
 
-    version: int
-    dim: tuple[int, int, int]  # nx, nz, ny
-    translate: Vector3  # [m]
-    scale: float  # [m]; in AirSim's layout [1/m]
+    version: list[int]
+    dim: list[int]  # nx, nz, ny
+    translate: list[float]  # [m]
+    scale: list[float]  # [m]; in AirSim's layout [1/m]
     end: int  # where the data begin
 
 
@@ -89,27 +95,32 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     """
     if layout not in LAYOUTS[1:]:
         raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
-    order = _in_file_order(_as_bytes(grid), layout == "airsim")
+    values = grid.values
+    if grid.is_segmented and int(values.max()) > MOST:
+        raise FormatError(
+            f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {values.max()}: write "
+            f".npz, or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
+            f"that occur from 1)"
+        )
+    voxels = _in_file_order(values.astype(np.uint8, copy=False), layout == "airsim").ravel()
     nx, ny, nz = grid.shape
     translate, scale = list(grid.origin), grid.res * max(grid.shape)
     if layout == "airsim":
         translate, scale = [-n * grid.res / 2 for n in grid.shape], 1.0 / (nx * grid.res)
+    # to so many digits, a multiple of the edge is written without its rounding; 0 has no minus
+    x, y, z, edge = (repr(round(value, DECIMALS) + 0.0) for value in (*translate, scale))
     header = (
         f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
-        f"translate {' '.join(_text(t) for t in translate)}\nscale {_text(scale)}\ndata\n"
+        f"translate {x} {y} {z}\nscale {edge}\ndata\n"
     )
-    return header.encode() + _encode_runs(order.ravel())
-
-
-def _encode_runs(voxels: NDArray[np.uint8]) -> bytes:
-    """Pairs of value and count; a run longer than a byte can count is several."""
+    # pairs of value and count; a run longer than a byte can count is several
     start = np.concatenate([[0], np.flatnonzero(voxels[1:] != voxels[:-1]) + 1])
     length = np.diff(start, append=len(voxels))
     num_pairs = -(-length // MOST)
     pairs = np.full((int(num_pairs.sum()), 2), MOST, dtype=np.uint8)
     pairs[:, 0] = np.repeat(voxels[start], num_pairs)
     pairs[np.cumsum(num_pairs) - 1, 1] = length - MOST * (num_pairs - 1)
-    return pairs.tobytes()
+    return header.encode() + pairs.tobytes()
 
 
 def needs_offset(grid: VoxelGrid) -> bool:
@@ -138,25 +149,6 @@ def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uin
     if is_airsim:
         return values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
     return values.transpose(0, 2, 1)
-
-
-def _as_bytes(grid: VoxelGrid) -> NDArray[np.uint8]:
-    if not grid.is_segmented:
-        return grid.values.view(np.uint8)
-    most = int(grid.values.max())
-    if most > MOST:
-        raise FormatError(
-            f"binvox holds IDs up to {MOST}, and these voxels have IDs up to {most}: write .npz, "
-            f"or give a mapping ('compact', --compact, numbers the {len(grid.ids())} IDs "
-            f"that occur from 1)"
-        )
-    values: NDArray[np.uint8] = grid.values.astype(np.uint8, copy=False)
-    return values
-
-
-def _text(value: float) -> str:
-    """A number to `DECIMALS`, so that a multiple of the edge is written without its rounding."""
-    return repr(round(value, DECIMALS) + 0.0)  # + 0.0: without a minus before 0
 
 
 def read_binvox(
@@ -190,12 +182,19 @@ def read_binvox(
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
-    data, name = read_bytes(source, begins=MAGIC, expected=BINVOX)
+    data, name = read_bytes(source, begins=MAGIC, expected="a binvox file that begins with #binvox")
     header = _read_header(data, name)
     nx, nz, ny = header.dim
-    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
-    _check_runs(pairs, header, name)  # before anything of the size is made that the header claims
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
+    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
+    # before anything of the size is made that the header claims
+    claimed, held = math.prod(header.dim), int(pairs[1::2].sum(dtype=np.int64))
+    if held != claimed or len(pairs) % 2:
+        found = "half a run" if len(pairs) % 2 else f"{held} voxels"
+        if held != claimed:
+            found += ": too many" if held > claimed else ": too few"
+        where = f"{name} (dim {' '.join(shown(n) for n in header.dim)})"
+        raise FormatError(f"expected runs of {shown(claimed)} voxels in {where}, got {found}")
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
     is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
@@ -203,37 +202,32 @@ def read_binvox(
     order = _in_file_order(values, is_airsim)
     order[...] = np.repeat(pairs[::2], pairs[1::2]).reshape(order.shape)
     notes = []
-    if header.version == 1 and values.max() > 1:
+    if header.version == [1] and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
-    elif header.version == 1:
+    elif header.version == [1]:
         values = values.view(np.bool_)
-    edge, origin = header.scale / max(header.dim), header.translate
-    if is_airsim:
-        edge, assumed = _airsim_edge(header, res, name)
-        first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
-        center = check_three(position, "the position to be x, y, z [m]")
-        origin = tuple((center + first - edge / 2).tolist())
-        notes.append(f"{assumed}, round ({', '.join(f'{p:g}' for p in center)})")
-    return VoxelGrid(values=values, origin=origin, res=edge, notes=notes)
-
-
-def _airsim_edge(header: Header, res: float | None, source: str) -> tuple[float, str]:
-    """The edge of AirSim's voxels, and what is assumed with it."""
-    nx, nz, ny = header.dim
+    x, y, z = header.translate
+    if not is_airsim:
+        edge = header.scale[0] / max(header.dim)
+        return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
     # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
     edges = -2 * np.array(header.translate) / (nx, ny, nz)
     edge = float(edges.min()) if res is None else float(res)
     if res is not None and not (math.isfinite(edge) and edge > 0):
         raise FormatError(f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}")
     if not edge > 0:
-        raise FormatError(f"expected a negative `translate` in AirSim's layout in {source}")
-    assumed = (
-        f"{source}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
+        raise FormatError(f"expected a negative `translate` in AirSim's layout in {name}")
+    first = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge  # its middle
+    center = check_three(position, "the position to be x, y, z [m]")
+    is_unsure = res is None and edges.max() > edge * (1 + NEAR)
+    notes.append(
+        f"{name}: laid out as AirSim writes it (scale {header.scale[0]:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
+        f"{' at most (give `res`: the sizes are no whole multiples)' if is_unsure else ''}, "
+        f"round ({', '.join(f'{p:g}' for p in center)})"
     )
-    if res is None and edges.max() > edge * (1 + NEAR):
-        assumed += " at most (give `res`: the sizes are no whole multiples)"
-    return edge, assumed
+    x, y, z = (center + first - edge / 2).tolist()
+    return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
 
 
 def _looks_like_airsim(header: Header) -> bool:
@@ -242,25 +236,13 @@ def _looks_like_airsim(header: Header) -> bool:
     In AirSim's layout, `translate` is minus half of the size. So sizes and counts have to agree:
     there is an edge for which ``count = floor(size / edge)`` along all three axes.
     """
-    nx, nz, ny = header.dim
+    (nx, nz, ny), (scale,) = header.dim, header.scale
     sizes, counts = -2 * np.array(header.translate), np.array((nx, ny, nz), dtype=np.float64)
-    if (sizes <= 0).any() or not math.isclose(header.scale * sizes[0], 1.0, rel_tol=NEAR):
+    if (sizes <= 0).any() or not math.isclose(scale * sizes[0], 1.0, rel_tol=NEAR):
         return False
     if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + NEAR):
         return False
-    return not math.isclose(header.scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
-
-
-def _check_runs(pairs: NDArray[np.uint8], header: Header, source: str) -> None:
-    """Refuse runs that do not hold as many voxels as the header says."""
-    expected = math.prod(header.dim)
-    held = int(pairs[1::2].sum(dtype=np.int64))
-    if held != expected or len(pairs) % 2:
-        found = "half a run" if len(pairs) % 2 else f"{held} voxels"
-        if held != expected:
-            found += ": too many" if held > expected else ": too few"
-        where = f"{source} (dim {' '.join(shown(n) for n in header.dim)})"
-        raise FormatError(f"expected runs of {shown(expected)} voxels in {where}, got {found}")
+    return not math.isclose(scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
 
 
 def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
@@ -285,42 +267,33 @@ def _read_header(data: bytes, source: str) -> Header:
     lines, end = read_header(data, source)
     lines = {"translate": ["0"] * 3, "scale": ["1"]} | lines  # both may be missing
     lines["version"] = lines.pop("#binvox", [])
-    known = {"version", "dim", "translate", "scale", ""}
-    unknown = sorted(name for name in lines if name not in known and not name.startswith("#"))
+    unknown = sorted(name for name in lines if name not in LINES and name[:1] not in ("#", ""))
     if unknown:
         raise FormatError(f"unknown line {unknown[0][:40]!r} in the header of {source}")
-    (version,) = _numbers(lines, "version", 1, int, source)
-    if version not in VERSIONS:
-        raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
-    nx, nz, ny = _numbers(lines, "dim", 3, int, source)
-    if min(nx, nz, ny) < 1:
-        raise FormatError(f"expected `dim` of numbers >= 1, got {[nx, nz, ny]} in {source}")
-    x, y, z = _numbers(lines, "translate", 3, float, source)
-    (scale,) = _numbers(lines, "scale", 1, float, source)
+    found: dict[str, Any] = {}
+    for name, (count, kind) in LINES.items():
+        if name not in lines:
+            raise FormatError(f"no line `{name}` in the header of {source}")
+        try:
+            found[name] = [kind(word) for word in lines[name]]
+            is_good = len(found[name]) == count and all(map(math.isfinite, found[name]))
+        except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
+            is_good = False
+        if not is_good:
+            what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
+            where = f"at `{name}` in the header of {source}"
+            got = repr(" ".join(lines[name])[:60])
+            raise FormatError(f"expected {count} {what} {where}, got {got}")
+    header = Header(**found, end=end)
+    (x, y, z), (scale,) = header.translate, header.scale
+    if header.version not in ([1], [2]):
+        raise FormatError(f"expected binvox version 1 or 2, got {header.version[0]} in {source}")
+    if min(header.dim) < 1:
+        raise FormatError(f"expected `dim` of numbers >= 1, got {header.dim} in {source}")
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
     if max(abs(x), abs(y), abs(z), scale) > FARTHEST:
         far = f"({x:g}, {y:g}, {z:g}) and {scale:g}"
-        raise FormatError(
-            f"expected `translate` and `scale` up to {FARTHEST:g} m, got {far} in {source}"
-        )
-    return Header(version, (nx, nz, ny), (x, y, z), scale, end)
-
-
-def _numbers(lines: dict[str, list[str]], name: str, count: int, kind: type, source: str) -> Any:
-    """The numbers of a line of the header, a list."""
-    if name not in lines:
-        raise FormatError(f"no line `{name}` in the header of {source}")
-    words = lines[name]
-    try:
-        numbers = [kind(word) for word in words]
-        finite = all(math.isfinite(number) for number in numbers)
-    except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
-        finite = False
-    if not finite or len(numbers) != count:
-        what = "whole number" if kind is int else "number"
-        raise FormatError(
-            f"expected {count} {what}{'s' if count > 1 else ''} at `{name}` in the header of "
-            f"{source}, got {' '.join(words)[:60]!r}"
-        )
-    return numbers
+        expected = f"`translate` and `scale` up to {FARTHEST:g} m"
+        raise FormatError(f"expected {expected}, got {far} in {source}")
+    return header

@@ -1,7 +1,7 @@
 """The formats that grids are converted from and to: one table, and the choice from it by ending.
 
-The table names functions as ``module:function``, and they are imported when a file is converted:
-so the command line lists all formats without loading any. A writer is a function
+The table names functions as ``module:function`` of this folder, and they are imported when a file
+is converted: so the command line lists all formats without loading any. A writer is a function
 ``(grid, path, **options)`` that gives the files to be written, path by path, in the order in which
 they are to appear; a reader is a function ``(path, **options)`` that gives a grid.
 """
@@ -9,7 +9,6 @@ they are to appear; a reader is a function ``(path, **options)`` that gives a gr
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -38,8 +37,8 @@ class Format(NamedTuple):
         meaning: what it is, in one line.
         encode: the function that makes the files, None where it is only read.
         read: the function that reads one, None where it is only written.
+        write_options: names of the options that `encode` takes.
         parts: the function that lists further files which `read` reads, None where it reads one.
-        write_options, read_options: names of the options that these functions take.
     """
 
     name: str
@@ -48,103 +47,44 @@ class Format(NamedTuple):
     encode: str | None
     read: str | None = None
     write_options: tuple[str, ...] = ()
-    read_options: tuple[str, ...] = ()
     parts: str | None = None
 
 
 FORMATS = (
-    Format(
-        name="navgrid",
-        endings=(".json", ".json.gz"),
-        meaning="NavGrid of sstk and MINOS: all that a grid holds",
-        encode="navbake.formats.navgrid:encode_files",
-        read="navbake.formats.navgrid:read_navgrid",
-    ),
-    Format(
-        name="npz",
-        endings=(".npz",),
-        meaning="NumPy archive: all that a grid holds, arrays as they are",
-        encode="navbake.formats.npz:encode_grid_npz",
-        read="navbake.formats.npz:read_grid_npz",
-    ),
-    Format(
-        name="nav2",
-        endings=(".yaml", ".yml"),
-        meaning="map of ROS and nav2: a YAML and an image for each level, or a costmap",
-        encode="navbake.formats.nav2:encode_nav2",
-        read="navbake.formats.nav2:read_nav2",
-        write_options=("level", "radius", "mode", "image", "inflation", "scaling"),
-        parts="navbake.formats.nav2:list_images",
-    ),
-    Format(
-        name="nav2-keepout",
-        endings=(".yaml", ".yml"),
-        meaning="mask of nav2's keepout filter: rooms and polygons that robots stay out of",
-        encode="navbake.formats.nav2:encode_keepout",
-        write_options=("level", "image", "zone", "zones"),
-    ),
-    Format(
-        name="nav2-speed",
-        endings=(".yaml", ".yml"),
-        meaning="mask of nav2's speed filter: limits in rooms and polygons, NAME=PERCENT each",
-        encode="navbake.formats.nav2:encode_speed",
-        write_options=("level", "image", "zone", "zones"),
-    ),
-    Format(
-        name="procthor",
-        endings=(".png",),
-        meaning="ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
-        encode="navbake.formats.procthor:encode_procthor",
-        read="navbake.formats.procthor:read_procthor",
-        write_options=("level", "radius"),
-    ),
-    Format(
-        name="mjcf",
-        endings=(".xml",),
-        meaning="MuJoCo scene of walls and floors, and the settings that bake it to these cells",
-        encode="navbake.formats.extrude:encode_mjcf",
-        write_options=("level", "height", "flat"),
-    ),
-    Format(
-        name="glb",
-        endings=(".glb",),
-        meaning="walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
-        encode="navbake.formats.mesh_files:encode_glb",
-        write_options=("tolerance",),
-    ),
-    Format(
-        name="obj",
-        endings=(".obj",),
-        meaning="walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
-        encode="navbake.formats.mesh_files:encode_obj",
-        write_options=("tolerance", "up"),
-    ),
-    Format(
-        name="geojson",
-        endings=(".geojson",),
-        meaning="rooms, walkable areas and doors as polygons and lines",
-        encode="navbake.formats.geojson:encode_geojson",
-    ),
-    Format(
-        name="wkt",
-        endings=(".wkt", ".csv"),
-        meaning="the same as a table with WKT, for GDAL, QGIS, PostGIS",
-        encode="navbake.formats.geojson:encode_wkt",
-    ),
-    Format(
-        name="graphml",
-        endings=(".graphml",),
-        meaning="rooms and the ways between them as a graph, for networkx, Gephi, yEd",
-        encode="navbake.formats.room_graph:encode_graphml",
-    ),
-    Format(
-        name="graph",
-        endings=(".graph.npz",),
-        meaning="free cells and the steps between them as a sparse matrix, for scipy",
-        encode="navbake.formats.cell_graph:encode_cell_graph",
-        write_options=("cut_corners",),
-    ),
-)
+    Format("navgrid", (".json", ".json.gz"), "NavGrid of sstk and MINOS: all that a grid holds",
+           "navgrid:encode_files", "navgrid:read_navgrid"),
+    Format("npz", (".npz",), "NumPy archive: all that a grid holds, arrays as they are",
+           "npz:encode_grid_npz", "npz:read_grid_npz"),
+    Format("nav2", (".yaml", ".yml"),
+           "map of ROS and nav2: a YAML and an image for each level, or a costmap",
+           "nav2:encode_nav2", "nav2:read_nav2",
+           ("level", "radius", "mode", "image", "inflation", "scaling"), "nav2:list_images"),
+    Format("nav2-keepout", (".yaml", ".yml"),
+           "mask of nav2's keepout filter: rooms and polygons that robots stay out of",
+           "nav2:encode_keepout", None, ("level", "image", "zone", "zones")),
+    Format("nav2-speed", (".yaml", ".yml"),
+           "mask of nav2's speed filter: limits in rooms and polygons, NAME=PERCENT each",
+           "nav2:encode_speed", None, ("level", "image", "zone", "zones")),
+    Format("procthor", (".png",), "ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
+           "procthor:encode_procthor", "procthor:read_procthor", ("level", "radius")),
+    Format("mjcf", (".xml",),
+           "MuJoCo scene of walls and floors, and the settings that bake it to these cells",
+           "extrude:encode_mjcf", None, ("level", "height", "flat")),
+    Format("glb", (".glb",), "walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
+           "mesh_files:encode_glb", None, ("tolerance",)),
+    Format("obj", (".obj",), "walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
+           "mesh_files:encode_obj", None, ("tolerance", "up")),
+    Format("geojson", (".geojson",), "rooms, walkable areas and doors as polygons and lines",
+           "geojson:encode_geojson"),
+    Format("wkt", (".wkt", ".csv"), "the same as a table with WKT, for GDAL, QGIS, PostGIS",
+           "geojson:encode_wkt"),
+    Format("graphml", (".graphml",),
+           "rooms and the ways between them as a graph, for networkx, Gephi, yEd",
+           "room_graph:encode_graphml"),
+    Format("graph", (".graph.npz",),
+           "free cells and the steps between them as a sparse matrix, for scipy",
+           "cell_graph:encode_cell_graph", None, ("cut_corners",)),
+)  # fmt: skip
 """All formats; of formats with an ending in common, the first is its."""
 
 
@@ -177,25 +117,19 @@ def find_format(path: str | os.PathLike[str], name: str | None = None, *, writin
     )
 
 
-def read_as(path: str | os.PathLike[str], name: str | None = None, **options: Any) -> NavGrid:
-    """Read a grid from a file of any format that is read.
+def _function(where: str | None) -> Any:
+    return resolve(f"navbake.formats.{where}")
 
-    Args:
-        name: of the format; by the file's ending if None.
-        options: what the format's reader takes, see `FORMATS`.
 
-    Raises:
-        FormatError: there is no such format, or the file is broken.
-    """
-    form = find_format(path, name, writing=False)
-    _check_options(form, form.read_options, options)
-    grid: NavGrid = resolve(str(form.read))(path, **options)
+def read_as(path: str | os.PathLike[str], name: str | None = None) -> NavGrid:
+    """Read a grid from a file of any format that is read, by its name or else the file's ending."""
+    grid: NavGrid = _function(find_format(path, name, writing=False).read)(path)
     return grid
 
 
 def list_files(path: Path, form: Format) -> list[Path]:
     """The files that the reader of a format reads; raises as it does."""
-    return [path, *(resolve(form.parts)(path) if form.parts is not None else ())]
+    return [path, *(_function(form.parts)(path) if form.parts is not None else ())]
 
 
 def encode_as(
@@ -212,8 +146,11 @@ def encode_as(
         FormatError: there is no such format, or it can't hold the grid.
     """
     form = find_format(path, name, writing=True)
-    _check_options(form, form.write_options, options)
-    made: Files = resolve(str(form.encode))(grid, Path(path), **options)
+    for option in options:
+        if option not in form.write_options:
+            takes = ", ".join(form.write_options) or "none"
+            raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
+    made: Files = _function(form.encode)(grid, Path(path), **options)
     return made
 
 
@@ -226,10 +163,3 @@ def write_as(
         The files that were written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
-
-
-def _check_options(form: Format, known: tuple[str, ...], options: Mapping[str, Any]) -> None:
-    for option in options:
-        if option not in known:
-            takes = ", ".join(known) or "none"
-            raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")

@@ -55,7 +55,12 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pixels are counted here; all else is read
             image = Image.open(io.BytesIO(data), formats=kinds)
-            if _least_bytes(image) > len(data):
+            # memory is reserved for all pixels: the bytes that so many have in a file at least. One
+            # band may be of single bits; several take a byte each in a PNG, one or more in a BMP
+            coding, bands = image.tile[0][0] if image.tile else "", len(image.getbands())
+            bits = 1 if bands == 1 else 8 * (bands if coding == "zip" else 1)
+            least = image.width * image.height * bits / 8
+            if coding in MOST_PER_BYTE and least / MOST_PER_BYTE[coding] > len(data):
                 raise ValueError("it is cut off")
             allowance.take_cells(image.size, place)
             allowance.take_array(image.size, PIXEL_COST, place)
@@ -66,15 +71,6 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
     except Exception as error:  # a broken image raises whatever Pillow and zlib raise
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
-
-
-def _least_bytes(image: Any) -> float:
-    """The bytes that a file of as many pixels has at least: memory is reserved for all of them."""
-    coding, bands = image.tile[0][0] if image.tile else "", len(image.getbands())
-    # one band may be of single bits; several take a byte each in a PNG, one or more in a BMP
-    bits = 1 if bands == 1 else 8 * (bands if coding == "zip" else 1)
-    num_bytes = image.width * image.height * bits / 8
-    return num_bytes / MOST_PER_BYTE[coding] if coding in MOST_PER_BYTE else 0.0
 
 
 def read_pixels(source: str | PathLike[str]) -> Pixels:

@@ -16,7 +16,6 @@ makes a pixel unknown.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from os import PathLike
@@ -40,9 +39,8 @@ from navbake.formats.occupancy import (
     UNKNOWN,
     Values,
     inflated_values,
+    lay_along_axes,
     level_from_values,
-    resample,
-    turn,
     values_of,
 )
 from navbake.formats.source import Files, check_path, path_name, read_bytes
@@ -57,10 +55,7 @@ IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # of map_saver; 0.25 takes 205 for free
 DIGITS = 9  # of an origin, after the point: nanometres [m]
-GREY = {"occupied": 0, "unknown": 205, "free": 254}  # of mode trinary, as map_saver writes them
-RAW_UNKNOWN = 255
-QUARTER = math.pi / 2
-YAW_SLACK = 1e-9  # [rad]
+GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # of mode trinary, as map_saver writes them
 MAX_LISTED = 20  # names that an error lists
 
 
@@ -129,13 +124,21 @@ def encode_nav2(
         else:
             robot = grid.agent_radius if radius is None else radius
             values = inflated_values(grid, k, robot, inflation, scaling)
-        files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
+        files |= _encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
 
-def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
+def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
     """The image of a level's values, and the YAML that names it."""
-    pixels = _draw(values, mode)
+    unknown, grey = values == UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
+    if mode == "raw":
+        pixels = np.where(unknown, 255, values)
+    elif mode == "trinary":
+        pixels = np.where(values >= INSCRIBED, GREY, FREE_GREY)
+        pixels = np.where(unknown, UNKNOWN_GREY, pixels)
+    else:  # colours with opacity
+        grey = np.where(unknown, 127, grey)
+        pixels = np.stack([grey, grey, grey, np.where(unknown, 0, 255)], axis=-1)
     image_path = path.with_suffix(f".{image}")
     x_min, y_min, _, _ = level.lattice.bounds
     # in mode scale, a pixel between the thresholds is spread over 0 to 100: so that none is lost
@@ -151,8 +154,8 @@ def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image:
         "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # nav2 passes over it
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    picture = encode_pgm(pixels) if image == "pgm" else encode_png(pixels)
-    return {image_path: picture, path: text.encode()}
+    encode = encode_pgm if image == "pgm" else encode_png
+    return {image_path: encode(pixels.astype(np.uint8)), path: text.encode()}
 
 
 def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
@@ -175,15 +178,10 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     if not os.path.exists(rules.image):  # Path.exists raises for names that are too long
         raise FormatError(f"the image that `image` in {path} names isn't there: {rules.image}")
     values = read_values(read_pixels(rules.image), rules)
-    x, y, yaw = rules.origin
-    quarters = round(yaw / QUARTER)
-    if abs(yaw - quarters * QUARTER) <= YAW_SLACK:
-        values, corner = turn(values, (x, y), rules.resolution, quarters)
-    else:
-        values, corner = resample(values, (x, y), rules.resolution, yaw, occupied=OCCUPIED)
+    values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
     stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}
     metadata = {"sceneId": Path(path).stem, "nav2": stated}
-    level = level_from_values(values, rules.resolution, (*corner, rules.ground), metadata)
+    level = level_from_values(values, rules.resolution, (x, y, rules.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
 
@@ -194,11 +192,7 @@ def list_images(path: str | PathLike[str]) -> list[Path]:
 
 
 def read_rules(path: str | PathLike[str]) -> MapRules:
-    """Read a map's YAML.
-
-    Raises:
-        FormatError: it is missing, no YAML, or lacks what nav2 needs.
-    """
+    """Read a map's YAML; a FormatError if it lacks what nav2 needs."""
     place = JsonPath(check_path(path))
     data, name = read_bytes(path)
     try:
@@ -228,6 +222,12 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     mode = entries.get("mode", "trinary")
     if mode not in MODES:
         place["mode"].refuse(" or ".join(MODES), mode)
+    negate = entries.get("negate", MISSING)
+    if isinstance(negate, str):  # YAML's words for true and false, as yaml-cpp takes them
+        words = {"yes": 1, "on": 1, "y": 1, "no": 0, "off": 0, "n": 0}
+        negate = words.get(negate.lower(), negate)
+    if not isinstance(negate, int):
+        place["negate"].refuse("0 or 1", negate)
     own, origin = entries.get("navbake"), vector(entries.get("origin", MISSING), place["origin"])
     ground = own.get("ground", 0.0) if isinstance(own, dict) else 0.0
     ground = float(number(ground, place["navbake"]["ground"]))
@@ -238,7 +238,7 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
         resolution=stated["resolution"],
         origin=origin,
         mode=mode,
-        negate=_flag(entries.get("negate", MISSING), place["negate"]),
+        negate=bool(negate),
         occupied=occupied,
         free=free,
         ground=ground,
@@ -268,28 +268,6 @@ def read_values(pixels: Pixels, rules: MapRules) -> Values:
     return values
 
 
-def _draw(values: Values, mode: str) -> NDArray[np.uint8]:
-    """The pixels from which a mode reads these values; colours with opacity in mode scale."""
-    if mode == "raw":
-        return np.where(values == UNKNOWN, RAW_UNKNOWN, values).astype(np.uint8)
-    if mode == "trinary":
-        grey = np.where(values >= INSCRIBED, GREY["occupied"], GREY["free"])
-        return np.where(values == UNKNOWN, GREY["unknown"], grey).astype(np.uint8)
-    grey = np.where(values == UNKNOWN, 127, np.rint((100 - values.astype(float)) * 2.55))
-    opacity = np.where(values == UNKNOWN, 0, 255)
-    return np.stack([grey, grey, grey, opacity], axis=-1).astype(np.uint8)
-
-
-def _flag(value: object, place: JsonPath) -> bool:
-    """YAML's words for true and false, and numbers, as yaml-cpp takes them."""
-    if isinstance(value, bool | int):
-        return bool(value)
-    word = value.lower() if isinstance(value, str) else ""
-    if word not in ("yes", "on", "y", "no", "off", "n"):
-        place.refuse("0 or 1", value)
-    return word in ("yes", "on", "y")
-
-
 def _check_choice(value: str, known: tuple[str, ...], name: str) -> None:
     if value not in known:
         raise FormatError(f"expected {' or '.join(known)} as {name}, got {value!r}")
@@ -298,124 +276,101 @@ def _check_choice(value: str, known: tuple[str, ...], name: str) -> None:
 # ---------------------------------------------------------------- masks
 
 
-class Zone(NamedTuple):
-    """A part of a level."""
-
-    names: tuple[str, ...]  # that it can be called by
-    level: int
-    cells: int | Bool  # the index of a room, or the mask of a polygon
+Zone = tuple[tuple[str, ...], int, int | Bool]
+"""A part of a level: the names that it can be called by, the level, and which cells it has: the
+index of a room, or the mask of a polygon."""
 
 
-def encode_keepout(
+def encode_keepout(grid: NavGrid, path: Path, **options: Any) -> Files:
+    """Make the masks of the keepout filter, one for each level; see `encode_mask`.
+
+    `zone` has names, ids or numbers of rooms, and names of polygons; if None, all polygons count.
+    """
+    return encode_mask(grid, path, False, **options)
+
+
+def encode_speed(grid: NavGrid, path: Path, **options: Any) -> Files:
+    """Make the masks of the speed filter, one for each level; see `encode_mask`.
+
+    `zone` has ``NAME=PERCENT`` each, from 1 to 100; where several overlap, the least counts.
+    """
+    return encode_mask(grid, path, True, **options)
+
+
+def encode_mask(
     grid: NavGrid,
     path: Path,
+    has_limits: bool,
     *,
     level: int | None = None,
     image: str | None = None,
     zone: Sequence[str] | None = None,
     zones: str | PathLike[str] | None = None,
 ) -> Files:
-    """Make the masks of the keepout filter, one for each level.
+    """Make the masks of a filter.
 
     Args:
         path, level: as of `encode_nav2`.
+        has_limits: whether it is the speed filter, whose zones have limits.
         image: ``pgm`` or ``png``; ``pgm`` if None.
-        zone: names, ids or numbers of rooms, and names of polygons.
-        zones: a GeoJSON file of polygons, see `navbake.formats.geojson.read_room_outlines`. All
-            of them count if `zone` is None.
+        zone: which rooms and polygons.
+        zones: a GeoJSON file of polygons, see `navbake.formats.geojson.read_room_outlines`.
 
     Raises:
-        FormatError: nothing has such a name, or a polygon holds no cell's centre of its level.
+        FormatError: nothing has such a name, a limit is none, or a polygon holds no cell's centre
+            of its level.
     """
-    known = _find_zones(grid, zones)
-    chosen = [one for one in known if not isinstance(one.cells, int)]
-    if zone is not None:
-        chosen = [one for name in zone for one in _named(name, known)]
-    return _encode_mask(grid, path, level, image, [(one, OCCUPIED) for one in chosen])
-
-
-def encode_speed(
-    grid: NavGrid,
-    path: Path,
-    *,
-    level: int | None = None,
-    image: str | None = None,
-    zone: Sequence[str] | None = None,
-    zones: str | PathLike[str] | None = None,
-) -> Files:
-    """Make the masks of the speed filter, one for each level.
-
-    Args:
-        path, level, image, zones: as of `encode_keepout`.
-        zone: ``NAME=PERCENT`` each, from 1 to 100; where several overlap, the least counts.
-
-    Raises:
-        FormatError: as of `encode_keepout`, or a limit is none.
-    """
-    known = _find_zones(grid, zones)
-    chosen = []
-    for entry in zone or []:
-        name, _, text = entry.rpartition("=")
-        if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
-            raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
-        chosen += [(one, int(text)) for one in _named(name, known)]
-    return _encode_mask(grid, path, level, image, sorted(chosen, key=lambda pair: -pair[1]))
-
-
-def _encode_mask(
-    grid: NavGrid,
-    path: Path,
-    level: int | None,
-    image: str | None,
-    chosen: list[tuple[Zone, int]],
-) -> Files:
     image = image or "pgm"
     _check_choice(image, IMAGES, "image")
+    known = _find_zones(grid, zones)
+    chosen: list[tuple[Zone, int]] = []
+    if zone is None and not has_limits:
+        chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
+    for entry in zone or []:
+        name, value = entry, OCCUPIED
+        if has_limits:
+            name, _, text = entry.rpartition("=")
+            if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
+                raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
+            value = int(text)
+        found = [own for own in known if name in own[0]]  # on all levels that have such a one
+        if not found:
+            names = list(dict.fromkeys(own[0][-1] for own in known))
+            listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
+            there = f"there are: {listed or 'none'}"
+            raise FormatError(f"no room or polygon is called {name!r}; {there}")
+        chosen += [(own, value) for own in found]
     if not chosen:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
     files: Files = {}
     for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
-        own = grid.levels[k]
-        values: Values = np.full(own.shape, FREE, dtype=np.int8)
-        for zone, value in chosen:
-            if zone.level == k:
-                is_room = isinstance(zone.cells, int)
-                values[own.room_index == zone.cells if is_room else zone.cells] = value
-        files |= encode_map(own, values, yaml_path, "raw", image)
+        target = grid.levels[k]
+        values: Values = np.full(target.shape, FREE, dtype=np.int8)
+        for (_, own_level, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
+            if own_level == k:
+                is_room = isinstance(cells, int)
+                values[target.room_index == cells if is_room else cells] = value
+        files |= _encode_map(target, values, yaml_path, "raw", image)
     return files
 
 
 def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:
     """The rooms of a grid, and the polygons of a file."""
-    found = []
-    for room in grid.rooms:
-        names = (str(room.index), room.id, *([room.name] if room.name else []))
-        found.append(Zone(names, room.level, room.index))
-    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
-        name = outline["name"] or f"feature {k}"
-        where = _level_of(grid, outline["level"], f"{name!r} in {path}")
-        rings = [outline["points"], *outline["rings"]]
-        mask = cover_cells(rings, grid.levels[where].lattice)
-        if not mask.any():
-            raise FormatError(f"{name!r} in {path} lies outside of level {where}: it holds no cell")
-        found.append(Zone((name,), where, mask))
-    return found
-
-
-def _level_of(grid: NavGrid, stated: Json, whose: str) -> int:
+    found: list[Zone] = [
+        ((str(room.index), room.id, *([room.name] if room.name else [])), room.level, room.index)
+        for room in grid.rooms
+    ]
     names = grid.level_names
-    if isinstance(stated, str) and stated in names:
-        return names.index(stated)
-    if isinstance(stated, int) and stated < len(names):
-        return stated
-    raise FormatError(f"no level {stated!r}, which {whose} is on: the grid has {', '.join(names)}")
-
-
-def _named(name: str, known: list[Zone]) -> list[Zone]:
-    """The zones of a name; one that several levels have is on all of them."""
-    found = [zone for zone in known if name in zone.names]
-    if not found:
-        names = list(dict.fromkeys(zone.names[-1] for zone in known))
-        listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
-        raise FormatError(f"no room or polygon is called {name!r}; there are: {listed or 'none'}")
+    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
+        name, level = outline["name"] or f"feature {k}", outline["level"]
+        number = names.index(level) if level in names else level
+        if not isinstance(number, int) or number >= len(names):
+            whose = f"{name!r} in {path}"
+            there = ", ".join(names)
+            raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
+        mask = cover_cells([outline["points"], *outline["rings"]], grid.levels[number].lattice)
+        if not mask.any():
+            where = f"lies outside of level {number}: it holds no cell"
+            raise FormatError(f"{name!r} in {path} {where}")
+        found.append(((name,), number, mask))
     return found

@@ -12,26 +12,29 @@ Source: nav2's ``costmap_2d_publisher.cpp`` for the values of costs.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.formats.allowance import MAX_PIXELS
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.inflation import SCALING, nav2_costs
-from navbake.types import Float, Vector3
+from navbake.types import Float, Json
+
+ndimage = lazy("scipy.ndimage")
 
 UNKNOWN, FREE, INSCRIBED, OCCUPIED = -1, 0, 99, 100
 LEAST_COST, MOST_COST = 1, 252  # of a cell that isn't blocked
 LETHAL = 253  # and above: the cost of cells that are
+QUARTER = math.pi / 2
+YAW_SLACK = 1e-9  # [rad]
 TOUCH = 1e-9  # of a cell: squares that overlap by less don't
 PIECE = 1 << 18  # cells that are looked at together, for the memory that it takes
 
 Values = NDArray[np.int8]
-Corner = tuple[float, float]
 
 
 def values_of(grid: NavGrid, number: int) -> Values:
@@ -44,7 +47,7 @@ def values_of(grid: NavGrid, number: int) -> Values:
     level = grid.levels[number]
     with np.errstate(invalid="ignore"):
         costs = np.where(level.weights > 1, np.clip(level.weights, LEAST_COST, MOST_COST), 0)
-    values = publish_costs(costs.astype(np.uint8))
+    values = _publish(costs.astype(np.uint8))
     values[~level.free] = INSCRIBED
     values[~level.free & (level.occupancy != 0)] = OCCUPIED
     if "floorHeight" in level.attributes:
@@ -57,165 +60,116 @@ def inflated_values(
 ) -> Values:
     """The values of a level's costmap: its obstacles inflated by nav2's formula.
 
-    Cells that a robot of this radius can't stand on for other reasons (a drop, another level's
-    obstacle) cost as much as those within the radius of an obstacle.
-
-    Args:
-        radius: the robot's inscribed radius [m].
-        inflation: nav2's ``inflation_radius`` [m], beyond which nothing costs.
-        scaling: nav2's ``cost_scaling_factor`` [1/m].
-
-    Raises:
-        QueryError: an argument is out of its range, or the inflation less than the radius.
+    Cells that a robot of this inscribed radius [m] can't stand on for other reasons (a drop,
+    another level's obstacle) cost as much as those within the radius of an obstacle. `inflation` is
+    nav2's ``inflation_radius`` [m], at least the radius; `scaling` its ``cost_scaling_factor``.
     """
     if not inflation >= radius:
         raise QueryError(
             f"expected an inflation of at least the radius {radius:g} m, got {inflation:g}"
         )
     inflated = grid.inflate(radius, inflation - radius, costs="nav2", scaling=scaling)
-    values, level = values_of(inflated, number), grid.levels[number]
-    costs = nav2_costs(level, radius, inflation, scaling)
+    values = values_of(inflated, number)
+    costs = nav2_costs(grid.levels[number], radius, inflation, scaling)
     is_free = (values >= FREE) & (values < INSCRIBED)
-    values[is_free] = np.maximum(values, publish_costs(costs))[is_free]
+    values[is_free] = np.maximum(values, _publish(costs))[is_free]
     return values
 
 
-def publish_costs(costs: NDArray[np.uint8]) -> Values:
+def _publish(costs: NDArray[np.uint8]) -> Values:
     """The values as which nav2 publishes costs from 0 to 252."""
     table = 1 + 97 * (np.arange(256) - 1) // 251
     table[0], table[LETHAL:] = FREE, INSCRIBED
     return table.astype(np.int8)[costs]
 
 
-def cost_of(values: Values) -> Float:
-    """The least cost that is published as each value from 1 to 98; 1 for the value 0."""
-    costs = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
-    costs[0] = 1
-    return costs[np.clip(values, 0, OCCUPIED)]
-
-
 def level_from_values(
-    values: Values, cell_size: float, corner: tuple[float, float, float], metadata: dict[str, Any]
+    values: Values, cell_size: float, corner: tuple[float, float, float], metadata: Json
 ) -> SceneGrid2D:
-    """Make a level of values.
+    """Make a level of values; `corner` is its lower left one, and the floor's z [m].
 
-    100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 weigh what their cost is. The floor
-    of all other cells is flat, under what is occupied, too.
-
-    Args:
-        values: shape (height, width), int8.
-        cell_size: edge of a cell [m].
-        corner: world x and y of the lower left corner, and the floor's z [m].
+    100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 weigh the least cost that is published
+    as that value. The floor of all other cells is flat, under what is occupied, too.
     """
     height, width = values.shape
     x, y, z = corner
+    costs: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
+    costs[0] = 1
     blocked = (values < FREE) | (values >= INSCRIBED)
-    floor = np.where(values == UNKNOWN, np.float32(np.nan), np.float32(z))
-    low: Vector3 = (x, z, 0.0 - (y + height * cell_size))
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=cell_size,
-        min_yup=low,
-        weights=np.where(blocked, np.inf, cost_of(values)),
+        min_yup=(x, z, 0.0 - (y + height * cell_size)),
+        weights=np.where(blocked, np.inf, costs[np.clip(values, 0, OCCUPIED)]),
         attributes={
-            "floorHeight": floor,
+            "floorHeight": np.where(values == UNKNOWN, np.float32(np.nan), np.float32(z)),
             "occupancy": ((values == OCCUPIED) | (values == UNKNOWN)).astype(np.uint8),
         },
         metadata=metadata,
     )
 
 
-def turn(values: Values, corner: Corner, resolution: float, quarters: int) -> tuple[Values, Corner]:
-    """Turn a map by quarters, counter-clockwise, about its lower left corner.
+def lay_along_axes(
+    values: Values, origin: tuple[float, float, float], resolution: float
+) -> tuple[Values, float, float]:
+    """Lay a map on cells along the world's axes.
+
+    A map that is turned by quarters is turned exactly. Else a cell takes the value at its centre,
+    -1 beside the map; but it is occupied wherever an occupied cell of the map reaches into its
+    square.
 
     Args:
-        values: shape (height, width), row 0 at the top.
-        corner: world x, y of the lower left corner of its own lower left cell [m].
-        resolution: edge of a cell [m].
+        origin: world x, y of the outer corner of the map's lower left cell [m], and its yaw,
+            counter-clockwise [rad].
 
     Returns:
-        The values in the world's directions, and the corner that is now the lower left one.
+        The values, and world x, y of the lower left corner: that of the box around the turned map,
+        or up to half a cell further out.
     """
-    height, width = (count * resolution for count in values.shape)
-    left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
-    turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
-    return turned, (corner[0] - left, corner[1] - below)
-
-
-def resample(
-    values: Values, corner: Corner, resolution: float, yaw: float, *, occupied: int
-) -> tuple[Values, Corner]:
-    """Lay a map that is turned by any angle on cells of the same size along the world's axes.
-
-    A cell takes the value at its centre, -1 (unknown) beside the map. But it is occupied wherever
-    an occupied cell of the map reaches into its square.
-
-    Args:
-        values, corner, resolution: as of `turn`.
-        yaw: counter-clockwise [rad].
-        occupied: the value of occupied cells.
-
-    Returns:
-        The values, and the lower left corner, which is that of the box around the turned map or up
-        to half a cell further out.
-
-    Raises:
-        FormatError: it would be too many cells.
-    """
+    x, y, yaw = origin
     height, width = values.shape
+    quarters = round(yaw / QUARTER)
+    if abs(yaw - quarters * QUARTER) <= YAW_SLACK:
+        left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
+        turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
+        return turned, x - left * resolution, y - below * resolution
+    # in cells, from the map's own corner
     cos, sin = math.cos(yaw), math.sin(yaw)
-    # corners of the map in cells, from its own corner, in the world's directions
-    xs, ys = (0, width * cos, width * cos - height * sin, -height * sin), (
-        0, width * sin, width * sin + height * cos, height * cos,
-    )  # fmt: skip
+    xs = 0, width * cos, width * cos - height * sin, -height * sin
+    ys = 0, width * sin, width * sin + height * cos, height * cos
     lattice = Lattice.cover((min(xs), min(ys), max(xs), max(ys)), 1.0)
     if lattice.width * lattice.height > MAX_PIXELS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
-    turned: Values = np.full(lattice.shape, -1, dtype=np.int8)
-    x, y = lattice.center_x(), lattice.center_y()[:, None]
-    num_rows = max(1, PIECE // lattice.width)  # of one piece
-    for start in range(0, lattice.height, num_rows):
-        piece = slice(start, start + num_rows)
-        col, up = np.floor(cos * x + sin * y[piece]), np.floor(-sin * x + cos * y[piece])
-        inside = (col >= 0) & (col < width) & (up >= 0) & (up < height)
-        cols, rows = col[inside].astype(np.int64), height - 1 - up[inside].astype(np.int64)
-        turned[piece][inside] = values[rows, cols]
-    full_rows, full_cols = np.nonzero(values == occupied)
-    for start in range(0, len(full_rows), PIECE):
-        part = slice(start, start + PIECE)
+    # where the centre of cell [row, col] lies in the map, from the centre of its cell [0, 0]
+    first_x, first_y = lattice.x_min + 0.5, lattice.y_max - 0.5
+    matrix = [[cos, sin], [-sin, cos]]
+    start = height - 0.5 + sin * first_x - cos * first_y, cos * first_x + sin * first_y - 0.5
+    turned = ndimage.affine_transform(
+        values, matrix, start, lattice.shape, order=0, mode="grid-constant", cval=UNKNOWN
+    )
+    full_rows, full_cols = np.nonzero(values == OCCUPIED)
+    for begin in range(0, len(full_rows), PIECE):
+        part = slice(begin, begin + PIECE)
         right, up = full_cols[part] + 0.5, height - full_rows[part] - 0.5
-        _mark_met(turned, lattice, cos * right - sin * up, sin * right + cos * up, yaw, occupied)
-    x_min, y_min, _, _ = lattice.bounds
-    return turned, (corner[0] + x_min * resolution, corner[1] + y_min * resolution)
+        centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
+        _occupy_met(turned, lattice, centers, cos, sin)
+    return turned, x + lattice.x_min * resolution, y + lattice.bounds[1] * resolution
 
 
-def _mark_met(
-    turned: Values,
-    lattice: Lattice,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    yaw: float,
-    occupied: int,
-) -> None:
-    """Mark the cells whose squares the turned unit squares round some centres meet.
+def _occupy_met(turned: Values, lattice: Lattice, centers: Float, cos: float, sin: float) -> None:
+    """Occupy the cells whose squares the turned unit squares round some centres meet.
 
     Separating axes of two squares: along each side's direction of both, the centres must be
     nearer than half of the extents together.
     """
-    cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
-    reach = (1.0 + cos + sin) / 2 - TOUCH  # half extents along any of the four directions
-    row, col = lattice.rows_cols(np.stack([x, y], axis=-1))
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            rows, cols = row + down, col + right
-            dx = lattice.x_min + cols + 0.5 - x
-            dy = lattice.y_max - rows - 0.5 - y
-            along, across = (
-                math.cos(yaw) * dx + math.sin(yaw) * dy,
-                (math.cos(yaw) * dy - math.sin(yaw) * dx),
-            )
-            far = np.max(np.abs([dx, dy, along, across]), axis=0)
-            meets = (far < reach) & (rows >= 0) & (rows < lattice.height)
-            meets &= (cols >= 0) & (cols < lattice.width)
-            turned[rows[meets], cols[meets]] = occupied
+    reach = (1.0 + abs(cos) + abs(sin)) / 2 - TOUCH  # half extents along any of the four directions
+    row, col = lattice.rows_cols(centers)
+    for down, right in np.ndindex(3, 3):
+        rows, cols = row + down - 1, col + right - 1
+        dx = lattice.x_min + cols + 0.5 - centers[:, 0]
+        dy = lattice.y_max - rows - 0.5 - centers[:, 1]
+        far = np.max(np.abs([dx, dy, cos * dx + sin * dy, cos * dy - sin * dx]), axis=0)
+        meets = (far < reach) & (rows >= 0) & (rows < lattice.height)
+        meets &= (cols >= 0) & (cols < lattice.width)
+        turned[rows[meets], cols[meets]] = OCCUPIED

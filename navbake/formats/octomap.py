@@ -5,12 +5,10 @@ corners of voxels are multiples of `res`, at most 32768 of them from the world's
 Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
 
 They are built bottom up: a pyramid holds the state of each node over the grid, level by level, 0
-the voxels, 16 the root. Then the nodes are sorted as a walk depth first meets them, which is the
-order of the Morton codes of their lowest voxels.
+the voxels, 16 the root. Then a walk from the root, depth first, writes the nodes.
 
 Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`, `OcTreeBaseImpl.hxx`): the
-header's lines, the order of the nodes, pruning, and the log-odds of what is certain; Morton, A
-computer oriented geodetic data base, 1966.
+header's lines, the order of the nodes, pruning, and the log-odds of what is certain.
 """
 
 import math
@@ -18,7 +16,7 @@ from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
@@ -29,31 +27,14 @@ from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import finite_array
 
 MAGIC = b"# Octomap OcTree"
-DEPTH = 16
-CENTER = 2 ** (DEPTH - 1)  # key of the world's origin
+CENTER = 2**15  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 LEAF_BYTES = 20  # of a leaf in memory
-
-# States of nodes, as bits: what eight children are together is their bitwise or. MIXED nodes have
-# children that differ, MIXED_FREE ones none that is occupied.
-UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 1, 2, 4, 8, 16
-OF_CHILDREN = np.array(
-    [c if c in (UNKNOWN, FREE, OCCUPIED) else MIXED if c & (OCCUPIED | MIXED) else MIXED_FREE
-     for c in range(32)],
-    dtype=np.uint8,
-)  # fmt: skip
-CHILDREN = [(child & 1, child >> 1 & 1, child >> 2) for child in range(8)]  # x, y, z
-# puts two bits between each two of 16, for Morton codes
-SPREAD = ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249))
-TWO_BITS = np.zeros(32, dtype=np.int64)  # of a child in a .bt
-TWO_BITS[[FREE, OCCUPIED, MIXED_FREE, MIXED]] = 1, 2, 3, 3
-
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
-FREE_ODDS, OCCUPIED_ODDS = (math.log(p / (1 - p)) for p in (0.1192, 0.971))
+ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
 
-Pyramid = list[NDArray[np.uint8]]
 Box = tuple[Int, tuple[int, int, int]]  # first key along each axis, and counts of voxels
 
 
@@ -68,101 +49,46 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
+    from navbake.formats.kernels import octree  # numba loads slowly
+
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
     first = _first_key(grid)
-    pyramid = _build_pyramid(grid, first, free)
-    nodes, num_nodes = (_pack_bits if kind == "bt" else _pack_odds)(pyramid, first)
-    header = (
-        f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\n"
-        f"res {_text(grid.res)}\ndata\n"
-    )
-    return header.encode() + nodes
-
-
-def _build_pyramid(grid: VoxelGrid, first: Int, free: bool) -> Pyramid:
-    """The states of all nodes over the grid, from the voxels up to the root.
-
-    Arrays of a level begin at its own first node, ``first >> level``.
-    """
-    states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
+    states = np.where(grid.occupied, np.uint8(octree.IS_OCCUPIED), np.uint8(octree.IS_UNKNOWN))
     if free:
         known = True if grid.known is None else grid.known
-        states[(states == UNKNOWN) & known] = FREE
+        states[~grid.occupied & known] = octree.IS_FREE
+    # by the bitwise or of eight children, what a node is: as they are, or mixed
+    kinds = np.full(32, octree.MIXED_FREE, np.uint8)
+    kinds[[n for n in range(32) if n & (octree.IS_OCCUPIED | octree.MIXED)]] = octree.MIXED
+    for alike in (octree.IS_UNKNOWN, octree.IS_FREE, octree.IS_OCCUPIED):
+        kinds[alike] = alike
     pyramid = [states]
-    for level in range(DEPTH):
-        begin = first >> level
-        even = [(int(k & 1), int(k + n & 1)) for k, n in zip(begin, states.shape, strict=True)]
-        states = np.pad(states, even, constant_values=UNKNOWN)
+    for level in range(octree.DEPTH):
+        begin = (first >> level).tolist()
+        even = [(k & 1, k + n & 1) for k, n in zip(begin, states.shape, strict=True)]
+        states = np.pad(states, even, constant_values=octree.IS_UNKNOWN)
         states = states[0::2] | states[1::2]
         states = states[:, 0::2] | states[:, 1::2]
-        states = OF_CHILDREN[states[:, :, 0::2] | states[:, :, 1::2]]
+        states = kinds[states[:, :, 0::2] | states[:, :, 1::2]]
         pyramid.append(states)
-    return pyramid
-
-
-def _child_states(pyramid: Pyramid, first: Int, level: int, nodes: Int) -> Int:
-    """The states of the eight children of nodes, which are indices of a level; shape (8, n)."""
-    below = np.pad(pyramid[level - 1], 1, constant_values=UNKNOWN)
-    lowest = 2 * (nodes + (first >> level)) - (first >> (level - 1)) + 1
-    return np.array([below[tuple((lowest + child).T)] for child in CHILDREN])
-
-
-def _order(keys: list[Int], level_of: list[int]) -> Int:
-    """The order in which a walk depth first meets nodes of some keys, listed level by level."""
-    codes = []
-    for key, level in zip(keys, level_of, strict=True):
-        lowest = key << level
-        for shift, mask in SPREAD:
-            lowest = (lowest | lowest << shift) & mask
-        code = lowest[:, 0] | lowest[:, 1] << 1 | lowest[:, 2] << 2
-        codes.append(code << 5 | DEPTH - level)  # a parent comes before its first child
-    return np.argsort(np.concatenate(codes))
-
-
-def _pack_bits(pyramid: Pyramid, first: Int) -> tuple[bytes, int]:
-    """The nodes of a ``.bt``: two bits for each child, two bytes for each node with children."""
-    words, keys, num_nodes = [], [], 1
-    for level in range(DEPTH, 0, -1):
-        nodes = np.argwhere(pyramid[level] >= (MIXED_FREE if level < DEPTH else FREE))
-        children = _child_states(pyramid, first, level, nodes)
-        num_nodes += int(np.count_nonzero(children != UNKNOWN))
-        bits = TWO_BITS[children] << 2 * np.arange(8)[:, None]
-        words.append(bits.sum(axis=0).astype("<u2"))
-        keys.append(nodes + (first >> level))
-    packed = np.concatenate(words)
-    if not len(packed):
-        return b"", 0
-    return packed[_order(keys, list(range(DEPTH, 0, -1)))].tobytes(), num_nodes
-
-
-def _pack_odds(pyramid: Pyramid, first: Int) -> tuple[bytes, int]:
-    """The nodes of an ``.ot``: four bytes of log-odds and one that says which children there are.
-
-    A node with children has the greatest of their log-odds.
-    """
-    records, keys = [], []
-    has_children = pyramid[DEPTH] >= FREE  # of the level above, index by index
-    for level in range(DEPTH, -1, -1):
-        states = pyramid[level]
-        if level < DEPTH:
-            at = [
-                (np.arange(n) + (f >> level) >> 1) - (f >> level + 1)
-                for n, f in zip(states.shape, first.tolist(), strict=True)
-            ]
-            has_children = (pyramid[level + 1] >= MIXED_FREE)[np.ix_(*at)]
-        nodes = np.argwhere(has_children & (states != UNKNOWN))
-        state = states[tuple(nodes.T)]
-        record = np.zeros(len(nodes), dtype=[("odds", "<f4"), ("children", "u1")])
-        record["odds"] = np.where(state & (OCCUPIED | MIXED), OCCUPIED_ODDS, FREE_ODDS)
-        inner = state >= MIXED_FREE
-        if inner.any():
-            is_there = _child_states(pyramid, first, level, nodes[inner]) != UNKNOWN
-            record["children"][inner] = np.packbits(is_there, axis=0, bitorder="little")[0]
-        records.append(record)
-        keys.append(nodes + (first >> level))
-    packed = np.concatenate(records)
-    return packed[_order(keys, list(range(DEPTH, -1, -1)))].tobytes(), len(packed)
+    nodes, num_nodes = np.empty(0, np.uint8), 0
+    if states[0, 0, 0] != octree.IS_UNKNOWN:
+        num_inner = sum(int(np.count_nonzero(own >= octree.MIXED_FREE)) for own in pyramid)
+        odds = ODDS if kind == "ot" else ODDS[:0]
+        nodes = np.empty(5 * (1 + 8 * num_inner) if len(odds) else 2 * num_inner, np.uint8)
+        num_bytes, num_nodes = octree.pack_nodes(
+            np.concatenate([own.ravel() for own in pyramid]),
+            np.array([own.shape for own in pyramid]),
+            np.array([first >> level for level in range(len(pyramid))]),
+            odds,
+            nodes,
+        )
+        nodes = nodes[:num_bytes]
+    short = f"{grid.res:g}"  # six digits, as OctoMap writes it, or as many as it takes
+    res = short if math.isclose(float(short), grid.res, rel_tol=1e-12) else repr(grid.res)
+    header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res}\ndata\n"
+    return header.encode() + nodes.tobytes()
 
 
 def _first_key(grid: VoxelGrid) -> Int:
@@ -183,12 +109,6 @@ def _first_key(grid: VoxelGrid) -> Int:
             f"to the origin"
         )
     return np.asarray(whole.astype(np.int64) + CENTER)
-
-
-def _text(res: float) -> str:
-    """The edge in six digits, as OctoMap writes it, or in as many as it takes."""
-    short = f"{res:g}"
-    return short if math.isclose(float(short), res, rel_tol=1e-12) else repr(res)
 
 
 class _Header(NamedTuple):
@@ -224,7 +144,15 @@ def read_octomap(
     header = _read_header(data, name)
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
     leaves, notes = _read_leaves(data, header, allowance, place)
-    first, shape = _box_leaves(leaves) if bounds is None else _box_keys(bounds, header.res)
+    if bounds is not None:
+        first, shape = _box_keys(bounds, header.res)
+    elif len(leaves):
+        low = leaves[:, :3].astype(np.int64)
+        first = low.min(axis=0)
+        nx, ny, nz = ((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist()
+        shape = nx, ny, nz
+    else:
+        first, shape = np.full(3, CENTER), (1, 1, 1)
     allowance.take_cells(shape, place)
     allowance.take_array(shape, 2, place)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
@@ -258,19 +186,8 @@ def _read_leaves(
     allowance.take_array((num_leaves,), LEAF_BYTES, place)
     leaves = np.empty((num_leaves, 5), np.int32)
     read_leaves(nodes, odds, has_odds, leaves)
-    if num_nodes != header.size:
-        return leaves, [f"{place.file} has {num_nodes} nodes, and says {header.size}"]
-    return leaves, []
-
-
-def _box_leaves(leaves: Int32) -> Box:
-    """The box of all leaves; a single voxel if there are none."""
-    if not len(leaves):
-        return np.full(3, CENTER), (1, 1, 1)
-    low = leaves[:, :3].astype(np.int64)
-    first = low.min(axis=0)
-    nx, ny, nz = ((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist()
-    return first, (nx, ny, nz)
+    is_odd = num_nodes != header.size
+    return leaves, [f"{place.file} has {num_nodes} nodes, and says {header.size}"] * is_odd
 
 
 def _box_keys(bounds: ArrayLike, res: float) -> Box:
@@ -298,15 +215,15 @@ def _read_header(data: bytes, source: str) -> _Header:
     fields = {name: " ".join(words) for name, words in lines.items()}
     if fields.get("id") != "OcTree":
         raise FormatError(f"expected a tree of id OcTree in {source}, got {fields.get('id')!r}")
-    return _Header(kind, int(_number(fields, "size", source)), _number(fields, "res", source), end)
-
-
-def _number(fields: dict[str, str], name: str, source: str) -> float:
-    try:
-        number = float(fields[name])
-    except (KeyError, ValueError):
-        number = math.nan  # refused below
-    if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
-        got = repr(fields.get(name, "none"))
-        raise FormatError(f"expected a number > 0 at `{name}` in the header of {source}, got {got}")
-    return number
+    numbers = []
+    for name in ("size", "res"):
+        try:
+            number = float(fields[name])
+        except (KeyError, ValueError):
+            number = math.nan  # refused below
+        if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
+            got = repr(fields.get(name, "none"))
+            where = f"at `{name}` in the header of {source}"
+            raise FormatError(f"expected a number > 0 {where}, got {got}")
+        numbers.append(number)
+    return _Header(kind, int(numbers[0]), numbers[1], end)

@@ -50,41 +50,33 @@ def encode_procthor(
     """
     if radius is not None:
         grid = grid.inflate(radius)
-    paths = level_paths(grid, path, level, (".png",))
-    return {path: _encode(grid, number) for number, path in paths.items()}
-
-
-def _encode(grid: NavGrid, number: int) -> bytes:
-    level = grid.levels[number]
-    rooms = level.room_index
-    if rooms.max(initial=0) > MAX_ROOMS:
-        raise FormatError(
-            f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, level {number} has {rooms.max()}"
-        )
-    free = np.where(level.free, np.uint8(255), np.uint8(0))
-    pixels = np.stack([free, free, rooms.astype(np.uint8)], axis=-1)
-    names = {room.index: room.name or room.id for room in grid.rooms if room.level == number}
-    to_map, to_world = matrices_of(level.lattice, level.ground)
-    density = 1.0 / level.lattice.cell_size
-    texts = {
-        "world_to_map": to_map.tolist(),
-        "map_to_world": to_world.tolist(),
-        "px_per_m": round(density) if abs(density - round(density)) < 1e-9 else density,
-        "room_ids_to_name": {str(index): name for index, name in names.items()},
-    }
-    return encode_png(pixels, {key: orjson.dumps(text).decode() for key, text in texts.items()})
-
-
-def matrices_of(lattice: Lattice, z: float) -> tuple[Float, Float]:
-    """``world_to_map``, shape (2, 4), and ``map_to_world``, shape (3, 3), of a lattice.
-
-    Args:
-        z: what world z the pixels' positions have [m].
-    """
-    cell, (x, y) = lattice.cell_size, (lattice.x_min, lattice.y_max)
-    to_map = [[0.0, -1.0 / cell, 0.0, y / cell - 0.5], [1.0 / cell, 0.0, 0.0, -x / cell - 0.5]]
-    to_world = [[0.0, cell, x + cell / 2], [-cell, 0.0, y - cell / 2], [0.0, 0.0, z]]
-    return np.array(to_map), np.array(to_world)
+    files: Files = {}
+    for number, own_path in level_paths(grid, path, level, (".png",)).items():
+        own = grid.levels[number]
+        if own.room_index.max(initial=0) > MAX_ROOMS:
+            got = f"level {number} has {own.room_index.max()}"
+            raise FormatError(f"a ProcTHORMap numbers rooms up to {MAX_ROOMS}, {got}")
+        free = np.where(own.free, np.uint8(255), np.uint8(0))
+        pixels = np.stack([free, free, own.room_index.astype(np.uint8)], axis=-1)
+        cell, x, y = own.lattice.cell_size, own.lattice.x_min, own.lattice.y_max
+        density = 1.0 / cell
+        rooms = [room for room in grid.rooms if room.level == number]
+        texts: Json = {
+            "world_to_map": [
+                [0.0, -density, 0.0, y / cell - 0.5],
+                [density, 0.0, 0.0, -x / cell - 0.5],
+            ],
+            "map_to_world": [
+                [0.0, cell, x + cell / 2],
+                [-cell, 0.0, y - cell / 2],
+                [0.0, 0.0, own.ground],
+            ],
+            "px_per_m": round(density) if abs(density - round(density)) < 1e-9 else density,
+            "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
+        }
+        notes = {key: orjson.dumps(text).decode() for key, text in texts.items()}
+        files[own_path] = encode_png(pixels, notes)
+    return files
 
 
 def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
@@ -122,7 +114,15 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         },
         metadata={"sceneId": Path(path).stem},
     )
-    names = _read_names(image.info.get("room_ids_to_name"), path)
+    text = image.info.get("room_ids_to_name")
+    stated = {} if text is None else _parse(text, "room_ids_to_name", path)
+    if not isinstance(stated, dict | None):
+        raise FormatError(f"expected names by number as `room_ids_to_name` in {path}")
+    names = {
+        int(key): name
+        for key, name in (stated or {}).items()
+        if key.isdecimal() and len(key) < 10 and isinstance(name, str)
+    }
     table = [{**room.to_json(), "name": names.get(room.index)} for room in measure_rooms(level, 0)]
     level.metadata["navbake"] = {"rooms": table}
     return level
@@ -161,19 +161,6 @@ def _matrix(texts: Json, key: str, shape: tuple[int, int], path: str | PathLike[
     if not all(type(entry) in (int, float) for row in rows for entry in row):
         raise FormatError(f"expected numbers in `{key}` of {path}, got {shown(rows[0][0])}")
     return np.array(rows, dtype=np.float64)
-
-
-def _read_names(text: Any, path: str | PathLike[str]) -> dict[int, str]:
-    names = {} if text is None else _parse(text, "room_ids_to_name", path)
-    if names is None:
-        return {}
-    if not isinstance(names, dict):
-        raise FormatError(f"expected names by number as `room_ids_to_name` in {path}")
-    return {
-        int(key): name
-        for key, name in names.items()
-        if key.isdecimal() and len(key) < 10 and isinstance(name, str)
-    }
 
 
 def _parse(text: Any, key: str, path: str | PathLike[str]) -> Any:

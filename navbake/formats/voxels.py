@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import shown
+from navbake.formats.allowance import JsonPath
 from navbake.formats.binvox import (
     IdMapping,
     encode_binvox,
@@ -22,10 +22,6 @@ from navbake.formats.source import check_path, read_object, write_bytes
 from navbake.voxels.grid import VoxelGrid
 
 MAX_DIGITS = 10  # of an ID
-OFFSET_NOTE = (
-    "`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it takes their "
-    "corners in float32"
-)
 RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
 
@@ -57,8 +53,11 @@ def write_voxels(
         mapped = with_mapping(grid, mapping)
         write_bytes(encode_binvox(mapped, layout), path)
         if layout == "binvox" and needs_offset(grid):
-            half = f"{grid.res / 2:g}"
-            note = OFFSET_NOTE.format(offset=" ".join([half] * 3))
+            offset = " ".join([f"{grid.res / 2:g}"] * 3)
+            note = (
+                f"`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it "
+                "takes their corners in float32"
+            )
             grid.notes += [note] if note not in grid.notes else []
         grid = mapped
     else:
@@ -88,7 +87,16 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
         return read_octomap(path, max_voxels=max_voxels)
     grid, beside = read_binvox(path, max_voxels=max_voxels), names_path(path)
     if grid.is_segmented and os.path.lexists(beside):
-        grid.names = _read_table(beside)
+        table, _ = read_object(beside, expected="a table of IDs")
+        ids, place = table.get("ids") if isinstance(table, dict) else None, JsonPath(str(beside))
+        if not isinstance(ids, dict):
+            place.fail("expected a table of IDs, it can't be read: no object at `ids`")
+        for number, name in ids.items():
+            if not (number.isascii() and number.isdecimal() and len(number) <= MAX_DIGITS):
+                place["ids"].refuse("an ID as key", number)
+            if not isinstance(name, str):
+                place["ids"][number].refuse("a name", name)
+        grid.names = {int(number): name for number, name in ids.items()}
     return grid
 
 
@@ -102,17 +110,3 @@ def _check_suffix(path: str | PathLike[str]) -> str:
 def names_path(path: str | PathLike[str]) -> Path:
     """Where the table of a file's IDs is: ``a.npz.names.json`` beside ``a.npz``."""
     return Path(f"{path}.names.json")
-
-
-def _read_table(path: Path) -> dict[int, str]:
-    table, _ = read_object(path, expected="a table of IDs")
-    ids = table.get("ids") if isinstance(table, dict) else None
-    if not isinstance(ids, dict):
-        raise FormatError(f"expected a table of IDs, {path} can't be read: no object at `ids`")
-    for number, name in ids.items():
-        if not (number.isascii() and number.isdecimal() and len(number) <= MAX_DIGITS):
-            got = shown(number)
-            raise FormatError(f"expected an ID as key in `ids` of {path}, got {got}")
-        if not isinstance(name, str):
-            raise FormatError(f"expected a name at `ids.{number}` in {path}, got {shown(name)}")
-    return {int(number): name for number, name in ids.items()}

@@ -84,7 +84,7 @@ def test_help_shows_an_example_and_all_formats(run):
 def test_the_table_names_functions_that_are_there():
     for form in FORMATS:
         for where in (form.encode, form.read):
-            assert where is None or callable(resolve(where))
+            assert where is None or callable(resolve(f"navbake.formats.{where}"))
 
 
 def test_the_longest_ending_decides():

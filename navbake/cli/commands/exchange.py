@@ -117,11 +117,11 @@ def convert(
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
     options = maps._asdict() | shapes._asdict()
-    read_options, write_options = _share_out(options, reader, writer)
+    write_options = _given(options, writer)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
     check_output(output, inputs=inputs)
     inputs += list_files(source, reader)
-    grid = read_as(source, reader.name, **read_options)
+    grid = read_as(source, reader.name)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **write_options)
     if output == STDOUT:
@@ -154,24 +154,19 @@ def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
         raise BadParameter(str(error), param_hint=hint) from error
 
 
-def _share_out(
-    options: dict[str, Any], reader: Format, writer: Format
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The options that are given, for the reader and for the writer; one of neither is refused."""
+def _given(options: dict[str, Any], writer: Format) -> dict[str, Any]:
+    """The options that are given, all of which the writer takes."""
     given = {
         name: value
         for name, value in options.items()
         if value is not None and value is not False and value != []
     }
     for name in given:
-        if name not in (*reader.read_options, *writer.write_options):
+        if name not in writer.write_options:
             takers = [f"{form.name} as OUT" for form in FORMATS if name in form.write_options]
-            takers += [f"{form.name} as IN" for form in FORMATS if name in form.read_options]
             flag = f"--{name.replace('_', '-')}"
             raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=flag)
-    for_reader = {name: value for name, value in given.items() if name in reader.read_options}
-    for_writer = {name: value for name, value in given.items() if name in writer.write_options}
-    return for_reader, for_writer
+    return given
 
 
 def inflate(
