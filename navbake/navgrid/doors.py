@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
+import msgspec
 import numpy as np
 
 from navbake.errors import FormatError, QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.metadata import read_table
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Int, Json
 
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
 
 AnyGrid = TypeVar("AnyGrid", bound="GridBase")
 
-STATES = ("modelled", "open", "closed", "removed")
+State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
+STATES: tuple[str, ...] = get_args(State)
 WHERE = "metadata.navbake.doors"
 
 Runs = list[int]
@@ -107,67 +110,53 @@ class Door:
         }
 
 
+class _Entry(msgspec.Struct):
+    """A door as a file has it; of each state, lists of a level and runs of its cells."""
+
+    id: str
+    state: State
+    cells: dict[State, list[tuple[int, list[int]]]]
+    joint: str | None = None
+    rooms: tuple[str | None, ...] = ()
+    solid: dict[State, list[tuple[int, list[int]]]] = {}
+
+
 def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
     """Read and check the doors at ``metadata.navbake.doors``.
 
     `num_cells` counts the cells of each level; the doors' cells have to be among them.
     """
-    if not isinstance(stated, list | tuple):
-        raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")
     doors: dict[str, Door] = {}
-    for number, entry in enumerate(stated):
-        here = f"{WHERE}[{number}]"
-        door = _parse(entry, num_cells, here)
-        if door.id in doors:
-            raise FormatError(f"expected unique ids, got {door.id!r} twice at `{here}.id`")
-        doors[door.id] = door
+    entries: list[_Entry] = read_table(stated, list[_Entry], WHERE)
+    for number, entry in enumerate(entries):
+        if entry.id in doors:
+            raise FormatError(
+                f"expected unique ids, got {entry.id!r} twice at `{WHERE}[{number}].id`"
+            )
+        for by_state in (entry.cells, entry.solid):
+            for state, by_level in by_state.items():
+                levels = [level for level, _ in by_level]
+                if len({*levels}) < len(levels) or not all(
+                    0 <= level < len(num_cells) and _are_runs(runs, num_cells[level])
+                    for level, runs in by_level
+                ):
+                    raise FormatError(
+                        "expected each level once, with [first cell, count, …] within the grid, "
+                        f"in state {state} at `{WHERE}[{number}]`"
+                    )
+        cells, solid = (
+            {str(state): dict(by_level) for state, by_level in by_state.items()}
+            for by_state in (entry.cells, entry.solid)
+        )
+        doors[entry.id] = Door(entry.id, entry.joint, entry.rooms, entry.state, cells, solid)
     return tuple(doors.values())
 
 
-def _parse(entry: Any, num_cells: Sequence[int], here: str) -> Door:
-    if not isinstance(entry, dict) or not isinstance(entry.get("cells"), dict):
-        raise FormatError(f"expected a door with `cells` at `{here}`")
-    if not isinstance(entry.get("id"), str) or entry.get("state") not in STATES:
-        raise FormatError(f"expected a door with an `id` and a `state` at `{here}`")
-    joint, rooms = entry.get("joint"), entry.get("rooms", [])
-    are_rooms = isinstance(rooms, list | tuple) and all(isinstance(r, str | None) for r in rooms)
-    if not isinstance(joint, str | None) or not are_rooms:
-        raise FormatError(f"expected `joint` to be a name and `rooms` to be ids at `{here}`")
-    cells = _parse_states(entry["cells"], num_cells, f"{here}.cells")
-    solid = _parse_states(entry.get("solid", {}), num_cells, f"{here}.solid")
-    return Door(entry["id"], joint, tuple(rooms), entry["state"], cells, solid)
-
-
-def _parse_states(stated: Any, num_cells: Sequence[int], where: str) -> dict[str, dict[int, Runs]]:
-    if not isinstance(stated, dict):
-        raise FormatError(f"expected an object by state at `{where}`")
-    cells = {}
-    for state, entries in stated.items():
-        if state not in STATES or not isinstance(entries, list):
-            raise FormatError(f"expected a list for a known state at `{where}`")
-        cells[state] = _parse_cells(entries, num_cells, f"`{where}.{state}`")
-    return cells
-
-
-def _parse_cells(entries: list[Any], num_cells: Sequence[int], where: str) -> dict[int, Runs]:
-    per_level: dict[int, Runs] = {}
-    for entry in entries:
-        level, runs = entry if isinstance(entry, list) and len(entry) == 2 else (-1, [])
-        is_level = type(level) is int and 0 <= level < len(num_cells)
-        if not is_level or not _are_runs(runs, num_cells[level]):
-            raise FormatError(
-                f"expected [level, [first cell, count, …]] within the grid at {where}"
-            )
-        if level in per_level:
-            raise FormatError(f"expected one entry a level, got level {level} twice at {where}")
-        per_level[level] = runs
-    return per_level
-
-
-def _are_runs(runs: Any, num_cells: int) -> bool:
-    if not isinstance(runs, list) or len(runs) % 2 or any(type(v) is not int for v in runs):
+def _are_runs(runs: list[int], num_cells: int) -> bool:
+    """Whether runs ascend, don't overlap, and end with the cells."""
+    if len(runs) % 2:
         return False
-    end = 0  # runs ascend and don't overlap
+    end = 0
     for first, count in zip(runs[::2], runs[1::2], strict=True):
         if first < end or not 0 < count <= num_cells - first:
             return False

@@ -1,15 +1,19 @@
 """What a grid's metadata state of its attributes, its links and its single levels."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.types import Int, Json
 
+LINKS = "metadata.navbake.links"
+Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Arrays = Mapping[str, NDArray[Any]]
 
 # Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
@@ -71,33 +75,41 @@ class Link:
 def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
     """Read ``metadata.navbake.links``, None for nothing, on levels of so many cells.
 
-    They are a flat list of whole numbers, four a link, or a list of lists of four. The result has
-    the fields of a `Link` in each row, shape (n, 4), int64, read-only.
+    They are a list of lists of four, or a flat list. The result has the fields of a `Link` in each
+    row, shape (n, 4), int64, read-only.
     """
-    where = "at `metadata.navbake.links`"
-    numbers = [] if stated is None else stated
-    # navbake writes a list of lists; both forms become one flat list
-    if isinstance(numbers, list) and any(isinstance(link, list | tuple) for link in numbers):
-        if any(not isinstance(link, list | tuple) or len(link) != 4 for link in numbers):
-            raise FormatError(f"expected links of 4 numbers each {where}")
-        numbers = [number for link in numbers for number in link]
-    if not isinstance(numbers, list) or len(numbers) % 4 or not set(map(type, numbers)) <= {int}:
-        raise FormatError(f"expected a list of whole numbers, 4 a link, {where}")
-    stated_links = np.array(numbers, dtype=np.float64).reshape(-1, 4)  # float64: no overflow
-    for column, name in ((0, "level"), (2, "level"), (1, "cell"), (3, "cell")):
-        limit: Any = len(num_cells)
-        if name == "cell":  # the levels were checked before
-            limit = np.array(num_cells, dtype=np.int64)[stated_links[:, column - 1].astype(int)]
-        bad = (stated_links[:, column] < 0) | (stated_links[:, column] >= limit)
-        if bad.any():
-            number = int(np.argmax(bad))
+    rows = parse_rows(stated or [])
+    links = np.array(rows, dtype=np.int64).reshape(-1, 4)
+    for number, (level, cell) in enumerate(links.reshape(-1, 2).tolist()):
+        if not (0 <= level < len(num_cells) and 0 <= cell < num_cells[level]):
             raise FormatError(
-                f"expected an existing {name}, got {stated_links[number, column]:.0f} "
-                f"in link {number} {where}"
+                f"expected an existing cell, got cell {cell} of level {level} in link "
+                f"{number // 2} at `{LINKS}`"
             )
-    links = stated_links.astype(np.int64)
     links.flags.writeable = False
     return links
+
+
+def parse_rows(stated: Any) -> list[tuple[int, int, int, int]]:
+    """Links as rows of four whole numbers that int64 holds, from either form."""
+    if isinstance(stated, list) and stated and not isinstance(stated[0], list | tuple):
+        stated = [stated[i : i + 4] for i in range(0, len(stated), 4)]
+    rows: list[tuple[int, int, int, int]] = read_table(stated, list[tuple[Id, Id, Id, Id]], LINKS)
+    return rows
+
+
+def read_table(stated: Any, kind: Any, where: str) -> Any:
+    """Read a table of a file as a type; msgspec says what doesn't fit, and where in the table.
+
+    Raises:
+        FormatError: an entry doesn't fit.
+    """
+    try:
+        return msgspec.convert(stated, kind)
+    except msgspec.ValidationError as error:
+        text = str(error) if "`$" in str(error) else f"{error} - at `$`"
+        text = text.replace(" - at ", " at ").replace("`$", f"`{where}")
+        raise FormatError(f"{text[0].lower()}{text[1:]}") from error
 
 
 def cut_metadata(metadata: Json, level: int) -> Json:
@@ -111,54 +123,51 @@ def cut_metadata(metadata: Json, level: int) -> Json:
     if not isinstance(own, dict) or not own:
         return metadata
     cut = dict(own)
-    if _are_objects(own.get("levels")):
-        cut["levels"] = own["levels"][level : level + 1]
-    if "links" in own:
-        cut["links"] = _cut_links(own["links"], level)
-    if _are_objects(own.get("rooms")):
-        cut["rooms"] = _cut_rooms(own["rooms"], level)
-    if _are_objects(own.get("doors")):
-        cut["doors"] = _cut_doors(own["doors"], level)
+    for name, cut_table in CUTS.items():
+        with suppress(AttributeError, FormatError, KeyError, TypeError):
+            cut[name] = cut_table(own[name], level)
     return {**metadata, "navbake": cut}
-
-
-def _are_objects(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
 
 
 def _cut_links(links: Any, level: int) -> list[Any]:
     """The links within one level: neighbours on a ramp that rises more than a step over a cell."""
-    if not isinstance(links, list):
-        return []
-    if not all(isinstance(row, list) for row in links):  # a flat list, four numbers a link
-        links = [links[i : i + 4] for i in range(0, len(links), 4)]
-    own = [row for row in links if len(row) == 4 and row[0] == row[2] == level]
-    return [[0, row[1], 0, row[3]] for row in own]
+    return [[0, one, 0, other] for at, one, to, other in parse_rows(links) if at == to == level]
 
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    elsewhere = {str(room.get("id")) for room in rooms if room.get("level") != level}
+    elsewhere = {room["id"] for room in rooms if room["level"] != level}
     # copied before they are changed: the whole keeps its table
-    cut = [{**room, "level": 0} for room in rooms if room.get("level") == level]
-    for room in cut:
-        if _are_objects(room.get("neighbours")):
-            near = room["neighbours"]
-            room["neighbours"] = [n for n in near if str(n.get("room")) not in elsewhere]
-    return cut
+    return [
+        {
+            **room,
+            "level": 0,
+            "neighbours": [n for n in room["neighbours"] if n["room"] not in elsewhere],
+        }
+        for room in rooms
+        if room["level"] == level
+    ]
 
 
 def _cut_doors(doors: list[Json], level: int) -> list[Json]:
-    def on_level(entries: list[Any]) -> list[Any]:
-        return [[0, *e[1:]] for e in entries if isinstance(e, list) and e[:1] == [level]]
-
     cut = []
     for door in doors:
         # a door on two levels (beside a stair) is on both, with the cells of each
-        here: Json = {}
-        for key in ("cells", "solid"):
-            stated = door.get(key)
-            if isinstance(stated, dict) and all(isinstance(e, list) for e in stated.values()):
-                here[key] = {state: on_level(entries) for state, entries in stated.items()}
+        here: Json = {
+            key: {
+                state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
+                for state, entries in door[key].items()
+            }
+            for key in ("cells", "solid")
+            if key in door
+        }
         if any(any(by_state.values()) for by_state in here.values()):
             cut.append({**door, **here})
     return cut
+
+
+CUTS: dict[str, Callable[[Any, int], Any]] = {
+    "levels": lambda levels, level: levels[level : level + 1],
+    "links": _cut_links,
+    "rooms": _cut_rooms,
+    "doors": _cut_doors,
+}

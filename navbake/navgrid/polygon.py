@@ -6,13 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.navgrid.lattice import FARTHEST, Lattice
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float
 
 MAX_CORNERS = 10_000  # of one outline
-# Pairs of sides of one outline that are compared: 2000 corners of any shape have fewer, and 100,000
-# corners in 50 such outlines take seconds
-MAX_PAIRS = 2_000_000
-PIECE = 1 << 16  # pairs that are compared at once, for the memory that it takes
+PAIRS = 1 << 18  # of sides that are compared at once, for the memory that it takes
 WIDE = 1e-6  # of an outline's length: one that is wider is no line
 
 
@@ -31,18 +28,11 @@ def find_fault(points: ArrayLike) -> str | None:
     if _is_line(corners):
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    try:
-        crossing = _find_crossing(sides)
-    except _TooMany as error:
-        return f"{error} pairs of sides beside each other, more than {MAX_PAIRS}"
+    crossing = _find_crossing(sides)
     if crossing is None:
         return None
     named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[list(crossing)]]
     return "sides that cross: " + " and ".join(named)
-
-
-class _TooMany(Exception):
-    """More pairs of sides than may be compared."""
 
 
 def _is_line(corners: Float) -> bool:
@@ -55,39 +45,22 @@ def _is_line(corners: Float) -> bool:
 
 
 def _find_crossing(sides: Float) -> tuple[int, int] | None:
-    """The first two sides that cross, None if none do.
+    """The first two sides that cross, None if none do: each has the other's ends on two sides."""
 
-    Only sides that overlap along an axis can: they are found by sorting (sweep and prune), along
-    the axis where fewer do.
+    def are_split(by: Float, sides: Float) -> Bool:
+        x0, y0, x1, y1 = np.moveaxis(by, -1, 0)
+        a, b, c, d = np.moveaxis(sides, -1, 0)
+        turns = ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in ((a, b), (c, d)))
+        one, other = map(np.sign, turns)
+        return np.asarray(one * other < 0)
 
-    Raises:
-        _TooMany: more overlap than may be compared.
-    """
-    if len(sides) < 4:
-        return None
-    order, end = min((_sort_along(sides, axis) for axis in (0, 1)), key=lambda way: way[1].sum())
-    first = np.arange(len(sides))
-    count = end - first - 1
-    start = np.concatenate([[0], np.cumsum(count)])
-    if start[-1] > MAX_PAIRS:
-        raise _TooMany(str(start[-1]))
-    found = []
-    for begin in range(0, int(start[-1]), PIECE):
-        number = np.arange(begin, min(begin + PIECE, int(start[-1])))
-        one = np.searchsorted(start, number, side="right") - 1
-        other = one + 1 + number - start[one]
-        crossed = _crosses(sides[order[one]], sides[order[other]])
-        pair = np.stack([order[one[crossed]], order[other[crossed]]], axis=1)
-        found += np.sort(pair, axis=1).tolist()
-    return min(((one, other) for one, other in found), default=None)
-
-
-def _sort_along(sides: Float, axis: int) -> tuple[Int, Int]:
-    """Sides in order along an axis; and for each place, the first after it that lies beyond."""
-    low = np.minimum(sides[:, axis], sides[:, axis + 2])
-    high = np.maximum(sides[:, axis], sides[:, axis + 2])
-    order = np.argsort(low, kind="stable")
-    return order, np.searchsorted(low[order], high[order], side="right")
+    rows = max(1, PAIRS // len(sides))
+    for first in range(0, len(sides), rows):
+        ones = sides[first : first + rows, None]
+        found = np.argwhere(are_split(ones, sides[None]) & are_split(sides[None], ones))
+        if len(found):  # by the first side, which comes before the other
+            return first + int(found[0, 0]), int(found[0, 1])
+    return None
 
 
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
@@ -114,18 +87,3 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
             np.add.at(turns, (np.arange(rows.start, rows.stop), cols), 1)
     inside: Bool = np.cumsum(turns[:, :-1], axis=1) % 2 == 1
     return inside
-
-
-def _crosses(ones: Float, others: Float) -> Bool:
-    """Which segments x0, y0, x1, y1 cross their others: each has the other's ends on two sides."""
-
-    def side(segment: Float, x: Float, y: Float) -> Float:
-        x0, y0, x1, y1 = segment.T
-        turned: Float = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
-        return np.sign(turned)
-
-    def is_split(segment: Float, by: Float) -> Bool:
-        x0, y0, x1, y1 = segment.T
-        return np.asarray(side(by, x0, y0) * side(by, x1, y1) < 0)
-
-    return is_split(others, ones) & is_split(ones, others)

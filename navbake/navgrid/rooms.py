@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from navbake.errors import FormatError
+from navbake.navgrid.metadata import read_table
 from navbake.types import Json, Vector3
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ class Neighbour:
     """
 
     room: str
-    kind: str
-    door: str | None
+    kind: str = "open"
+    door: str | None = None
 
     def to_json(self) -> Json:
         """The neighbour as a file has it."""
@@ -58,74 +59,30 @@ class Room:
     level: int
     area: float
     centroid: Vector3
-    source: str | None
-    neighbours: tuple[Neighbour, ...]
+    source: str | None = None
+    neighbours: tuple[Neighbour, ...] = ()
     outdoors: bool = False
 
     def to_json(self) -> Json:
         """The room as a file has it; `outdoors` is only stated where it is true."""
         neighbours = [neighbour.to_json() for neighbour in self.neighbours]
-        entry = {**vars(self), "centroid": list(self.centroid), "neighbours": neighbours}
+        entry = {field.name: getattr(self, field.name) for field in fields(self)}
+        entry |= {"centroid": list(self.centroid), "neighbours": neighbours}
         if not self.outdoors:
             del entry["outdoors"]
         return entry
 
 
-# what a field of a room's entry may be; `source` may be missing as well
-FIELDS: dict[str, tuple[type, ...]] = {
-    "index": (int,),
-    "id": (str,),
-    "name": (str, type(None)),
-    "level": (int,),
-    "area": (int, float),
-    "centroid": (list, tuple),
-    "neighbours": (list, tuple),
-}
-
-
 def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
     """Read and check the table at ``metadata.navbake.rooms``; the rooms by level and index."""
-    if not isinstance(stated, list | tuple):
-        raise FormatError(f"expected a list at `{WHERE}`, got {type(stated).__name__}")
-    rooms = [_parse(entry, f"{WHERE}[{i}]", num_levels) for i, entry in enumerate(stated)]
+    if isinstance(stated, list | tuple):
+        stated = [{"name": None, **room} if isinstance(room, dict) else room for room in stated]
+    rooms: list[Room] = read_table(stated, list[Room], WHERE)
+    for number, room in enumerate(rooms):
+        if not 0 <= room.level < num_levels or room.index < 1:
+            where = f"`{WHERE}[{number}]`"
+            raise FormatError(f"expected a level of the grid and an index >= 1 at {where}")
     return tuple(sorted(rooms, key=lambda room: (room.level, room.index)))
-
-
-def _parse(entry: Any, where: str, num_levels: int) -> Room:
-    if not isinstance(entry, dict):
-        raise FormatError(f"expected a room at `{where}`, got {type(entry).__name__}")
-    for key, kinds in FIELDS.items():
-        if not isinstance(entry.get(key), kinds) or isinstance(entry.get(key), bool):
-            raise FormatError(f"expected {kinds[0].__name__} at `{where}.{key}`")
-    if not 0 <= entry["level"] < num_levels or entry["index"] < 1:
-        raise FormatError(f"expected a level of the grid and an index >= 1 at `{where}`")
-    if len(entry["centroid"]) != 3 or not all(type(v) in (int, float) for v in entry["centroid"]):
-        raise FormatError(f"expected [x, y, z] at `{where}.centroid`")
-    x, y, z = entry["centroid"]
-    source = entry.get("source")
-    return Room(
-        index=entry["index"],
-        id=entry["id"],
-        name=entry.get("name"),
-        level=entry["level"],
-        area=entry["area"],
-        centroid=(x, y, z),
-        source=source if isinstance(source, str) else None,
-        neighbours=tuple(_parse_neighbour(n, where) for n in entry["neighbours"]),
-        outdoors=entry.get("outdoors") is True,
-    )
-
-
-def _parse_neighbour(entry: Any, where: str) -> Neighbour:
-    if not isinstance(entry, dict) or not isinstance(entry.get("room"), str):
-        raise FormatError(f"expected neighbours with a `room` at `{where}.neighbours`")
-    kind, door = entry.get("kind"), entry.get("door")
-    is_named = isinstance(door, str) and door != ""
-    return Neighbour(
-        room=entry["room"],
-        kind=kind if isinstance(kind, str) else "door" if is_named else "open",
-        door=door if is_named else None,
-    )
 
 
 def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
@@ -150,8 +107,6 @@ def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
             level=number,
             area=round(float(count[room]) * level.lattice.cell_size**2, 6),
             centroid=_rounded(*(float(total[room] / count[room]) for total in sums)),
-            source=None,
-            neighbours=(),
         )
         for room in np.flatnonzero(count)
         if room

@@ -148,17 +148,17 @@ def test_no_links_is_an_answer():
 @pytest.mark.parametrize(
     ("links", "culprit"),
     [
-        ([[0, 6, 2, 7]], "an existing level, got 2 in link 0"),
-        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "an existing level, got -1 in link 1"),
-        ([[0, 6, 1, 20]], "an existing cell, got 20 in link 0"),
-        ([[0, -1, 1, 2]], "an existing cell, got -1 in link 0"),
-        ([[0, 10**30, 1, 2]], "an existing cell"),
-        ([[0, 6, 1]], "links of 4 numbers"),
-        ([0, 6, 1], "4 a link"),
-        ([0, 6, 1, True], "whole numbers"),
-        ([[0, 6, 1, 1.5]], "whole numbers"),
-        ([[0, 6, 1, 1], 5], "links of 4 numbers"),
-        ("0 6 1 1", "whole numbers"),
+        ([[0, 6, 2, 7]], "an existing cell, got cell 7 of level 2 in link 0"),
+        ([[0, 6, 1, 7], [-1, 6, 1, 7]], "an existing cell, got cell 6 of level -1 in link 1"),
+        ([[0, 6, 1, 20]], "an existing cell, got cell 20 of level 1 in link 0"),
+        ([[0, -1, 1, 2]], "an existing cell, got cell -1 of level 0"),
+        ([[0, 10**30, 1, 2]], "`int`"),
+        ([[0, 6, 1]], "got"),
+        ([0, 6, 1], "length 4, got 3"),
+        ([0, 6, 1, True], "expected `(int|array)`, got"),
+        ([[0, 6, 1, 1.5]], "expected `(int|array)`, got"),
+        ([[0, 6, 1, 1], 5], "got"),
+        ("0 6 1 1", "expected `(int|array)`, got"),
     ],
 )
 def test_links_that_lead_nowhere_are_refused(links, culprit):

@@ -60,7 +60,7 @@ def test_another_table_is_parsed_anew():
 
 
 def test_what_entries_may_leave_out():
-    ways = [{"room": "0:2"}, {"room": "0:3", "door": "gate"}]
+    ways = [{"room": "0:2"}, {"room": "0:3", "kind": "door", "door": "gate"}]
     stated = {key: value for key, value in ROOM.items() if key != "source"}
     (room,) = parse_rooms([{**stated, "neighbours": ways}], 1)
     assert room.source is None
@@ -96,12 +96,15 @@ def test_a_large_map_without_rooms_takes_no_memory_for_them():
 @pytest.mark.parametrize(
     ("rooms", "culprit"),
     [
-        ({}, "expected a list at `metadata.navbake.rooms`, got dict"),
-        ([7], r"expected a room at `metadata.navbake.rooms\[0\]`, got int"),
+        ({}, "expected `array`, got `object` at `metadata.navbake.rooms`"),
+        ([7], r"expected `object`, got `int` at `metadata.navbake.rooms\[0\]`"),
         ([{**ROOM, "index": True}], r"rooms\[0\].index"),
         ([{**ROOM, "index": 0}], r"a level of the grid and an index >= 1"),
         ([{**ROOM, "level": 1}], r"a level of the grid and an index >= 1"),
-        ([ROOM, {**ROOM, "id": None}], r"expected str at `metadata.navbake.rooms\[1\].id`"),
+        (
+            [ROOM, {**ROOM, "id": None}],
+            r"`str`, got `null` at `metadata.navbake.rooms\[1\].id`",
+        ),
         ([{**ROOM, "centroid": [1.0]}], r"rooms\[0\].centroid"),
         ([{**ROOM, "centroid": ["x", 0, 0]}], r"rooms\[0\].centroid"),
         ([{**ROOM, "neighbours": ["hall"]}], r"rooms\[0\].neighbours"),
