@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,50 +18,20 @@ from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Int, Json
 
 
-class Standing(NamedTuple):
-    """What stands in cells, as the grid tells it.
-
-    Attributes:
-        notes: what is warned of; None where nothing is known.
-        user_data: gives the names of a level's cells in a window; None where none are wanted.
-        floors: the floor of each level as it is written, shape (height, width) of the whole
-            lattice, float32; None where that is to be made.
-        weigh: gives the weights of a level's cells, which may know those of the last grid; None
-            where all are to be made.
-    """
-
-    notes: ContentNotes | None
-    user_data: Callable[[int, Window], UserData] | None
-    floors: list[NDArray[np.float32]] | None = None
-    weigh: Callable[[int, Bool], Float] | None = None
-
-    @classmethod
-    def of(cls, stages: Stages) -> Standing:
-        """As the stages of a bake have it."""
-        contents = stages.contents
-        if contents is None:
-            return cls(None, None)
-        named = contents.user_data if stages.config.names.enabled else None
-        return cls(ContentNotes.of(stages.scene, contents), named)
-
-
-def build_grid(stages: Stages, standing: Standing | None = None) -> SceneGrid2D | MultiLevelGrid:
+def build_grid(stages: Stages, notes: ContentNotes | None = None) -> SceneGrid2D | MultiLevelGrid:
     """Put what the stages found into the grid that is written.
 
     Args:
-        standing: what stands in the cells; as the stages have it if None.
+        notes: what is to be told of the contents; found in those of the stages if None.
     """
-    standing = standing or Standing.of(stages)
     windows = stages.boxes.windows
     doors = _cut_doors(stages, windows)
-    metadata = _metadata(stages, windows, doors, standing.notes)
+    metadata = _metadata(stages, windows, doors, notes)
     places = enumerate(zip(windows, stages.boxes.boxes, strict=True))
-    grids = [
-        _level_grid(stages, number, *place, doors, metadata, standing) for number, place in places
-    ]
+    grids = [_level_grid(stages, number, *place, doors, metadata) for number, place in places]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
         grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)
@@ -76,7 +46,6 @@ def _level_grid(
     box: Box,
     doors: Sequence[Door],
     metadata: Json,
-    standing: Standing,
 ) -> SceneGrid2D:
     """One level's grid, blocked by the doors in their states."""
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
@@ -84,13 +53,8 @@ def _level_grid(
     occupied = stages.occupancy.levels[number][window].copy()
     for door in doors:
         occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
-    floor = (
-        level.floor[window].astype(np.float32)
-        if standing.floors is None
-        else (np.ascontiguousarray(standing.floors[number][window]))
-    )
     attributes: dict[str, NDArray[Any]] = {
-        "floorHeight": floor,
+        "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.view(np.uint8),
     }
@@ -100,8 +64,8 @@ def _level_grid(
             solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
         attributes["solid"] = solid.view(np.uint8)
     user_data = UserData()
-    if standing.user_data is not None:  # read on first use
-        named = standing.user_data(number, window)
+    if stages.contents is not None and stages.config.names.enabled:  # read on first use
+        named = stages.contents.user_data(number, window)
         user_data = with_door_names(named, doors, number, num_levels)
     return SceneGrid2D(
         width=part.width,
@@ -109,16 +73,11 @@ def _level_grid(
         cell_size=part.cell_size,
         min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
         bbox_yup=box,
-        weights=standing.weigh(number, occupied) if standing.weigh else weigh(occupied),
+        weights=np.where(occupied, np.inf, 1.0),
         attributes=attributes,
         user_data=user_data,
         metadata=metadata,
     )
-
-
-def weigh(occupied: Bool) -> Float:
-    """The weights of a level's cells: infinite where they are occupied."""
-    return np.where(occupied, np.inf, 1.0)
 
 
 def _metadata(

@@ -9,6 +9,7 @@ import numpy as np
 from navbake.baker.clock import StageClock
 from navbake.baker.columns import (
     Columns,
+    ColumnSource,
     GatheredColumns,
     Rows,
     TiledShapes,
@@ -16,12 +17,14 @@ from navbake.baker.columns import (
     cast_points,
     split_rows,
 )
-from navbake.baker.cracks import ALL, close_cracks
+from navbake.baker.cracks import close_cracks
+from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.kernels.tiles import BAND
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
-from navbake.types import Bool, Int, Int32
+from navbake.types import Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
@@ -48,11 +51,6 @@ class ColumnBlocks:
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= KEPT_CELLS:
                 self._kept = self._find_all()
-
-    @property
-    def are_kept(self) -> bool:
-        """Whether all columns are kept."""
-        return self._kept is not None
 
     def blocks(self) -> Iterator[Columns]:
         """The columns of all rows, by bands of them, in their order.
@@ -85,23 +83,8 @@ class ColumnBlocks:
         if self._some is None or not np.isin(cells, self._some[0]).all():
             asked = np.unique(cells).astype(np.int64)
             with self._clock.part("columns"):
-                self._some = asked, self._find_at(asked)
+                self._some = asked, cast_at(self._tiled, self._agent, self._crack, asked)
         return self._some[1]
-
-    def join(self, window: Window | None = None, lattice: Lattice | None = None) -> Columns:
-        """All columns together, or those of a window, whose own lattice is given."""
-        if window is None or lattice is None:
-            window, lattice = self._whole_window(), self.lattice
-        if self._kept is not None:
-            return self._kept if lattice == self.lattice else self._kept.cut(*window, lattice)
-        gathered = GatheredColumns(lattice)
-        for columns in self.blocks():
-            part = columns.cut(*window, lattice)
-            gathered.add(part, part.known_rows)
-        return gathered.join()
-
-    def _whole_window(self) -> Window:
-        return slice(0, self.lattice.height), slice(0, self.lattice.width)
 
     def _find(self, rows: Rows) -> Columns:
         return self._close(cast_columns(self._tiled, rows).only_rows(rows))
@@ -116,15 +99,35 @@ class ColumnBlocks:
             gathered.add(self._find(rows), rows)
         return gathered.join()
 
-    def _find_at(self, cells: Int) -> Columns:
-        """The columns of some cells, ascending; others mean nothing."""
-        lattice = self.lattice
-        found = cast_points(self._tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
-        start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        start[cells], start[cells + 1] = found.start[:-1], found.start[1:]
-        is_asked = np.zeros(len(start) - 1, dtype=np.bool_)
-        is_asked[cells] = True
-        return self._close(Columns(lattice, found._replace(start=start)), is_asked)
+    def _close(self, columns: Columns) -> Columns:
+        return close_cracks(columns, self._tiled, self._agent, self._crack)
 
-    def _close(self, columns: Columns, asked: Bool = ALL) -> Columns:
-        return close_cracks(columns, self._tiled, self._agent, self._crack, asked)
+
+def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
+    """The columns of a window of a lattice together, whose own lattice is given."""
+    gathered, is_whole = GatheredColumns(lattice), lattice == source.lattice
+    for columns in source.blocks():
+        if is_whole and columns.rows is None:
+            return columns
+        part = columns if is_whole else columns.cut(*window, lattice)
+        gathered.add(part, part.known_rows)
+    return gathered.join()
+
+
+def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) -> Columns:
+    """Cast the columns of some cells, ascending; others mean nothing."""
+    lattice = tiled.lattice
+    found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
+    columns = place_columns(lattice, cells, found)
+    is_asked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
+    is_asked[cells] = True
+    return close_cracks(columns, tiled, agent, crack, is_asked)
+
+
+def place_columns(lattice: Lattice, cells: Int, crossings: Crossings) -> Columns:
+    """Columns that are numbered as some cells are, ascending, by the ids of these."""
+    start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
+    start[cells], start[cells + 1] = crossings.start[:-1], crossings.start[1:]
+    rows = (0, 0) if not len(cells) else (cells[[0, -1]] // lattice.width).tolist()
+    asked = Rows(rows[0] // BAND * BAND, min(rows[1] // BAND * BAND + BAND, lattice.height))
+    return Columns(lattice, crossings._replace(start=start), asked)

@@ -141,14 +141,12 @@ class Columns:
         """
         known = Rows(*np.clip(self.known_rows, rows.start, rows.stop).tolist())
         row, col = np.ogrid[known.first : known.end, cols]
-        cells = (row * self.lattice.width + col).ravel()
-        first, counts = self.start[cells], self.start[cells + 1] - self.start[cells]
+        found = take_columns(self.crossings, (row * self.lattice.width + col).ravel())
         start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
         shown = Rows(known.first - rows.start, known.end - rows.start)
         place, end = shown.cells(lattice)
-        np.cumsum(counts, out=start[place + 1 : end + 1])
-        taken = np.repeat(first - start[place:end], counts) + np.arange(start[end])
-        parts = Crossings(start, *(part[taken] for part in self.crossings[1:]))
+        start[place : end + 1] = found.start
+        parts = found._replace(start=start)
         return Columns(lattice, parts, None if shown == (0, lattice.height) else shown)
 
     def blocks(self) -> Iterator["Columns"]:
@@ -254,10 +252,10 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
         parts[first] = cast_points_at(points[first:end], tile[first:end], *geometry)
 
     run_in_bands(cast, len(points), least=LEAST_POINTS)
-    return _join_crossings([parts[first] for first in sorted(parts)])
+    return join_crossings([parts[first] for first in sorted(parts)])
 
 
-def _join_crossings(parts: list[Crossings]) -> Crossings:
+def join_crossings(parts: list[Crossings]) -> Crossings:
     """Columns of one part after the other."""
     if len(parts) == 1:
         return parts[0]
@@ -268,6 +266,14 @@ def _join_crossings(parts: list[Crossings]) -> Crossings:
     return Crossings(
         np.concatenate([empty.start, *starts]), *(np.concatenate(layer) for layer in layers)
     )
+
+
+def take_columns(crossings: Crossings, cells: Int) -> Crossings:
+    """The columns of some cells, numbered as these are."""
+    first, counts = crossings.start[cells], crossings.start[cells + 1] - crossings.start[cells]
+    start = np.concatenate([[0], np.cumsum(counts)])
+    taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
+    return Crossings(start, *(part[taken] for part in crossings[1:]))
 
 
 def empty_crossings(start: Int, count: int) -> Crossings:

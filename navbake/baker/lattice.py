@@ -106,6 +106,18 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
     return extend(reach), (slice(row, row + lattice.height), slice(col, col + lattice.width))
 
 
+def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
+    """The cells within `reach` [m] of boxes, (n, 6) [m], and one more on each side; ascending."""
+    x0, y0, x1, y1 = lattice.bounds
+    far = reach + 4 * lattice.cell_size  # boxes may be endless
+    low, high = (x0 - far, y0 - far), (x1 + far, y1 + far)
+    mask = np.zeros(lattice.shape, dtype=np.bool_)
+    for corners in boxes.reshape(-1, 2, 3)[:, :, :2].clip(low, high):
+        if window := lattice.window(corners, reach):
+            mask[window] = True
+    return np.flatnonzero(mask)
+
+
 def bounding_window(mask: Bool) -> Window:
     """The smallest window that holds all marked cells, of which there is one at least."""
     rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))

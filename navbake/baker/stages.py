@@ -12,21 +12,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.arguments import take_input
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.column_blocks import ColumnBlocks
+from navbake.baker.column_blocks import ColumnBlocks, join_columns
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
 from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import (
-    Doors,
-    Surroundings,
-    place_doors,
-    warn_immovable_doors,
-    warn_walkable_doors,
-)
+from navbake.baker.doors.doors import Doors, Surroundings, place_doors
 from navbake.baker.floors.levels import FloorFinder, Floors, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.floors.window import crop_floors
@@ -130,7 +125,7 @@ class WholeScene(NamedTuple):
 
     tiled: TiledShapes
     window: Window
-    columns: ColumnBlocks
+    columns: ColumnSource
 
 
 class _Cells(NamedTuple):
@@ -141,11 +136,12 @@ class _Cells(NamedTuple):
     of_columns: ColumnFlags
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Stages:
     """What each stage of a bake finds, where some bodies are taken for doors.
 
     A stage runs when it is first asked for, after those that it builds on, and its value is kept.
+    A value that is known already, as of a scene in which little moved, may be written instead.
 
     Attributes:
         config: all settings.
@@ -195,8 +191,7 @@ class Stages:
     @cached_property
     def columns(self) -> Columns:
         """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
-        _, window, columns = self.whole
-        return columns.join(window, self.lattice)
+        return join_columns(self.whole.columns, self.whole.window, self.lattice)
 
     @property
     def _blocks(self) -> ColumnSource:
@@ -270,7 +265,7 @@ class Stages:
         with self.clock.stage("contents"):
             return None if finder is None else finder.found(self.config.names)
 
-    @property
+    @cached_property
     def of_columns(self) -> ColumnFlags:
         """What rooms read of columns."""
         return self._cells.of_columns
@@ -319,21 +314,20 @@ class Stages:
                     of_columns.look(slice(first, end), crossings, floors.levels)
             return _Cells(occupancy.found(), contents, of_columns)
 
+    @property
+    def around_doors(self) -> Surroundings:
+        """What doors stand in."""
+        levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprints)
+        return Surroundings(self._blocks, levels, *found, self.config.agent)
+
     @cached_property
     def doors(self) -> Doors:
         """What each door blocks in each state, and which candidates are no doors."""
-        config, levels = self.config, self.floors.levels
-        around = Surroundings(levels, self.occupancy, self.rooms, self.footprints)
+        around = self.around_doors
         # a door is too small to be worth more than one thread
         with self.clock.stage("doors"), limit_threads(1):
-            doors = place_doors(self.scene, self.candidates, around)
-            if doors.rejected:
-                return doors  # the doors are not settled: see `settle_doors`
-            immovable = warn_immovable_doors(doors.placed, config.doors.state)
-            walkable = warn_walkable_doors(
-                self.scene, self.candidates, self._blocks, levels, config.agent
-            )
-            return replace(doors, warnings=[*immovable, *walkable])
+            placings = place_doors(self.scene, self.candidates, around)
+            return Doors(placings, self.config.doors.state)
 
     @cached_property
     def boxes(self) -> LevelBoxes:
@@ -344,6 +338,11 @@ class Stages:
             self.config.agent.height,
         )
         return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+
+    @cached_property
+    def floor_layers(self) -> list[NDArray[np.float32]]:
+        """The floor of each level as it is written, of the whole lattice."""
+        return [level.floor.astype(np.float32) for level in self.floors.levels]
 
     @cached_property
     def room_table(self) -> list[Json]:
@@ -368,7 +367,7 @@ class Stages:
         that is asked for again is found again.
         """
         names = "tiled", "whole", "columns", "_judged_shapes", "_known_geoms", "_cells"
-        for name in (*names, "room_flags"):
+        for name in (*names, "room_flags", "of_columns"):
             self.__dict__.pop(name, None)
 
     @contextmanager

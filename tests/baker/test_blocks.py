@@ -6,8 +6,8 @@ import pytest
 from navbake.baker import column_blocks
 from navbake.baker import columns as columns_module
 from navbake.baker.clock import StageClock
-from navbake.baker.column_blocks import ColumnBlocks
-from navbake.baker.columns import split_rows
+from navbake.baker.column_blocks import ColumnBlocks, join_columns
+from navbake.baker.columns import Columns, split_rows
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import bake_stages, take_first_look
 from navbake.config.settings import load_config, parse_config
@@ -37,13 +37,17 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     def find() -> ColumnBlocks:
         return ColumnBlocks(tiled, config.agent, config.floors.crack, StageClock())
 
-    whole, width = find().join(), tiled.lattice.width
+    def join() -> Columns:
+        window = slice(0, tiled.lattice.height), slice(0, tiled.lattice.width)
+        return join_columns(find(), window, tiled.lattice)
+
+    whole, width = join(), tiled.lattice.width
     assert len(whole.z) > len(columns_module.cast_columns(tiled).z)
     cells = np.unique(np.random.default_rng(0).integers(0, width * tiled.lattice.height, 500))
     for rows in (8, 16, 40):
         monkeypatch.setattr(columns_module, "BLOCK_CELLS", rows * width)
         assert len(split_rows(tiled.lattice)) == -(-tiled.lattice.height // rows)
-        for one, other in zip(find().join().crossings, whole.crossings, strict=True):
+        for one, other in zip(join().crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
     monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
     some = find().at(cells)

@@ -62,7 +62,7 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert stages.occupancy.levels[0].sum() == 25
     assert not stages.contents.wall_cells(0).any()
     assert [room.id for room in stages.rooms.table] == ["0:1"]
-    assert stages.doors == Doors([], [])
+    assert stages.doors.placings == []
 
 
 def test_columns_can_be_looked_at_where_there_is_no_floor(tmp_path):

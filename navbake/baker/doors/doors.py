@@ -4,9 +4,12 @@ Floors, levels and rooms are found without the doors. The cells of a door are la
 everything else occupies, so that a grid with a door in another state equals a bake of it.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +25,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.doors import STATES
-from navbake.types import Bool, Int
+from navbake.types import Bool, Float, Int
 
 # How far from each side of a closed leaf a room is looked for [m]
 SIGHT = 0.6
@@ -49,6 +52,7 @@ class PlacedDoor:
         solid: as `cells`, of the cells whose squares the door meets and nothing else does; empty
             where the footprint is the square.
         travel: by how much its joint opens it, with the unit; empty for no joint.
+        carried: a warning of the floor that it carries; empty for none.
     """
 
     id: str
@@ -58,39 +62,97 @@ class PlacedDoor:
     closed_cells: list[Int]
     solid: dict[str, list[Int]] = field(default_factory=dict)
     travel: str = ""
+    carried: str = ""
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
 
 
-@dataclass(frozen=True)
-class Doors:
-    """The doors of a scene.
+class Placing(NamedTuple):
+    """What a candidate turned out to be.
 
     Attributes:
-        placed: the doors.
-        rejected: candidates that stand on the lattice and join no two rooms. They are parts of
-            the scene, which is to be baked again with them: see `settle_doors`.
-        warnings: what the user should know, one line each.
+        candidate: the candidate.
+        door: None where it is no door.
+        is_part: whether it is a part of the scene: it stands on the lattice and joins no two rooms.
+        box: round all of its states, shape (2, 3) [m]; None if it has no geometry.
     """
 
-    placed: list[PlacedDoor]
-    rejected: list[DoorCandidate]
-    warnings: list[str] = field(default_factory=list)
+    candidate: DoorCandidate
+    door: PlacedDoor | None
+    is_part: bool
+    box: Float | None
+
+    def depends_on(self, row: Int, col: Int, around: Surroundings) -> bool:
+        """Whether it may be another one where something changed in some cells."""
+        lattice = around.rooms.lattice
+        reach = max(SIGHT, around.footprints.whole.reach) + lattice.cell_size
+        window = None if self.box is None else lattice.window(self.box, reach)
+        if window is None:
+            return False
+        (top, bottom), (left, right) = ((part.start, part.stop) for part in window)
+        return bool(((row >= top) & (row < bottom) & (col >= left) & (col < right)).any())
+
+
+@dataclass(frozen=True)
+class Doors:
+    """The doors of a scene: what each candidate is, and the state that is wanted of all doors."""
+
+    placings: list[Placing]
+    wanted: str
+
+    @property
+    def placed(self) -> list[PlacedDoor]:
+        """The doors."""
+        return [one.door for one in self.placings if one.door]
+
+    @property
+    def rejected(self) -> list[DoorCandidate]:
+        """The candidates that are parts of the scene, which is to be baked again with them.
+
+        See `settle_doors`.
+        """
+        return [one.candidate for one in self.placings if one.is_part]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the user should know, one line each: of doors that open nothing, or carry floor."""
+        warnings = []
+        for door in self.placed:
+            if "open" in door.cells:
+                pairs = zip(door.cells["closed"], door.cells["open"], strict=True)
+                both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
+                if both and both >= STUCK * sum(map(len, door.cells["closed"])):
+                    warnings.append(
+                        f"the open state of door {door.id!r} still closes its doorway, as its "
+                        f"joint opens it by {door.travel} only: check its range, whether the file "
+                        "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
+                    )
+        immovable = [door for door in self.placed if door.state(self.wanted) != self.wanted]
+        warnings += [
+            f"door {door.id!r} can't be {self.wanted}, as it has no hinge or slide of its own: it "
+            "stays as modelled"
+            for door in immovable
+        ]
+        return warnings + [door.carried for door in self.placed if door.carried]
 
 
 @dataclass(frozen=True)
 class Surroundings:
     """What doors stand in: what was found in the scene without them."""
 
+    columns: ColumnSource
     floors: Sequence[LevelFloor]
     occupancy: Occupancy
     rooms: Rooms
     footprints: Footprints
+    agent: AgentSettings
 
 
-def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings) -> Doors:
+def place_doors(
+    scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings
+) -> list[Placing]:
     """Decide which candidates are doors, and find the cells that each door blocks in each state.
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
@@ -98,21 +160,22 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
     door of the grid, and nothing of the grid changes with it. The scene is the whole one.
     """
     if not candidates:
-        return Doors([], [])
+        return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
-    extents = measure_geoms(posed["closed"], scene.model.ngeom)
-    placed: list[PlacedDoor] = []
-    rejected: list[DoorCandidate] = []
+    extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
+    placings = []
     for candidate in candidates:
-        by_state = _blocked_by_state(posed, candidate, around)
+        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
+        boxes = [box for shapes in own.values() if (box := shapes.bounds()) is not None]
+        box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
+        by_state = _blocked_by_state(own, candidate, around)
         blocked = {state: cells for state, (cells, _) in by_state.items()}
-        leaf = largest_side(extents, candidate.geoms)
-        rooms = _rooms_beside(leaf, extents, blocked["closed"], around)
+        leaf = largest_side(extents["closed"], candidate.geoms)
+        rooms = _rooms_beside(leaf, extents["closed"], blocked["closed"], around)
         if rooms is None and not candidate.named:
-            box = candidate.only(posed["modelled"]).bounds()
-            reach = around.footprints.whole.reach
-            if box is None or around.rooms.lattice.window(box, reach) is not None:
-                rejected.append(candidate)
+            bounds, reach = own["modelled"].bounds(), around.footprints.whole.reach
+            is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
+            placings.append(Placing(candidate, None, is_part, box))
             continue
         occupied, squares = around.occupancy.levels, around.occupancy.solid
         cells = {state: _only_free(levels, occupied) for state, levels in blocked.items()}
@@ -126,36 +189,17 @@ def place_doors(scene: Scene, candidates: Sequence[DoorCandidate], around: Surro
             is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
             travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
         names, sides = (candidate.id, candidate.joint), rooms or (None, None)
-        placed.append(PlacedDoor(*names, sides, cells, blocked["closed"], solid, travel))
-    return Doors(placed, rejected)
-
-
-def warn_immovable_doors(doors: Sequence[PlacedDoor], state: str) -> list[str]:
-    """Warn of doors that can't be in the state that is wanted of all, or that open nothing."""
-    warnings = []
-    for door in doors:
-        if "open" in door.cells:
-            pairs = zip(door.cells["closed"], door.cells["open"], strict=True)
-            both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
-            if both and both >= STUCK * sum(map(len, door.cells["closed"])):
-                warnings.append(
-                    f"the open state of door {door.id!r} still closes its doorway, as its joint "
-                    f"opens it by {door.travel} only: check its range, whether the file means "
-                    "degrees or radians (`<compiler angle>`), and `grid.cell_size`"
-                )
-    return warnings + [
-        f"door {door.id!r} can't be {state}, as it has no hinge or slide of its own: it stays as "
-        f"modelled"
-        for door in doors
-        if door.state(state) != state
-    ]
+        carried = _warn_walkable(candidate, own, extents, around)
+        door = PlacedDoor(*names, sides, cells, blocked["closed"], solid, travel, carried)
+        placings.append(Placing(candidate, door, False, box))
+    return placings
 
 
 # ---------------------------------------------------------------- what a door blocks
 
 
 def _blocked_by_state(
-    posed: dict[str, Shapes], candidate: DoorCandidate, around: Surroundings
+    own: dict[str, Shapes], candidate: DoorCandidate, around: Surroundings
 ) -> dict[str, tuple[list[Int], list[Int]]]:
     """For each state that the door has, and each level, the cells that it blocks.
 
@@ -164,10 +208,10 @@ def _blocked_by_state(
     """
     blocked: dict[str, tuple[list[Int], list[Int]]] = {}
     state_at: dict[float | None, str] = {}
-    for state, shapes in posed.items():
+    for state, shapes in own.items():
         # states at one position of the joint are found once
         first = state_at.setdefault(candidate.position(state), state)
-        blocked[state] = blocked.get(first) or _blocked_cells(candidate.only(shapes), around)
+        blocked[state] = blocked.get(first) or _blocked_cells(shapes, around)
     if not candidate.positions:
         del blocked["open"]
     return blocked
@@ -262,45 +306,35 @@ def _room_in_sight(
 # ---------------------------------------------------------------- what one could walk on
 
 
-def warn_walkable_doors(
-    scene: Scene,
-    doors: Sequence[DoorCandidate],
-    columns: ColumnSource,
-    floors: Sequence[LevelFloor],
-    agent: AgentSettings,
-) -> list[str]:
-    """Warn of doors that carry 0.5 m² of floor or more, in any of their states.
+def _warn_walkable(
+    door: DoorCandidate,
+    own: dict[str, Shapes],
+    extents: dict[str, Extents],
+    around: Surroundings,
+) -> str:
+    """Warn of a door that carries 0.5 m² of floor or more, in any of its states; else empty.
 
     Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
     than a step from a floor beside it, and not on a floor, as a mat does. The columns and floors
     are without doors.
     """
-    warnings: dict[str, str] = {}
     for state, when in WHEN.items():
-        left = [door for door in doors if door.id not in warnings]
-        if not left:
-            break
-        shapes = pose_doors(scene, left, state)
-        extents = measure_geoms(shapes, scene.model.ngeom)
-        for door in left:
-            # seen from above, most doors are too small, which is quickly found
-            if np.nansum((extents.thin * extents.long)[door.geoms]) < MIN_AREA - SLACK:
-                continue
-            area = _walkable_area(door.only(shapes), columns, floors, agent)
-            if area >= MIN_AREA - SLACK:
-                warnings[door.id] = (
-                    f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
-                    f"missing in the grid, because doors carry no floor: exclude it from `doors` "
-                    f"if agents walk on it"
-                )
-    return [warnings[door.id] for door in doors if door.id in warnings]
+        # seen from above, most doors are too small, which is quickly found
+        if np.nansum((extents[state].thin * extents[state].long)[door.geoms]) < MIN_AREA - SLACK:
+            continue
+        area = _walkable_area(own[state], around)
+        if area >= MIN_AREA - SLACK:
+            return (
+                f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
+                f"missing in the grid, because doors carry no floor: exclude it from `doors` "
+                f"if agents walk on it"
+            )
+    return ""
 
 
-def _walkable_area(
-    shapes: Shapes, columns: ColumnSource, floors: Sequence[LevelFloor], agent: AgentSettings
-) -> float:
+def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
     """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
-    lattice, bounds = columns.lattice, shapes.bounds()
+    lattice, bounds, agent = around.rooms.lattice, shapes.bounds(), around.agent
     window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0
@@ -313,13 +347,13 @@ def _walkable_area(
     top = np.full(cut.shape, np.nan)  # of each cell, if one can stand there
     top.ravel()[has_any[flat]] = own.z[last[flat]]
     step = agent.traversable_floor_height + SLACK
-    parts = [level.floor[window] for level in floors]
+    parts = [level.floor[window] for level in around.floors]
     for floor in parts:  # what lies on a floor is a mat
         top[np.abs(top - floor) <= step] = np.nan
     places = np.argwhere(~np.isnan(top))
-    known = columns.at((places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start)
-    for r, c in places.tolist():
-        cell = (r + rows.start) * lattice.width + c + cols.start
+    cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
+    known = around.columns.at(cells)
+    for (r, c), cell in zip(places.tolist(), cells.tolist(), strict=True):
         above = known.z[known.start[cell] : known.start[cell + 1]]
         above = above[above > top[r, c] + SLACK]
         if len(above) and above[0] < top[r, c] + agent.height - SLACK:

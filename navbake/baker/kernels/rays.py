@@ -149,6 +149,12 @@ def _hit_solid(solids, s, x, y, ray, hits, at):
     return count
 
 
+@part(inline="always")
+def _is_upright(mat):
+    """Whether a geom's z is the world's, or its opposite, to the last bit."""
+    return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
+
+
 @part(**UNCOUNTED)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
@@ -160,16 +166,12 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, at):
         distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE_KIND, ray.point, ray)
         if distance >= 0.0:
             z = ray.point[2] + ray.direction[2] * distance
+            if _is_upright(planes.mat[p]):
+                z = planes.pos[p, 2]  # wherever the ray begins
             _hit(hits, at + count, z, ray.normal, ray.normal[2], planes.geom[p])
             hits.closed[at + count], hits.facet[at + count] = OPEN_SURFACE, OF_PLANE
             count += 1
     return count
-
-
-@part(inline="always")
-def _is_upright(mat):
-    """Whether a geom's z is the world's, or its opposite, to the last bit."""
-    return mat[2] == 0.0 and mat[5] == 0.0 and mat[6] == 0.0 and mat[7] == 0.0
 
 
 @part(inline="always")

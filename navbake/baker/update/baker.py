@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.arguments import LeftOut, take_input
-from navbake.baker.assemble import Standing, build_grid
+from navbake.baker.assemble import build_grid
 from navbake.baker.clock import StageClock
 from navbake.baker.scene.scene import open_file
 from navbake.baker.stages import Stages, take_first_look
-from navbake.baker.update.doors import CandidateSearch
-from navbake.baker.update.following import FollowedScene, Moved
-from navbake.baker.update.full_bake import FullBake
+from navbake.baker.update.following import FollowedDoors, FollowedScene, FullBake, Moved
 from navbake.baker.update.poses import Poses
 from navbake.baker.update.stages import LiveStages
 from navbake.config.keywords import SettingKeywords
@@ -174,21 +172,21 @@ class Baker:
         try:
             if passes is None:
                 raise FullBake("the last update failed")
-            differ = self._search.follow(moved.scene, moved.every)
+            differ, reasons = self._candidates.pose(moved.scene, moved.every), []
             for one in passes:
-                rejected = {candidate.id for candidate in one.stages.doors.rejected}
-                one.follow(moved, differ)
-                if rejected != {candidate.id for candidate in one.stages.doors.rejected}:
+                rejected = [candidate.id for candidate in one.stages.doors.rejected]
+                reasons.append(one.follow(moved, differ))
+                if rejected != [candidate.id for candidate in one.stages.doors.rejected]:
                     raise FullBake("another body is a door, or none any more")
+            return passes, next(filter(None, reasons), "")
         except FullBake as why:
             LOG.debug("all is baked again: %s", why)
             opened = self._opened._replace(data=moved.scene.data)
             return self._bake(take_first_look(self._config, StageClock(), opened=opened)), str(why)
-        return passes, ""
 
     def _bake(self, first: Stages) -> list[LiveStages]:
         """Find all stages; see `settle_doors`."""
-        self._search = CandidateSearch(self._config, first.scene, first.candidates)
+        self._candidates = FollowedDoors(self._config, first.scene, first.candidates)
         passes = [LiveStages(first)]
         while rejected := passes[-1].stages.doors.rejected:
             last = passes[-1].stages
@@ -197,15 +195,7 @@ class Baker:
         return passes
 
     def _build(self, live: LiveStages) -> NavGrid:
-        standing = None
-        if live.contents is not None:
-            contents = live.contents
-            named = None
-            if self._config.names.enabled:
-                named = contents.user_data
-
-            standing = Standing(contents.notes(), named, live.floor_layers, live.weigh)
-        return build_grid(live.stages, standing)
+        return build_grid(live.stages, live.contents.notes() if live.contents else None)
 
 
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:

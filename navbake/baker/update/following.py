@@ -1,4 +1,4 @@
-"""A scene whose geoms moved: what moved, and the scene as it is now."""
+"""A scene whose geoms moved: what moved, the scene as it is now, and the candidates for doors."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.kernels.constants import MESH
+from navbake.baker.doors.candidates import DoorCandidate, find_candidates
+from navbake.baker.kernels.constants import HINGE, MESH, SLIDE
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import DigestedNames, Scene, load_scene, start_digest
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int
+
+
+class FullBake(Exception):
+    """Raised when an update needs a full bake; the text says why."""
+
 
 # What of a model decides which geoms count, as what, and how large they are; users write there
 CHOOSING = (
@@ -176,3 +183,52 @@ def boxes_of(shapes: Shapes) -> tuple[Float, Int]:
     boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(planes.geom), 1)))
     owner.append(planes.geom.astype(np.int64))
     return np.concatenate(boxes), np.concatenate(owner)
+
+
+class FollowedDoors:
+    """The candidates for doors in one pose after the other."""
+
+    def __init__(self, config: BakeConfig, scene: Scene, candidates: list[DoorCandidate]) -> None:
+        self._config, self._candidates = config, candidates
+        model, ends = scene.model, find_subtree_ends(scene.model)
+        self._joints = np.isin(model.jnt_type, (HINGE, SLIDE))
+        self._geoms = np.zeros(model.ngeom, dtype=np.bool_)
+        for body in np.asarray(model.jnt_bodyid)[self._joints].tolist():
+            self._geoms[geoms_of_bodies(model, body, int(ends[body]))] = True
+        for candidate in candidates:
+            self._geoms[candidate.geoms] = True
+        self._turns = self._turns_of(scene)
+
+    def _turns_of(self, scene: Scene) -> Float:
+        """By joint, how it turns and how far, and its position; users write there."""
+        model = scene.model
+        position = np.where(self._joints, scene.data.qpos[model.jnt_qposadr], 0.0)
+        turns = model.jnt_range, model.jnt_limited[:, None], model.jnt_axis, model.jnt_pos
+        return np.hstack([*turns, position[:, None]])
+
+    def pose(self, scene: Scene, moved: Bool) -> dict[str, DoorCandidate]:
+        """The candidates that differ now, by their ids; FullBake where they are not the same.
+
+        Args:
+            moved: which geoms did, shape (ngeom,), whether they count or not.
+        """
+        turns, was = self._turns_of(scene), self._candidates
+        is_other = (turns != self._turns).any(axis=1)
+        if not is_other.any() and not (moved & self._geoms).any():
+            return {}
+        found, _ = find_candidates(scene, self._config.doors)
+        if list(map(_facts_of, was)) != list(map(_facts_of, found)):
+            raise FullBake("other bodies look like doors")
+        differ = {
+            new.id: new
+            for new in found
+            if moved[new.geoms].any() or (new.joint_id >= 0 and is_other[new.joint_id])
+        }
+        self._candidates, self._turns = [differ.get(old.id, old) for old in was], turns
+        return differ
+
+
+def _facts_of(candidate: DoorCandidate) -> tuple[Any, ...]:
+    """All of a candidate but how its joint is modelled."""
+    known = candidate.id, candidate.joint, candidate.joint_id, candidate.named
+    return *known, candidate.geoms.tolist()

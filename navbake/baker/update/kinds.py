@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.columns import Columns
 from navbake.baker.contents.contents import Contents, classify_geoms
 from navbake.baker.contents.structure import Carriers, FloorSupport, find_carriers
 from navbake.baker.contents.walls import (
@@ -26,14 +27,14 @@ from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.kernels.contents import describe_floors
+from navbake.baker.lattice import cells_near
 from navbake.baker.occupancy.occupancy import Footprint
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
-from navbake.baker.update.columns import LiveColumns, Region
 from navbake.baker.update.entries import LiveEntries
 from navbake.baker.update.following import boxes_of
-from navbake.baker.update.kernels.regions import are_in, cells_of_boxes, join_cells
 from navbake.config.settings import BakeConfig
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
 
@@ -43,14 +44,18 @@ class NearMoved(NamedTuple):
     Attributes:
         scene: as it is now, without doors.
         moved: the geoms whose geometry differs, shape (ngeom,), bool.
-        region: all cells near what moved, and all others whose column or floor changed.
+        cells: all those near what moved, and all others whose floor changed, ascending.
+        crossings: their columns, numbered as these are.
+        columns: the same by the cells' ids.
         floors: up to date.
         changes: of the floors, by level.
     """
 
     scene: Scene
     moved: Bool
-    region: Region
+    cells: Int
+    crossings: Crossings
+    columns: Columns
     floors: Floors
     changes: list[FloorChanges]
 
@@ -75,13 +80,11 @@ class LiveKinds:
         contents: Contents,
         floors: Floors,
         crossings: Crossings,
-        live: LiveColumns,
+        lattice: Lattice,
         entries: Sequence[LiveEntries],
     ) -> None:
         """Take over what a bake found; the scene is without doors."""
-        self._config, self._live = config, live
-        # its own, as rooms are found beside it
-        self._flag = np.zeros(len(live.pool.first), dtype=np.bool_)
+        self._config, self._lattice = config, lattice
         self.kinds, self.warnings = contents.kinds, contents.warnings
         self.supports = [self._describe(level, crossings) for level in floors.levels]
         num = len(scene.geoms)
@@ -98,7 +101,10 @@ class LiveKinds:
             self.carried += self._count_by_geom(support.geom)
             self.stood_on += self._count_by_geom(support.geom[level.standable.ravel()])
         self._roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
-        every, sizes = np.arange(len(live.pool.first)), (self._extents.low, self._extents.high)
+        every, sizes = (
+            np.arange(lattice.width * lattice.height),
+            (self._extents.low, self._extents.high),
+        )
         for k, (listed, level) in enumerate(zip(entries, floors.levels, strict=True)):
             asked = every, level.floor.reshape(-1), sizes, np.ones(num, dtype=np.bool_)
             listed.measure(*asked, self._measured(k))
@@ -155,20 +161,20 @@ class LiveKinds:
         self, scene: Scene, marked: Bool, floors: Floors, listed: Sequence[LiveEntries]
     ) -> None:
         """Measure geoms again over all cells that they may be in."""
-        lattice, agent = self._live.lattice, self._config.agent
+        lattice, agent = self._lattice, self._config.agent
         self._base[marked], self._rise[marked] = np.inf, -np.inf
         self._cells[:, marked] = self._upper_cells[:, marked] = 0
         footprint = Footprint.of(agent, lattice.cell_size)
         reach = max(lattice.cell_size / 2, footprint.reach) + 2 * TOUCH
         boxes, _ = boxes_of(scene.shapes.only(marked))
-        cells = cells_of_boxes(lattice, boxes, reach, 1.0, self._flag)
+        cells = cells_near(lattice, boxes, reach)
         sizes = self._extents.low, self._extents.high
         for k, (one, level) in enumerate(zip(listed, floors.levels, strict=True)):
             one.measure(cells, level.floor.reshape(-1), sizes, marked, self._measured(k))
 
     def _follow_support(self, near: NearMoved) -> bool:
         """Find what carries floors again; whether all that carriers rest on is as it was."""
-        cells = near.region.cells
+        cells = near.cells
         min_up, stood_on = agent_limits(self._config.agent).min_up, self.stood_on > 0
         moved = near.moved
         holds = not (self.stood_on[moved].any() or self.carried[moved].any())
@@ -177,7 +183,7 @@ class LiveKinds:
         for k, (level, changes) in enumerate(zip(near.floors.levels, near.changes, strict=True)):
             support = FloorSupport(np.empty(len(cells), dtype=np.int32), np.empty(len(cells)))
             floor = level.floor.reshape(-1)[cells]
-            describe_floors(floor, near.region.columns, min_up, support)
+            describe_floors(floor, near.crossings, min_up, support)
             known = self.supports[k]
             was = known.geom[cells]
             differs = support.geom != was
@@ -185,7 +191,7 @@ class LiveKinds:
             holds &= not is_other.any() and not len(changes.heights)
             self.carried += self._count_by_geom(support.geom[differs])
             self.carried -= self._count_by_geom(was[differs])
-            shifted = join_cells(cells[differs], changes.standable)
+            shifted = np.union1d(cells[differs], changes.standable)
             before = known.geom[shifted]
             if is_other.any():
                 geom, gap = known.geom.copy(), known.gap  # no grid has the gaps
@@ -193,7 +199,7 @@ class LiveKinds:
                 self.supports[k] = FloorSupport(geom, gap)
             stands = level.standable.reshape(-1)[shifted]
             self.stood_on += self._count_by_geom(self.supports[k].geom[shifted][stands])
-            stands ^= are_in(shifted, changes.standable)  # as it was
+            stands ^= np.isin(shifted, changes.standable)  # as it was
             self.stood_on -= self._count_by_geom(before[stands])
         return holds and bool(((self.stood_on > 0) == stood_on).all())
 
@@ -209,7 +215,7 @@ class LiveKinds:
 
     def _find_carriers(self, floors: Floors) -> Carriers:
         step = self._config.agent.traversable_floor_height
-        return find_carriers(floors, self.supports, self._extents, step, self._live.lattice)
+        return find_carriers(floors, self.supports, self._extents, step, self._lattice)
 
     def _may_be_others(self, moved: Bool) -> bool:
         """Whether geoms may be walls now, or none any more, by what moved.
@@ -225,7 +231,7 @@ class LiveKinds:
 
     def _classify(self, scene: Scene) -> bool:
         """Tell what each geom is; whether that is the same as before."""
-        size = self._live.lattice.cell_size**2
+        size = self._lattice.cell_size**2
         areas = (cells.max(axis=0) * size for cells in (self._cells, self._upper_cells))
         over = GeomsOverFloors(self._base, self._rise, *areas)
         agent, names = self._config.agent, self._config.names

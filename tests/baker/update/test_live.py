@@ -14,7 +14,7 @@ import pytest
 
 import navbake
 from differences import first_difference
-from navbake.baker.update.columns import LiveColumns
+from navbake.baker.update import stages as stages_module
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -59,16 +59,16 @@ def test_updates_equal_fresh_bakes(scene, moves):
 def test_only_what_is_near_is_looked_at(monkeypatch):
     baker = open_room()
     asked = []
-    cast = LiveColumns.cast
+    cast = stages_module.cast_at
 
-    def spy(self, tiled, cells):
-        asked.append(len(cells))
-        return cast(self, tiled, cells)
+    def spy(*given):
+        asked.append(len(given[-1]))
+        return cast(*given)
 
-    monkeypatch.setattr(LiveColumns, "cast", spy)
+    monkeypatch.setattr(stages_module, "cast_at", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
     assert changes.reason == ""
-    assert asked and asked[0] < 250  # of 1,600 cells
+    assert asked and asked[0] < 400  # of 1,600 cells
     assert first_difference(changes.grid, fresh(baker)) is None
 
 

@@ -1,13 +1,16 @@
 """The kernels and shortcuts of an update against plain ways to the same answers."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from navbake.baker.columns import Columns, empty_crossings
 from navbake.baker.contents.contents import LevelContents
 from navbake.baker.kernels.flags import BLOCKS, STANDS
+from navbake.baker.lattice import cells_near
+from navbake.baker.update.columns import KeptColumns
 from navbake.baker.update.kernels.contents import EntryPool, count_taken
-from navbake.baker.update.kernels.regions import are_in, cells_of_boxes
 from navbake.baker.warn import count_taken_cells
 from navbake.navgrid.lattice import Lattice
 
@@ -25,34 +28,52 @@ def inside(boxes, grow):
     return np.flatnonzero(marked)
 
 
-@settings(deadline=None)  # its kernels may be compiled first
 @given(seeds)
-def test_cells_of_boxes_are_those_whose_centres_lie_there(seed):
+def test_cells_near_boxes_hold_those_whose_centres_lie_there(seed):
     rng = np.random.default_rng(seed)
     low = rng.uniform(-4, 6, (int(rng.integers(0, 5)), 3))
     boxes = np.hstack([low, low + rng.uniform(0, 3, low.shape)])
-    flag, grow, spare = np.zeros(CELLS, dtype=np.bool_), rng.uniform(0, 1), rng.uniform(1e-3, 2)
-    found = cells_of_boxes(LATTICE, boxes, grow, spare, flag)
-    assert not flag.any()
+    grow = rng.uniform(0, 1)
+    found = cells_near(LATTICE, boxes, grow)
     assert np.isin(inside(boxes, grow), found).all()
-    exact = inside(boxes, grow + spare * LATTICE.cell_size)
-    assert np.array_equal(found, exact)
+    assert np.isin(found, inside(boxes, grow + 1.5 * LATTICE.cell_size + 1e-9)).all()
 
 
 def test_far_and_endless_boxes_are_cut_off_at_the_lattice():
-    flag = np.zeros(CELLS, dtype=np.bool_)
     endless = np.array([[-np.inf, -np.inf, 0, np.inf, np.inf, 1.0]])
-    assert np.array_equal(cells_of_boxes(LATTICE, endless, 0.1, 1.0, flag), np.arange(CELLS))
+    assert np.array_equal(cells_near(LATTICE, endless, 0.1), np.arange(CELLS))
     far = np.array([[1e30, 1e30, 0, 1e31, 1e31, 1.0], [-1e31, 0, 0, -1e30, 1, 1.0]])
-    assert not len(cells_of_boxes(LATTICE, far, 0.1, 1.0, flag))
+    assert not len(cells_near(LATTICE, far, 0.1))
 
 
-@settings(deadline=None)  # its kernels may be compiled first
-@given(seeds)
-def test_cells_are_looked_up_in_another_region(seed):
-    rng = np.random.default_rng(seed)
-    one, other = (np.unique(rng.integers(0, 30, int(n))) for n in rng.integers(0, 20, 2))
-    assert np.array_equal(are_in(one, other), np.isin(one, other))
+@pytest.mark.parametrize("seed", range(3))
+def test_columns_that_are_put_are_taken_again(seed):
+    rng, count = np.random.default_rng(seed), LATTICE.width * LATTICE.height
+
+    def draw(num):
+        start = np.concatenate([[0], np.cumsum(rng.integers(0, 4, num))])
+        crossings = empty_crossings(start, start[-1])
+        for array in crossings[1:]:
+            array[:] = rng.integers(0, 9, array.shape)
+        return crossings
+
+    def take(crossings, cell):
+        return [array[crossings.start[cell] : crossings.start[cell + 1]] for array in crossings[1:]]
+
+    first = draw(count)
+    kept, now = KeptColumns(Columns(LATTICE, first)), [take(first, cell) for cell in range(count)]
+    for _ in range(4):
+        cells = np.flatnonzero(rng.random(count) < 0.1)
+        new = draw(len(cells))
+        kept.put(cells, new)
+        for k, cell in enumerate(cells.tolist()):
+            now[cell] = take(new, k)
+    blocks = list(kept.blocks())
+    for cell, expected in enumerate(now):
+        one = kept.at(np.array([cell, 0, cell])).crossings
+        other = next(b for b in blocks if cell < b.known_rows.end * LATTICE.width).crossings
+        for found in (take(one, cell), take(other, cell)):
+            assert all(map(np.array_equal, found, expected))
 
 
 @settings(deadline=None)  # its kernels may be compiled first

@@ -11,7 +11,7 @@ import pytest
 import navbake
 from differences import first_difference
 from navbake.baker.update import baker as module
-from navbake.baker.update.columns import LiveColumns
+from navbake.baker.update import stages as stages_module
 from navbake.baker.update.kinds import LiveKinds
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
@@ -44,7 +44,8 @@ def check(baker: navbake.Baker, settings: dict, **moves) -> str:
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_more_appears_than_there_was_room_for(named):
+def test_more_appears_than_there_was_room_for(named, monkeypatch):
+    monkeypatch.setattr(stages_module, "MOST_CELLS", 1.0)
     plates = "".join(
         f'<geom type="box" size="0.4 0.4 0.005" pos="{x} {y} {0.1 + 0.02 * k}"/>'
         for x in (1.5, 3.0, 4.5)
@@ -60,22 +61,6 @@ def test_more_appears_than_there_was_room_for(named):
     model.geom_contype[own] = 1
     assert check(baker, settings) == ""
     assert dict(before.user_data) == names  # read only now
-
-
-def test_what_comes_back_takes_no_more_room(monkeypatch):
-    box = '<geom type="box" size="0.3 0.3 0.4"/>'
-    baker = navbake.Baker(make(f'<body name="box" pos="2 2 0.4"><freejoint/>{box}</body>'))
-    used, put = [], LiveColumns.put
-
-    def spy(self, region):
-        put(self, region)
-        used.append(self.used)
-
-    monkeypatch.setattr(LiveColumns, "put", spy)
-    for x in (4.0, 2.0, 4.0, 2.0):
-        assert baker.update(bodies={"box": [x, 2.0, 0.4]}).reason == ""
-    assert len(used) == 4
-    assert used[1] == used[3]
 
 
 def test_carried_cells_are_counted_as_for_the_whole_level(monkeypatch):
