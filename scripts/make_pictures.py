@@ -18,7 +18,7 @@ from PIL import Image
 import navbake
 from make_house import make_house
 from navbake.navgrid.grid import NavGrid
-from navbake.views.plot import render_png
+from navbake.views.plot import render_picture
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -34,50 +34,50 @@ def bake(name: str) -> NavGrid:
 
 def draw_house() -> bytes:
     """Rooms and floors of both storeys: the picture of the README."""
-    return render_png(bake("house"), layers=("rooms", "floor"))
+    return render_picture(bake("house"), layers=("rooms", "floor"))
 
 
 def draw_apartment() -> bytes:
     """Named rooms and floor heights of one storey."""
-    return render_png(bake("apartment"), layers=("rooms", "floor"))
+    return render_picture(bake("apartment"), layers=("rooms", "floor"))
 
 
 def draw_floors() -> bytes:
     """A ramp, a dock and stairs are floors of the level that they rise from."""
-    return render_png(bake("warehouse"), layers=("occupancy", "floor"))
+    return render_picture(bake("warehouse"), layers=("occupancy", "floor"))
 
 
 def draw_terrain() -> bytes:
     """Hills, a brook and a bridge, which is a level of its own."""
-    return render_png(bake("terrain"), layers=("floor",))
+    return render_picture(bake("terrain"), layers=("floor",))
 
 
 def draw_islands() -> bytes:
     """Connected parts, and the distance to the nearest obstacle."""
-    return render_png(bake("terrain"), level=0, layers=("island", "clearance"))
+    return render_picture(bake("terrain"), level=0, layers=("island", "clearance"))
 
 
 def draw_clutter() -> bytes:
     """What an agent can't pass, and what it steps over."""
-    return render_png(bake("clutter"), level=0, layers=("occupancy", "floor"))
+    return render_picture(bake("clutter"), level=0, layers=("occupancy", "floor"))
 
 
 def draw_doors() -> bytes:
     """Open doors, what they block, where they close, and how wide they are."""
-    return render_png(bake("house"), layers=("doors",))
+    return render_picture(bake("house"), layers=("doors",))
 
 
 def draw_inflated() -> bytes:
     """Costs near walls for an agent of 0.2 m."""
     grid = bake("apartment").inflate(0.2, costs="nav2", scaling=3.0)
-    return render_png(grid, layers=("occupancy", "weights"))
+    return render_picture(grid, layers=("occupancy", "weights"))
 
 
 def draw_path() -> bytes:
     """A path over the stairs."""
     grid = bake("house")
     path = navbake.PathFinder(grid).find_path(START, GOAL)
-    return render_png(grid, layers=("occupancy",), route=path)
+    return render_picture(grid, layers=("occupancy",), route=path)
 
 
 def draw_rooms() -> bytes:
@@ -86,7 +86,7 @@ def draw_rooms() -> bytes:
         scene = Path(folder) / "house-100.xml"
         scene.write_text(make_house(100), encoding="utf-8")
         grid = navbake.bake(scene, grid={"cell_size": 0.1})
-    return render_png(grid, layers=("rooms",))
+    return render_picture(grid, layers=("rooms",))
 
 
 def draw_voxels() -> bytes:

@@ -133,10 +133,10 @@ def _is_same(path: Path, other: Path) -> bool:
 
 def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
     """Write a picture of a grid, or a PNG to stdout; for the arguments see `plot_grid`."""
-    from navbake.views.plot import plot_grid, render_png  # loads numpy
+    from navbake.views.plot import plot_grid, render_picture  # loads numpy
 
     if output == STDOUT:
-        write_stdout(render_png(grid, **drawn))
+        write_stdout(render_picture(grid, **drawn))
     else:
         plot_grid(grid, output, **drawn)
 

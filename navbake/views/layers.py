@@ -1,4 +1,9 @@
-"""What a picture shows of each level: a colour or a value for every cell, names and doors."""
+"""What a picture shows of each level: a colour or a value for every cell, names and doors.
+
+The colours of values are viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its
+dark end, which would look like what is occupied. It gets lighter all the way, so that a picture
+reads in grey and for the colour-blind.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +38,6 @@ from navbake.navgrid.colors import (
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.rooms import Room
-from navbake.types import Bool
-from navbake.views.color_scale import ColorScale, height_scale, linear_scale
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
@@ -43,14 +45,59 @@ if TYPE_CHECKING:
 RELIEF = 0.04  # a step that is lit or shaded well [m]
 RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
 LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
-BAND_CELLS = 1 << 20  # painted at once
 MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
 OCCUPANCY = {"free": FREE, "occupied": OCCUPIED, "no floor": NO_FLOOR}
-PALETTE = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
+
+# From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
+# or both
+VIRIDIS = ["#3e4989", "#31678e", "#287d8e", "#218e8d", "#1e9c89", "#24ab82", "#39b976", "#5bc863"]
+VIRIDIS += ["#8ed644", "#fde725"]
+SHADES = 1024  # colours that a scale is rounded to
+MIN_RANGE = 0.1  # least span of a scale, so that flat floors look flat
+HEIGHT_STEP = 0.01  # heights nearer than this are one [m]
+MIN_LENGTH = 5.0  # of a scale of heights, in steps that lie beside each other
+MAX_HEIGHTS = 1 << 16  # steps that a range of heights is split into at most
+MAX_TICKS = 6
+TICK_GAP = 0.11  # least distance of two ticks, of the scale's length
 
 Legend = tuple[tuple[str, str], ...]
 """Meanings and their colours."""
+
+
+class Tick(NamedTuple):
+    """A value beside the bar of a scale."""
+
+    position: float  # along the bar, 0 to 1
+    text: str
+
+
+class ColorScale(NamedTuple):
+    """Which colour stands for which value.
+
+    A bar runs from 0, the lowest value, to 1, the highest. Values lie on it between `values` at
+    `positions`, and the `colors` lie on it at equal distances, both by straight lines.
+    """
+
+    label: str  # what the values are, with their unit
+    values: Sequence[float]  # ascending
+    positions: Sequence[float]  # ascending, 0 to 1, of each of them
+    ticks: tuple[Tick, ...]
+    colors: Sequence[str] = VIRIDIS
+
+    def bar(self, count: int) -> NDArray[np.uint8]:
+        """Colours at equal distances along the bar, lowest value first, shape (count, 3)."""
+        where = np.linspace(0.0, len(self.colors) - 1, count)
+        rgb = np.array([rgb_of(color) for color in self.colors], dtype=np.float64)
+        mixed = [np.interp(where, np.arange(len(rgb)), channel) for channel in rgb.T]
+        return np.round(np.stack(mixed, axis=1)).astype(np.uint8)
+
+    def color(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+        """The colours of finite values of any shape, shape (…, 3); those beyond it are clipped."""
+        place = np.interp(values, self.values, self.positions)
+        shade = np.round(place * (SHADES - 1)).astype(np.intp)
+        painted: NDArray[np.uint8] = self.bar(SHADES).take(shade, axis=0)
+        return painted
 
 
 class Label(NamedTuple):
@@ -60,7 +107,7 @@ class Label(NamedTuple):
     fallback: str  # written in its place if no font has its letters
     x: float  # of its middle, world frame [m]
     y: float
-    width: float  # of what it names at this place [m]
+    width: float  # of what it names at this place [m]; 0 for a point
     height: float  # of the same [m]
     number: int = 0  # written where there is no space for the name
 
@@ -76,44 +123,6 @@ class Panel(NamedTuple):
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
     relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
-
-
-def paint(panel: Panel) -> NDArray[np.uint8]:
-    """The colour of each cell, shape (height, width, 3), row 0 at the largest y."""
-    if panel.values is None or panel.scale is None:
-        return panel.rgb
-    painted = panel.rgb.copy()
-    # in bands: the numbers in between take ten times the memory of a picture
-    band = max(BAND_CELLS // panel.values.shape[1], 1)
-    for first in range(0, len(painted), band):
-        rows = slice(first, first + band)
-        values = panel.values[rows]
-        shown = np.isfinite(values)
-        colors = panel.scale.color(values[shown])
-        if panel.relief:
-            above = min(first, 1)  # light falls on the first row by the one above it
-            lit = light_of(panel.values[first - above : first + band], panel.relief)[above:]
-            lit = lit[shown][:, None]
-            share = np.where(lit > 0, lit * LIT, -lit * SHADED)
-            colors = np.round(colors * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
-        painted[rows][shown] = colors
-    return painted
-
-
-def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
-    """How the light falls on floors, from -1, in shade, to 1, lit: shape (height, width).
-
-    The light comes from the upper left, as on maps. A cell that is higher than its neighbours
-    above and to the left is lit, one that is lower lies in shade, by 3/4 where it is higher or
-    lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
-    a line, whatever the scale of colours spans.
-    """
-    rise = np.zeros(heights.shape, dtype=np.float32)
-    finite = np.where(np.isfinite(heights), heights, np.nan)
-    rise[1:] += np.nan_to_num(np.diff(finite, axis=0))
-    rise[:, 1:] += np.nan_to_num(np.diff(finite, axis=1))
-    lit: NDArray[np.float32] = np.tanh(rise / np.float32(step))
-    return lit
 
 
 def make_panel(
@@ -134,10 +143,10 @@ def make_panel(
         QueryError: there is no such layer or level, or it needs findings and has none.
     """
     check_level(number, len(grid.levels))
-    if layer == DISAGREEMENTS and findings is not None:
+    if layer == DISAGREEMENTS:
+        if findings is None:
+            raise QueryError(f"the layer {layer} shows what a verification found: pass findings")
         panel = _show_disagreements(grid, number, findings)
-    elif layer == DISAGREEMENTS:
-        raise QueryError(f"the layer {layer} shows the findings of a verification: pass findings")
     elif layer not in LAYERS:
         raise QueryError(f"expected one of {', '.join(LAYERS)} as layer, got {layer!r}")
     else:
@@ -145,6 +154,108 @@ def make_panel(
     if len(grid.levels) == 1:
         return panel
     return panel._replace(title=f"{grid.level_names[number]}: {panel.title}")
+
+
+def paint(panel: Panel) -> NDArray[np.uint8]:
+    """The colour of each cell, shape (height, width, 3), row 0 at the largest y."""
+    if panel.values is None or panel.scale is None:
+        return panel.rgb
+    shown = np.isfinite(panel.values)
+    colors = panel.scale.color(panel.values[shown])
+    if panel.relief:
+        lit = light_of(panel.values, panel.relief)[shown][:, None]
+        share = np.where(lit > 0, lit * LIT, -lit * SHADED)
+        colors = np.round(colors * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
+    painted = panel.rgb.copy()
+    painted[shown] = colors
+    return painted
+
+
+def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
+    """How the light falls on floors, from -1, in shade, to 1, lit: shape (height, width).
+
+    The light comes from the upper left, as on maps. A cell that is higher than its neighbours
+    above and to the left is lit, one that is lower lies in shade, by 3/4 where it is higher or
+    lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
+    a line, whatever the scale of colours spans.
+    """
+    rise = np.zeros(heights.shape, dtype=np.float32)
+    finite = np.where(np.isfinite(heights), heights, np.nan)
+    rise[1:] += np.nan_to_num(np.diff(finite, axis=0))
+    rise[:, 1:] += np.nan_to_num(np.diff(finite, axis=1))
+    lit: NDArray[np.float32] = np.tanh(rise / np.float32(step))
+    return lit
+
+
+# --- scales of values -----------------------------------------------------------------------------
+
+
+def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
+    """A scale from the least to the largest of some finite values, shape (n,).
+
+    The largest is the lightest, or the darkest if `dark_high`. Its ticks are round numbers, or the
+    value itself where there is one alone.
+    """
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
+    ticks = [(low, f"{low:g}")]
+    if high > low:
+        step = nice_step((high - low) / MAX_TICKS)
+        digits = max(0, -math.floor(math.log10(step) + 1e-9))
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        ticks = [(n * step, f"{n * step + 0.0:.{digits}f}") for n in range(first, last + 1)]
+    widen = max(0.0, MIN_RANGE - (high - low)) / 2
+    low, high = (low, high + 2 * widen) if dark_high else (low - widen, high + widen)
+    placed = tuple(Tick((value - low) / (high - low), text) for value, text in ticks)
+    return ColorScale(label, (low, high), (0.0, 1.0), placed, VIRIDIS[:: -1 if dark_high else 1])
+
+
+def nice_step(least: float) -> float:
+    """The first of 1, 2, 5, 10, 20, … that is no less, whatever its power of ten."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
+
+
+def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
+    """A scale that tells floors 2 cm apart and 3 m apart in one picture.
+
+    Finite heights, shape (n,) [m], are rounded to centimetres. Where there are floors at all
+    heights, as on a ramp, the scale is even. Where there are none from one height to the next, it
+    shrinks to the cube root of the gap: 3 m take 5 times as much of it as 2 cm, not 150 times. It
+    has ticks at the height of the largest area, at the ends, then at the next largest areas.
+    """
+    if not heights.size:
+        return linear_scale(heights, label)
+    low, high = float(heights.min()), float(heights.max())
+    step = max(HEIGHT_STEP, (high - low) / MAX_HEIGHTS)
+    counts = np.bincount(np.round((heights - low) / step).astype(np.int64))
+    steps = np.flatnonzero(counts)
+    length = np.concatenate([[0.0], np.cumsum(np.cbrt(np.diff(steps)))])
+    # flat floors look flat: a few centimetres are a part of the scale, not all of it
+    spread = max(float(length[-1]), MIN_LENGTH)
+    positions, values = 0.5 + (length - length[-1] / 2) / spread, low + steps * step
+    order = np.argsort(-counts[steps], kind="stable").tolist()
+    ticks: list[Tick] = []
+    for number in [order[0], 0, len(steps) - 1, *order]:
+        place = float(positions[number])
+        if all(abs(place - other.position) >= TICK_GAP for other in ticks[:MAX_TICKS]):
+            ticks.append(Tick(place, f"{values[number] + 0.0:.2f}"))
+    if positions[0] > 0:
+        positions = np.concatenate([[0.0], positions, [1.0]])
+        values = np.concatenate([[low - step], values, [values[-1] + step]])
+    chosen = tuple(sorted(ticks[:MAX_TICKS]))
+    return ColorScale(label, values.tolist(), positions.tolist(), chosen)
+
+
+# --- the layers -----------------------------------------------------------------------------------
+
+
+def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
+    """Colours of cells, shape (height, width, 3), and what they mean; free stands first, always."""
+    kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
+    there = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
+    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or there[n]]
+    palette = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
+    return palette[kind], tuple(legend)
 
 
 def _show_occupancy(grid: NavGrid, number: int) -> Panel:
@@ -162,10 +273,12 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
     scale = height_scale(metres[np.isfinite(metres)], "z [m]")
     legend = (("no floor", NO_FLOOR),) if np.isnan(metres).any() else ()
     step = max(RELIEF, RELIEF_SLOPE * level.lattice.cell_size)
-    title = "floor height [m]"
-    if len(scale.ticks) == 1:
-        title = f"{title}: {scale.ticks[0].text}"
-    return Panel(title, rgb, metres, scale, legend, relief=step)
+    return Panel(_titled("floor height [m]", scale), rgb, metres, scale, legend, relief=step)
+
+
+def _titled(title: str, scale: ColorScale) -> str:
+    """A title, with the value where there is nothing to tell apart."""
+    return f"{title}: {scale.ticks[0].text}" if len(scale.ticks) == 1 else title
 
 
 def _show_clearance(grid: NavGrid, number: int) -> Panel:
@@ -181,20 +294,13 @@ def _show_weights(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_free(
-    level: SceneGrid2D,
-    values: NDArray[np.floating],
-    title: str,
-    label: str,
-    *,
-    dark_high: bool = False,
+    level: SceneGrid2D, values: NDArray[Any], title: str, label: str, *, dark_high: bool = False
 ) -> Panel:
     """Show values where an agent can stand, and what is there elsewhere."""
     shown = np.where(level.free, values, np.nan).astype(np.float32)
     scale = linear_scale(shown[np.isfinite(shown)], label, dark_high=dark_high)
-    if len(scale.ticks) == 1:  # nothing to tell apart, so a number says it
-        title = f"{title}: {scale.ticks[0].text}"
     rgb, legend = _occupancy(level)
-    return Panel(title, rgb, shown, scale, legend[1:])
+    return Panel(_titled(title, scale), rgb, shown, scale, legend[1:])
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
@@ -210,24 +316,77 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     return Panel("islands", rgb, legend=legend[1:])
 
 
+def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
+    """The colours of a level's cells by their rooms, darker where occupied, shape (rows, cols, 3).
+
+    Doors that stand in the way and doorways have a colour of their own.
+    """
+    level = grid.levels[number]
+    rooms = color_rooms(grid, number)
+    colors = np.stack([darkened(rooms), rooms], axis=1).reshape(-1, 3)
+    colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
+    rgb = colors.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
+    rgb[np.isnan(level.floor_height)] = rgb_of(NO_FLOOR)
+    rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
+    rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
+    return rgb
+
+
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
-    cells, index = RoomCells.of(grid, number), grid.levels[number].room_index
+    level = grid.levels[number]
+    index, free, no_floor = level.room_index, level.free, np.isnan(level.floor_height)
+    doors, doorways = (doorway_cells(grid, number, blocked=blocked) for blocked in (True, False))
     entries = {
-        ("no room", OCCUPIED): ((index == 0) & ~cells.free & ~np.isnan(cells.floor)).any(),
-        ("no floor", NO_FLOOR): np.isnan(cells.floor).any(),
-        ("free, no room", FREE): ((index == 0) & cells.free).any(),
-        ("darker: occupied", DARKER): ((index > 0) & ~cells.free).any(),
-        ("door", DOOR): cells.door.any(),
-        ("doorway", DOORWAY): (cells.doorway & ~cells.door).any(),
+        ("no room", OCCUPIED): (index == 0) & ~free & ~no_floor,
+        ("no floor", NO_FLOOR): no_floor,
+        ("free, no room", FREE): (index == 0) & free,
+        ("darker: occupied", DARKER): (index > 0) & ~free,
+        ("door", DOOR): doors,
+        ("doorway", DOORWAY): doorways & ~doors,
     }
-    legend = tuple(entry for entry, is_there in entries.items() if is_there)
-    labels, doors = _label_rooms(grid, number), find_door_lines(grid, number)
-    return Panel("rooms", cells.paint(), legend=legend, labels=labels, doors=doors)
+    legend = tuple(entry for entry, cells in entries.items() if cells.any())
+    labels, lines = _label_rooms(grid, number), find_door_lines(grid, number)
+    return Panel("rooms", paint_rooms(grid, number), legend=legend, labels=labels, doors=lines)
+
+
+def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
+    """The names of a level's rooms.
+
+    Each is in the middle of the runs of its cells through the centre of the largest disc that fits
+    into the room.
+    """
+    from scipy import ndimage  # takes longer to load than most pictures to draw
+
+    def run(line: NDArray[np.bool_], at: int) -> list[int]:
+        """The first and the last of the true values in a row that hold a place."""
+        runs = ndimage.label(line)[0]
+        ends: list[int] = np.flatnonzero(runs == runs[at])[[0, -1]].tolist()
+        return ends
+
+    level, labels = grid.levels[number], []
+    boxes = dict(enumerate(ndimage.find_objects(level.room_index.astype(np.int32)), 1))
+    for room in grid.rooms:
+        box = boxes.get(room.index) if room.level == number else None
+        if box is None:
+            continue
+        mask = level.room_index[box] == room.index
+        stride = max(1, -(-max(mask.shape) // MAX_SIDE))
+        mask, edge = mask[::stride, ::stride], level.lattice.cell_size * stride
+        space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+        row, col = (int(v) for v in np.unravel_index(np.argmax(space), space.shape))
+        first, last = run(mask[row], col)
+        top, bottom = run(mask[:, (first + last) // 2], row)
+        across = box[1].start + (first + last) / 2 * stride
+        x, y = level.lattice.positions(box[0].start + row * stride, across).tolist()
+        half = min(row - top, bottom - row)  # the name's middle is in this row
+        fallback = f"{room.level}:{room.index}"
+        size = (last - first + 1) * edge, (2 * half + 1) * edge
+        labels.append(Label(room.name or fallback, fallback, x, y, *size, room.index))
+    return tuple(labels)
 
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    rgb, legend = _occupancy(level)
+    rgb, legend = _occupancy(grid.levels[number])
     rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
     rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
     legend = (("door", DOOR), ("doorway", DOORWAY), *legend)
@@ -243,16 +402,11 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
 def _show_links(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     rgb, legend = _occupancy(level)
-    links = grid.link_array
-    ends = np.concatenate([links, links[:, [2, 3, 0, 1]]])
+    ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
-    rows, cols = np.divmod(ends[:, 1], level.width)
-    for color, leads in (
-        (ACROSS, ends[:, 2] == number),
-        (UP, ends[:, 2] > number),
-        (DOWN, ends[:, 2] < number),
-    ):
-        rgb[rows[leads], cols[leads]] = rgb_of(color)
+    for color, way in ((ACROSS, 0), (UP, 1), (DOWN, -1)):
+        cells = ends[np.sign(ends[:, 2] - number) == way, 1]
+        rgb[np.divmod(cells, level.width)] = rgb_of(color)
     ways = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
     return Panel("links", rgb, legend=(*ways, *legend))
 
@@ -287,93 +441,3 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "links": _show_links,
 }
 """How each layer of a level is shown, by the layer's name."""
-
-
-def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
-    """Colours of cells, shape (height, width, 3), and what they mean; free stands first, always."""
-    kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1))
-    there = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
-    legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or there[n]]
-    return PALETTE[kind], tuple(legend)
-
-
-class RoomCells(NamedTuple):
-    """What the colour of a cell in a picture of rooms follows from; arrays (height, width)."""
-
-    colors: NDArray[np.uint8]  # shape (2 n + 3, 3): see `paint`
-    room_index: NDArray[np.uint16]
-    free: Bool
-    floor: NDArray[np.float32]  # NaN for none
-    doorway: Bool  # where a closed door would stand
-    door: Bool  # where one stands now
-
-    @classmethod
-    def of(cls, grid: NavGrid, number: int) -> RoomCells:
-        """The cells of one level."""
-        level = grid.levels[number]
-        rooms = color_rooms(grid, number)
-        colors = np.stack([darkened(rooms), rooms], axis=1).reshape(-1, 3)
-        colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
-        more = [rgb_of(color) for color in (NO_FLOOR, DOORWAY, DOOR)]
-        return cls(
-            np.concatenate([colors, more]).astype(np.uint8),
-            level.room_index,
-            level.free,
-            level.floor_height,
-            doorway_cells(grid, number, blocked=False),
-            doorway_cells(grid, number, blocked=True),
-        )
-
-    def paint(self, rows: slice = slice(None)) -> NDArray[np.uint8]:
-        """Colours of some rows, shape (number of rows, width, 3).
-
-        A room has two colours, for occupied and for free cells; the last three are no floor, a
-        doorway, and a door in the way.
-        """
-        code = self.room_index[rows] * np.intp(2) + self.free[rows]
-        code[np.isnan(self.floor[rows])] = len(self.colors) - 3
-        code[self.doorway[rows]] = len(self.colors) - 2
-        code[self.door[rows]] = len(self.colors) - 1
-        painted: NDArray[np.uint8] = self.colors.take(code, axis=0)
-        return painted
-
-
-def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
-    """The names of a level's rooms, each where the largest disc fits into the room."""
-    # Imported here, as scipy takes longer to load than most pictures to draw.
-    from scipy.ndimage import find_objects
-
-    level = grid.levels[number]
-    boxes = find_objects(level.room_index.astype(np.int32))
-    labels = []
-    for room in grid.rooms:
-        if room.level == number and room.index <= len(boxes) and boxes[room.index - 1]:
-            box = boxes[room.index - 1]
-            labels.append(_place_name(level, level.room_index[box] == room.index, box, room))
-    return tuple(labels)
-
-
-def _place_name(level: SceneGrid2D, mask: Bool, box: tuple[slice, slice], room: Room) -> Label:
-    """Put a room's name into the middle of the runs of its cells through the disc's centre."""
-    from scipy.ndimage import distance_transform_edt  # as above
-
-    stride = max(1, -(-max(mask.shape) // MAX_SIDE))
-    mask = mask[::stride, ::stride]
-    space = distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    row, col = np.unravel_index(int(np.argmax(space)), space.shape)
-    first, last = _run(mask[row], int(col))
-    top, bottom = _run(mask[:, (first + last) // 2], int(row))
-    middle = box[0].start + row * stride, box[1].start + (first + last) / 2 * stride
-    x, y = level.lattice.positions(*middle)
-    edge = level.lattice.cell_size * stride
-    half = min(int(row) - top, bottom - int(row))  # the name's middle is in this row
-    size = (last - first + 1) * edge, (2 * half + 1) * edge
-    fallback = f"{room.level}:{room.index}"
-    return Label(room.name or fallback, fallback, float(x), float(y), *size, room.index)
-
-
-def _run(line: Bool, at: int) -> tuple[int, int]:
-    """The first and the last of the true values in a row that hold a place."""
-    others = np.flatnonzero(~np.pad(line, 1)) - 1
-    after = int(np.searchsorted(others, at))
-    return int(others[after - 1]) + 1, int(others[after]) - 1

@@ -15,31 +15,29 @@ from PIL import Image
 
 from navbake.errors import printable
 from navbake.navgrid.grid import NavGrid
-from navbake.views.layers import RoomCells
+from navbake.views.layers import paint_rooms
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
 MAX_LEVELS = 16  # that are shown; the facts count them all
 MAX_NAME = 60  # letters of a scene's or a level's name
-BETWEEN = "white"  # no colour of a cell
 THUMBNAIL_SIDE = 240  # longest side of a thumbnail [pixels]
 THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of true colours
-BAND_CELLS = 1 << 20  # painted at once, so that a large grid takes little memory
 
 
 def show_html(grid: NavGrid) -> str:
     """A line of facts, and the levels beside each other, lowest first: for a notebook.
 
-    Cells have the colours of `RoomCells`: rooms each their own, darker where something stands in
-    them, doors red, open doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels
-    long; names are escaped. The same grid gives the same text.
+    Rooms each have their own colour, darker where something stands in them; doors are red, open
+    doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
+    escaped. The same grid gives the same text.
     """
     scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [int(np.count_nonzero(np.bincount(v.room_index.ravel())[1:])) for v in grid.levels]
     areas = [np.count_nonzero(v.free) * v.lattice.cell_size**2 for v in grid.levels]
     figures = []
     for number, level in enumerate(grid.levels[:MAX_LEVELS]):
-        picture = b64encode(_to_png(_draw_level(grid, number, scale))).decode("ascii")
+        picture = b64encode(encode_png(_draw_level(grid, number, scale))).decode("ascii")
         name = _short(grid.level_names[number])
         facts = (
             f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
@@ -70,22 +68,20 @@ def show_html(grid: NavGrid) -> str:
 
 def draw_png(grid: NavGrid) -> bytes:
     """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
-    return _to_png(draw_levels(grid, PICTURE_SIDE))
+    return encode_png(draw_levels(grid, PICTURE_SIDE))
 
 
 def draw_thumbnail(grid: NavGrid) -> bytes:
     """A small picture of the levels as PNG, of at most `THUMBNAIL_COLORS` colours.
 
-    Cells have the colours of `RoomCells`. The same grid gives the same bytes.
+    The same grid gives the same bytes.
     """
     image = draw_levels(grid, THUMBNAIL_SIDE)
     if image.getcolors(THUMBNAIL_COLORS) is None:
         image = image.quantize(
             THUMBNAIL_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
         )
-    else:  # few colours stay as they are
-        image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=THUMBNAIL_COLORS)
-    return _to_png(image)
+    return encode_png(image)
 
 
 def draw_levels(grid: NavGrid, side: int) -> Image.Image:
@@ -99,10 +95,19 @@ def draw_levels(grid: NavGrid, side: int) -> Image.Image:
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
     size = (columns * width - gap, math.ceil(count / columns) * height - gap)
-    sheet = Image.new("RGB", size, BETWEEN)
+    sheet = Image.new("RGB", size, "white")  # no colour of a cell
     for number, level in enumerate(levels):
         sheet.paste(level, (number % columns * width, number // columns * height))
     return sheet
+
+
+def encode_png(image: Image.Image) -> bytes:
+    """A picture as PNG, a byte a pixel where it has no more than 256 colours."""
+    if image.mode == "RGB" and image.getcolors(256) is not None:
+        image = image.convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
+    content = io.BytesIO()
+    image.save(content, format="PNG", optimize=True)
+    return content.getvalue()
 
 
 def _counted(count: int, noun: str) -> str:
@@ -121,21 +126,8 @@ def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
 def _draw_level(grid: NavGrid, number: int, scale: tuple[int, int]) -> Image.Image:
     """Draw a level; where a pixel has several cells, it has their mean colour."""
     pixels, cells = scale
-    rooms = RoomCells.of(grid, number)
-    height, width = rooms.free.shape
-    band = max(BAND_CELLS // (width * cells), 1) * cells
-    bands = [
-        np.asarray(Image.fromarray(rooms.paint(slice(row, row + band))).reduce(cells))
-        for row in range(0, height, band)
-    ]
-    image = Image.fromarray(np.concatenate(bands))
+    image = Image.fromarray(paint_rooms(grid, number)).reduce(cells)
     return image.resize((image.width * pixels, image.height * pixels), Image.Resampling.NEAREST)
-
-
-def _to_png(image: Image.Image) -> bytes:
-    content = io.BytesIO()
-    image.save(content, format="png")
-    return content.getvalue()
 
 
 def _short(name: str) -> str:

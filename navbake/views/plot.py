@@ -6,7 +6,7 @@ import io
 import math
 import textwrap
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +20,7 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.views.color_scale import ColorScale
-from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
+from navbake.views.layers import ColorScale, Label, Panel, color_kinds, make_panel, paint
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -48,11 +47,11 @@ MOST_LETTERS, MOST_KEYS = 40, 40  # of a name on a map; names in the key to numb
 KEY_LETTERS = 130  # a line of the key
 FONT = "DejaVu Sans"  # comes with matplotlib
 INK, FAINT = "#222222", "#9aa0a8"
-DOOR_STROKES = {  # colours and widths [points], from below
-    "closed": (("#ffffff", 4.2), (DOOR, 2.6)),
-    "open": ((DOOR, 3.8), ("#ffffff", 1.6)),
+STROKES = {  # colours and widths [points] of lines, from below
+    "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
+    "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
+    "path, from o to x": (("#ffffff", 3.4), (ROUTE, 1.8)),
 }
-ROUTE_STROKES = (("#ffffff", 3.4), (ROUTE, 1.8))
 
 
 class Mark(NamedTuple):
@@ -75,23 +74,25 @@ def plot_grid(
 ) -> Path:
     """Write a picture, whole or not at all, and return the path that was written.
 
-    It is an SVG if the name ends in ``.svg``, else a PNG; see `render_png` for the arguments.
+    It is an SVG if the name ends in ``.svg``, else a PNG; see `render_picture` for the arguments.
     """
     path = Path(path)
-    render = render_svg if path.name.lower().endswith(".svg") else render_png
-    write_bytes(render(grid, level=level, layers=layers, route=route, marks=marks), path)
+    form = "svg" if path.name.lower().endswith(".svg") else "png"
+    picture = render_picture(grid, form, level=level, layers=layers, route=route, marks=marks)
+    write_bytes(picture, path)
     return path
 
 
-def render_png(
+def render_picture(
     grid: NavGrid,
+    form: str = "png",
     *,
     level: int | None = None,
     layers: Sequence[str] = DEFAULT_LAYERS,
     route: Route | None = None,
     marks: Sequence[Mark] = (),
 ) -> bytes:
-    """Draw a grid as PNG; the same grid, the same bytes.
+    """Draw a grid as PNG, or as SVG, which stays sharp at any size; the same grid, the same bytes.
 
     A level has a row, the lowest is on top, and a layer a column; levels of one layer lie beside
     each other. All panels have one scale and show the same part of the world. Up is the world's
@@ -99,6 +100,7 @@ def render_png(
 
     Args:
         grid: a grid of one or several levels.
+        form: ``png`` or ``svg``.
         level: draw only this one, 0 is the lowest.
         layers: what to draw: names of `navbake.views.layers.LAYERS`.
         route: a path to draw on top, each of its parts on its level.
@@ -108,29 +110,6 @@ def render_png(
         QueryError: there is no such level or layer.
         MissingDependencyError: matplotlib is not installed.
     """
-    return _render(grid, "png", level, layers, route, marks)
-
-
-def render_svg(
-    grid: NavGrid,
-    *,
-    level: int | None = None,
-    layers: Sequence[str] = DEFAULT_LAYERS,
-    route: Route | None = None,
-    marks: Sequence[Mark] = (),
-) -> bytes:
-    """Draw a grid as SVG, which stays sharp at any size; see `render_png`."""
-    return _render(grid, "svg", level, layers, route, marks)
-
-
-def _render(
-    grid: NavGrid,
-    form: str,
-    level: int | None,
-    layers: Sequence[str],
-    route: Route | None,
-    marks: Sequence[Mark],
-) -> bytes:
     try:
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -150,10 +129,10 @@ def _render(
     view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
     texts = [grid.scene_id or "", *kinds, *(panel.title for panel in panels)]
     texts += [label.text for panel in panels for label in panel.labels]
+    families, missing = find_fonts("".join(texts))
     # ids in an SVG are hashes, salted at random unless told not to; letters are drawn as shapes,
     # so that a picture looks alike where its fonts are missing; no name is markup
     settings: Any = {"svg.hashsalt": "navbake", "svg.fonttype": "path", "text.parse_math": False}
-    families, missing = find_fonts("".join(texts))
     settings |= {"font.family": families, "text.color": INK}
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
@@ -175,7 +154,7 @@ def _render(
                 for label in panel.labels
             ]
             keys |= dict.fromkeys(write_names(ax, labels))
-        _draw_legend(figure, panels, kinds, list(keys), with_route=route is not None)
+        _draw_legend(figure, panels, kinds, list(keys), route is not None)
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
         # the legend hangs below the figure, which grows by it
@@ -204,8 +183,9 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
     return families, missing
 
 
-def _needs_bar(panel: Panel) -> bool:
-    return panel.scale is not None and len(panel.scale.ticks) > 1
+def _bar_of(panel: Panel) -> ColorScale | None:
+    """The scale of values that a panel shows beside its map."""
+    return panel.scale if panel.scale is not None and len(panel.scale.ticks) > 1 else None
 
 
 def add_axes(
@@ -220,13 +200,11 @@ def add_axes(
     in_line = num_layers if num_layers > 1 else len(panels)
     columns = 1 if wide > WIDE * high else min(in_line, MAX_COLUMNS)
     rows_each = math.ceil(in_line / columns)  # of a level, or of all
-    rows = rows_each * (len(panels) // in_line)
-    places = [divmod(number % in_line, columns) for number in range(len(panels))]
-    around_y = TITLE + BELOW
+    rows, around_y = rows_each * (len(panels) // in_line), TITLE + BELOW
     around_x = np.full(columns, LEFT + RIGHT)
-    for (_, column), panel in zip(places, panels, strict=True):
-        if _needs_bar(panel):
-            around_x[column] = LEFT + RIGHT + BAR_GAP + BAR + BAR_NUMBERS
+    for number, panel in enumerate(panels):
+        if _bar_of(panel):
+            around_x[number % in_line % columns] = LEFT + RIGHT + BAR_GAP + BAR + BAR_NUMBERS
     most_wide = (WIDTH - 2 * MARGIN - around_x.sum()) / columns
     most_high = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - HEADING) / rows - around_y)
     scale = min(most_wide / wide, max(most_high, MIN_MAP) / high)
@@ -237,9 +215,10 @@ def add_axes(
     figure.set_size_inches(width, height)
     figure.set_dpi(min(DPI, MAX_PIXELS / max(width, height)))
     axes = []
-    for number, (row, column) in enumerate(places):
-        left = slots[:column].sum() + LEFT
-        top = height - HEADING - (number // in_line * rows_each + row) * (size[1] + around_y)
+    for number in range(len(panels)):
+        row, column = divmod(number % in_line, columns)
+        row += number // in_line * rows_each
+        left, top = slots[:column].sum() + LEFT, height - HEADING - row * (size[1] + around_y)
         bottom = top - TITLE - size[1]
         place = left / width, bottom / height, size[0] / width, size[1] / height
         axes.append(figure.add_axes(place, xlim=view[::2], ylim=view[1::2]))
@@ -248,12 +227,12 @@ def add_axes(
 
 
 def _write_heading(figure: Any, grid: NavGrid) -> None:
-    y = 1 - HEADING / 2 / figure.get_figheight()
+    style = {"y": 1 - HEADING / 2 / figure.get_figheight(), "va": "center_baseline"}
     facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
-    figure.text(1, y, facts, ha="right", va="center_baseline", fontsize=TICK_POINTS)
-    style = {"fontsize": HEADING_POINTS, "fontweight": "bold", "va": "center_baseline"}
-    name = figure.text(0, y, printable(grid.scene_id or "grid"), **style)
-    _cut(name, figure.get_figwidth() - 2.6)
+    figure.text(1, s=facts, ha="right", fontsize=TICK_POINTS, **style)
+    name = printable(grid.scene_id or "grid")
+    written = figure.text(0, s=name, fontsize=HEADING_POINTS, fontweight="bold", **style)
+    _cut(written, figure.get_figwidth() - 2.6)
 
 
 def _cut(text: Any, width: float) -> None:
@@ -278,8 +257,9 @@ def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]
         axis.set_visible(length > 0.2 * DPI)
     ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
     ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
-    if panel.scale is not None and _needs_bar(panel):
-        _draw_bar(ax, panel.scale)
+    scale = _bar_of(panel)
+    if scale is not None:
+        _draw_bar(ax, scale)
     image = Image.fromarray(paint(panel))
     image = image.reduce(max(1, -(-max(image.size) // MAX_CELLS)))
     x_min, y_min, x_max, y_max = bounds
@@ -292,7 +272,7 @@ def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]
     ax.set(xlim=limits[0], ylim=limits[1])
     for door in panel.doors:
         x, y = zip(door.start, door.end, strict=True)
-        ax.plot(x, y, **_strokes(DOOR_STROKES[_drawn_state(door.state)]), solid_capstyle="butt")
+        ax.plot(x, y, **_strokes(_door_line(door.state)), solid_capstyle="butt")
 
 
 def _draw_bar(ax: Any, scale: ColorScale) -> None:
@@ -304,40 +284,36 @@ def _draw_bar(ax: Any, scale: ColorScale) -> None:
     across, up = figure.get_size_inches()
     height = max(box.height, 0.4 / up)
     place = box.x1 + BAR_GAP / across, box.y0, BAR / across, height
-    few = [tick for tick in scale.ticks if height * up > 0.8] or [scale.ticks[0], scale.ticks[-1]]
+    few = scale.ticks if height * up > 0.8 else (scale.ticks[0], scale.ticks[-1])
     bar = figure.colorbar(
         ScalarMappable(cmap=ListedColormap(scale.bar(256) / 255)), cax=figure.add_axes(place)
     )
-    bar.set_ticks(
-        [tick.position for tick in few],
-        labels=[tick.text.replace("-", "\N{MINUS SIGN}") for tick in few],
-    )
+    numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in few]
+    bar.set_ticks([tick.position for tick in few], labels=numbers)
     bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
     bar.outline.set_visible(False)
 
 
-def _strokes(strokes: Iterable[tuple[str, float]]) -> dict[str, Any]:
-    """The style of a line of several strokes over each other: their colours and widths [points]."""
+def _strokes(name: str) -> dict[str, Any]:
+    """The style of a line of several strokes over each other, by its name in `STROKES`."""
     from matplotlib.patheffects import Stroke
 
-    drawn = [Stroke(linewidth=width, foreground=color) for color, width in strokes]
-    return {"path_effects": drawn, "linewidth": max(width for _, width in strokes)}
+    drawn = [Stroke(linewidth=width, foreground=color) for color, width in STROKES[name]]
+    return {"path_effects": drawn, "linewidth": max(width for _, width in STROKES[name])}
 
 
-def _drawn_state(state: str) -> str:
-    return "closed" if state == "closed" else "open"
+def _door_line(state: str) -> str:
+    return "door, closed" if state == "closed" else "door, open"
 
 
 def _draw_route(ax: Any, route: Route, level: int) -> None:
     """Draw the parts of a path that are on a level, and its ends."""
     on_level = route.levels == level
-    x = np.where(on_level, route.positions[:, 0], np.nan)
-    y = np.where(on_level, route.positions[:, 1], np.nan)
-    ax.plot(x, y, **_strokes(ROUTE_STROKES), solid_joinstyle="round")
+    x, y = np.where(on_level, route.positions[:, :2].T, np.nan)
+    ax.plot(x, y, **_strokes("path, from o to x"), solid_joinstyle="round")
     for end, marker in ((0, "o"), (-1, "X")):
-        if on_level[end]:
-            style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8, "clip_on": False}
-            ax.plot(x[end], y[end], marker, **style)
+        style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8, "clip_on": False}
+        ax.plot(x[end], y[end], marker, **style)
 
 
 def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
@@ -354,40 +330,37 @@ def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
     scale = frame.width / np.ptp(ax.get_xlim())  # pixels a metre
     points = [to_pixels.transform((label.x, label.y)) for label in labels if not label.width]
     taken = [Bbox([at - POINT, at + POINT]) for at in points]
-    halo = [withStroke(linewidth=2, foreground="white", alpha=0.65)]
     for label in sorted(labels, key=lambda label: -label.width * label.height):
-        whole = printable(label.text)
+        whole, is_point = printable(label.text), not label.width
         name = whole if len(whole) <= MOST_LETTERS else f"{whole[:MOST_LETTERS]}…"
         middle = to_pixels.transform((label.x, label.y))
-        room = label.width * scale or np.inf, label.height * scale or np.inf
-        sizes = NAME_POINTS if label.width else NAME_POINTS[-1:]
+        room = np.array([label.width, label.height]) * scale if not is_point else np.inf
+        sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
         forms = [(text, size) for size in sizes for text in _broken(name)]
         forms += [(str(label.number), size) for size in NUMBER_POINTS]
         written = ax.text(label.x, label.y, "", ha="center", va="center", linespacing=1.05)
-        box = None
         for text, size in forms:
             written.set(text=text, fontsize=size)
-            extent = written.get_window_extent()
-            if extent.width > room[0] or extent.height > room[1]:
-                continue
-            half = np.array([extent.width, extent.height]) / 2 + 3
-            places = [middle] if label.width else _beside(middle, half)
-            moved = (Bbox([at - half, at + half]) for at in places)
-            kept = (_moved_into(box, frame) for box in moved)
-            free = (box for box in kept if box and not any(box.overlaps(each) for each in taken))
-            box = next(free, None)
-            if box is not None:
+            extent = np.array(written.get_window_extent().size)
+            half = extent / 2 + 3
+            away = half + POINT + 1  # above, below, to the right or to the left of a point
+            ways = [(0, 1), (0, -1), (1, 0), (-1, 0)] if is_point else [(0, 0)]
+            # moved so that it lies on the map
+            moved = [np.clip(middle + way * away, frame.p0 + half, frame.p1 - half) for way in ways]
+            boxes = [Bbox([at - half, at + half]) for at in moved]
+            free = [box for box in boxes if not any(box.overlaps(each) for each in taken)]
+            if free and (extent <= room).all() and (2 * half <= frame.size).all():
                 break
-        if box is None:
+        else:
             written.remove()
             continue
-        taken.append(box)
-        written.set_position(to_pixels.inverted().transform((box.p0 + box.p1) / 2))
-        if label.width:
-            written.set_path_effects(halo)
-        else:  # it may lie over anything
+        taken.append(free[0])
+        written.set_position(to_pixels.inverted().transform((free[0].p0 + free[0].p1) / 2))
+        if is_point:  # it may lie over anything
             written.set_bbox({"facecolor": "white", "alpha": 0.85, "pad": 1, "edgecolor": "none"})
-        if written.get_text() == str(label.number):
+        else:
+            written.set_path_effects([withStroke(linewidth=2, foreground="white", alpha=0.65)])
+        if text == str(label.number):
             yield f"{label.number}: {whole}"
 
 
@@ -398,22 +371,7 @@ def _broken(text: str) -> list[str]:
     if not breaks:
         return [text]
     at = min(breaks, key=lambda at: abs(at - len(text) / 2))
-    kept = "" if text[at] == " " else text[at]
-    return [text, f"{text[:at]}{kept}\n{text[at + 1 :]}"]
-
-
-def _beside(middle: Any, half: Any) -> list[Any]:
-    """Middles of boxes above, below, to the right and to the left of a point [pixels]."""
-    across, up = half + POINT + 1
-    return [middle + way for way in ((0, up), (0, -up), (across, 0), (-across, 0))]
-
-
-def _moved_into(box: Any, frame: Any) -> Any:
-    """A box, moved so that it lies in a frame; None where it is too large [pixels]."""
-    if box.width > frame.width or box.height > frame.height:
-        return None
-    low = np.clip(box.p0, frame.p0, frame.p1 - (box.p1 - box.p0))
-    return box.translated(*(low - box.p0))
+    return [text, f"{text[:at]}{text[at].strip()}\n{text[at + 1 :]}"]
 
 
 def _draw_legend(
@@ -421,7 +379,6 @@ def _draw_legend(
     panels: Sequence[Panel],
     kinds: dict[str, str],
     keys: list[str],
-    *,
     with_route: bool,
 ) -> None:
     """Say below the maps what colours, lines and numbers mean, as wide as the figure."""
@@ -429,35 +386,22 @@ def _draw_legend(
     from matplotlib.patches import Patch
 
     meanings = dict(entry for panel in panels for entry in panel.legend)
-    states = {_drawn_state(door.state) for panel in panels for door in panel.doors}
-    if states:  # lines stand for them in the legend
+    lines = {_door_line(door.state) for panel in panels for door in panel.doors}
+    if lines:  # they stand for doors in the legend
         meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY)}
+    lines |= {"path, from o to x"} if with_route else set()
     entries: list[Any] = [
         Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(name))
         for name, color in (meanings | kinds).items()
     ]
-    lines = {
-        f"door, {state}": strokes for state, strokes in DOOR_STROKES.items() if state in states
-    }
-    if with_route:
-        lines["path, from o to x"] = ROUTE_STROKES
-    entries += [Line2D([], [], label=name, **_strokes(line)) for name, line in lines.items()]
+    entries += [Line2D([], [], label=name, **_strokes(name)) for name in STROKES if name in lines]
     more = [f"and {len(keys) - MOST_KEYS} more"] if len(keys) > MOST_KEYS else []
     key = "   ".join(entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in keys[:MOST_KEYS] + more)
     width = figure.get_window_extent().width
+    style = {"loc": "upper left", "bbox_to_anchor": (0, 0), "frameon": False, "borderpad": 0}
+    style |= {"fontsize": LEGEND_POINTS, "handlelength": 1.6, "handletextpad": 0.5}
     for columns in range(len(entries), 0, -1):
-        legend = figure.legend(
-            handles=entries,
-            ncols=columns,
-            loc="upper left",
-            bbox_to_anchor=(0, 0),
-            frameon=False,
-            fontsize=LEGEND_POINTS,
-            handlelength=1.6,
-            handletextpad=0.5,
-            columnspacing=1.4,
-            borderpad=0,
-        )
+        legend = figure.legend(handles=entries, ncols=columns, columnspacing=1.4, **style)
         if legend.get_window_extent().width <= width or columns == 1:
             break
         legend.remove()

@@ -140,8 +140,8 @@ def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
         seen.append((made["progress"], [s["id"] for s in made["scenes"]]))
 
     stay_in_process(monkeypatch, after=look)
-    monkeypatch.setattr("navbake.batch.page.page.EVERY", 0.0)
-    monkeypatch.setattr("navbake.batch.page.page.SHARE", 1e9)
+    monkeypatch.setattr("navbake.batch.page.EVERY", 0.0)
+    monkeypatch.setattr("navbake.batch.page.SHARE", 1e9)
     run("batch", "room.xml", "second.xml", "-o", "out", "--page", *COARSE)
     assert seen == [([1, 2], ["room"]), ([2, 2], ["room", "second"])]
     assert content_of_batch("out/index.html")["progress"] is None

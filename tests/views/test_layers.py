@@ -18,7 +18,7 @@ from navbake.navgrid.colors import (
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.verifier.report import FLOOR_OFF, FREE_TOUCHES, Finding
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, light_of, make_panel, paint
-from navbake.views.plot import render_png
+from navbake.views.plot import render_picture
 
 ROOMS = """
 #########
@@ -132,16 +132,16 @@ def test_every_layer_of_every_level_is_drawn():
     pytest.importorskip("matplotlib")
     levels = [make_level(), make_level()]
     grid = MultiLevelGrid(grids=levels, cell_size=0.5, metadata=levels[0].metadata)
-    pictures = {render_png(grid, layers=[layer]) for layer in LAYERS}
+    pictures = {render_picture(grid, layers=[layer]) for layer in LAYERS}
     assert len(pictures) == len(LAYERS)
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
-    assert render_png(grid, layers=["rooms"]) in pictures  # the same bytes again
+    assert render_picture(grid, layers=["rooms"]) in pictures  # the same bytes again
 
 
 @pytest.mark.parametrize("name", ["$x_{ [b]$", "客厅", "\U0001f3e0\U000e0fff", "a" * 300, "  "])
 def test_any_name_is_drawn_without_a_complaint(name, recwarn):
     pytest.importorskip("matplotlib")
-    assert render_png(make_level(name=name), layers=["rooms"]).startswith(b"\x89PNG")
+    assert render_picture(make_level(name=name), layers=["rooms"]).startswith(b"\x89PNG")
     assert [str(warning.message) for warning in recwarn] == []
 
 
@@ -149,7 +149,7 @@ def test_refuses():
     with pytest.raises(QueryError, match=r"expected one of occupancy, floor, .* got 'heat'"):
         make_panel(make_level(), "heat", 0)
     with pytest.raises(QueryError, match="at least one layer"):
-        render_png(make_level(), layers=[])
+        render_picture(make_level(), layers=[])
 
 
 def test_a_level_alone_has_no_name_in_its_title():
@@ -223,17 +223,6 @@ def test_paint_colours_values_and_leaves_the_rest():
     assert (painted[0, 0] == rgb_of(OCCUPIED)).all() and (painted[0, 10] == rgb_of(NO_FLOOR)).all()
     assert cheap.sum() > dear.sum()  # what costs much is dark
     assert (panel.rgb == make_panel(level, "weights", 0).rgb).all()  # it is not painted over
-
-
-def test_bands_are_painted_as_the_whole(monkeypatch):
-    rng = np.random.default_rng(1)
-    level = make_level()
-    level.attributes["floorHeight"][:] = rng.choice([0, 0.02, 0.3, np.nan], level.shape)
-    panel = make_panel(level, "floor", 0)
-    whole = paint(panel)
-    for size in (1, 11, 22, 40):
-        monkeypatch.setattr("navbake.views.layers.BAND_CELLS", size)
-        np.testing.assert_array_equal(paint(panel), whole)
 
 
 def test_light_comes_from_the_upper_left():

@@ -14,7 +14,7 @@ from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint
-from navbake.views.plot import Mark, plot_grid, render_png, render_svg
+from navbake.views.plot import Mark, plot_grid, render_picture
 
 pytest.importorskip("matplotlib")
 
@@ -53,7 +53,7 @@ def color(text):
 
 
 def test_row_0_is_at_the_top_and_column_0_at_the_left():
-    image = pixels(render_png(make_level()))
+    image = pixels(render_picture(make_level()))
     # the occupancy panel: where its three colours are, left half of the picture
     left = image[:, : image.shape[1] // 2]
     middle = {}
@@ -66,12 +66,12 @@ def test_row_0_is_at_the_top_and_column_0_at_the_left():
 
 
 def test_same_grid_same_bytes(house):
-    assert render_png(house) == render_png(house)
-    assert b"matplotlib" not in render_png(house).lower()
+    assert render_picture(house) == render_picture(house)
+    assert b"matplotlib" not in render_picture(house).lower()
 
 
 def test_a_row_for_each_level(house):
-    both, one = pixels(render_png(house)), pixels(render_png(house, level=1))
+    both, one = pixels(render_picture(house)), pixels(render_picture(house, level=1))
     assert both.shape[0] > 1.6 * one.shape[0]
     assert both.shape[1] == one.shape[1]
 
@@ -79,31 +79,31 @@ def test_a_row_for_each_level(house):
 @pytest.mark.parametrize("level", [-1, 2])
 def test_refuses_a_level_that_there_is_not(house, level):
     with pytest.raises(QueryError, match=f"no level {level}: expected 0 to 1"):
-        render_png(house, level=level)
+        render_picture(house, level=level)
 
 
 def test_names_are_no_markup():
-    assert render_png(make_level(name="$x_{ [b]$")).startswith(b"\x89PNG")
+    assert render_picture(make_level(name="$x_{ [b]$")).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (400, 1), (1, 400)])
 def test_any_shape(shape):
     grid = make_level(*shape)
-    assert pixels(render_png(grid)).shape[2] == 3
+    assert pixels(render_picture(grid)).shape[2] == 3
 
 
 def test_writes_the_file_whole_or_not_at_all(tmp_path, house):
     path = tmp_path / "house.png"
     path.write_bytes(b"before")
     assert plot_grid(house, path) == path
-    assert path.read_bytes() == render_png(house)
+    assert path.read_bytes() == render_picture(house)
     assert [p.name for p in tmp_path.iterdir()] == ["house.png"]
     with pytest.raises(NavbakeError, match=r"cannot write .*none.*house\.png"):
         plot_grid(house, tmp_path / "none" / "house.png")
 
 
 def test_uses_no_global_state(house):
-    render_png(house)
+    render_picture(house)
     if "matplotlib.pyplot" in sys.modules:
         from matplotlib import pyplot
 
@@ -113,15 +113,15 @@ def test_uses_no_global_state(house):
 def test_tells_how_to_get_matplotlib(monkeypatch, house):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingDependencyError, match=r'pip install "navbake\[plot\]"'):
-        render_png(house)
+        render_picture(house)
 
 
 def test_marks_are_drawn_on_their_level_or_on_all(house):
-    plain = pixels(render_png(house, layers=("occupancy",)))
+    plain = pixels(render_picture(house, layers=("occupancy",)))
     colored = []
     for level in (0, 1, -1):
         marks = [Mark(level, 0.5, 1.0, "floor off"), Mark(level, 1.5, 0.5, "path touches")]
-        drawn = pixels(render_png(house, layers=("occupancy",), marks=marks))
+        drawn = pixels(render_picture(house, layers=("occupancy",), marks=marks))
         assert drawn.shape[1] == plain.shape[1]
         is_mark = [np.abs(drawn - color(c)).max(axis=-1) < 8 for c in MARKS[:2]]
         # levels of one layer lie beside each other; the legend is below them
@@ -145,7 +145,7 @@ def test_every_cell_is_drawn_where_it_is():
     level.weights[:] = np.where(rng.random(level.shape) < 0.5, 1.0, np.inf)
     level.weights[[0, 0, -1, -1], [0, -1, 0, -1]] = np.inf
     level.attributes["floorHeight"][:] = 0
-    image = pixels(render_png(level, layers=["occupancy"]))
+    image = pixels(render_picture(level, layers=["occupancy"]))
     rows, cols = find(image, OCCUPIED, slice(0, image.shape[0] - 60))
     edges = rows.min(), rows.max() + 1, cols.min(), cols.max() + 1
     middle_rows = (edges[0] + (np.arange(8) + 0.5) / 8 * (edges[1] - edges[0])).astype(int)
@@ -157,19 +157,19 @@ def test_every_cell_is_drawn_where_it_is():
 @pytest.mark.parametrize("layers", [["occupancy"], ["occupancy", "floor"], ["rooms"] * 5])
 def test_letters_are_readable_in_a_readme(layers):
     """830 pixels of a README show at most 8.3 inches, so 7.5 points are at least 10 pixels."""
-    image = pixels(render_png(make_level(), layers=layers))
+    image = pixels(render_picture(make_level(), layers=layers))
     assert 150 * 4 < image.shape[1] <= 150 * 8.3 + 1
 
 
 def test_the_background_is_light(house):
-    image = pixels(render_png(house))
+    image = pixels(render_picture(house))
     edges = np.concatenate([image[:2].reshape(-1, 3), image[:, :2].reshape(-1, 3)])
     assert (edges == 255).all()
 
 
 def test_svg_is_the_same_every_time_and_has_no_date(house, tmp_path):
-    svg = render_svg(house)
-    assert svg == render_svg(house)
+    svg = render_picture(house, "svg")
+    assert svg == render_picture(house, "svg")
     assert svg.startswith(b"<?xml") and b"<svg" in svg
     assert b"date" not in svg.lower() and b"Matplotlib v" not in svg
     assert plot_grid(house, tmp_path / "house.SVG").read_bytes() == svg
@@ -180,7 +180,7 @@ def test_svg_leaves_settings_as_they_are(house):
     from matplotlib import rcParams
 
     before = dict(rcParams)
-    render_svg(house)
+    render_picture(house, "svg")
     assert dict(rcParams) == before
 
 
@@ -191,8 +191,8 @@ def test_any_name_is_a_title(name, recwarn):
     from xml.etree import ElementTree
 
     grid = make_level(name=name)
-    ElementTree.fromstring(render_svg(grid))
-    assert render_png(grid).startswith(b"\x89PNG")
+    ElementTree.fromstring(render_picture(grid, "svg"))
+    assert render_picture(grid).startswith(b"\x89PNG")
     assert [str(warning.message) for warning in recwarn] == []
 
 
@@ -203,7 +203,7 @@ def test_a_path_is_blue_over_white_and_on_its_level(house):
         return Route(ends, np.full(2, level), cells, 2.5, 2.5, [], [])
 
     for level in (0, 1):
-        image = pixels(render_png(house, layers=["occupancy"], route=route(level)))
+        image = pixels(render_picture(house, layers=["occupancy"], route=route(level)))
         above, half = image.shape[0] * 3 // 4, image.shape[1] // 2
         _, cols = find(image, ROUTE, slice(0, above))
         assert len(cols) > 200
@@ -218,7 +218,7 @@ def test_doors_are_full_or_hollow_lines(state):
     cells = {"closed": [[0, to_runs(np.arange(5 * 30 + 18, 5 * 30 + 27))]], "open": []}
     door = {"id": "d", "state": state, "cells": cells, "solid": cells}
     level.metadata["navbake"] = {"doors": [door]}
-    image = pixels(render_png(level, layers=["occupancy"]))
+    image = pixels(render_picture(level, layers=["occupancy"]))
     rows, cols = find(image, DOOR, slice(0, image.shape[0] * 8 // 10))
     column = image[rows.min() - 12 : rows.max() + 13, int(cols.mean())]
     is_door = np.abs(column - color(DOOR)).max(axis=1) < 90
@@ -237,7 +237,7 @@ def test_large_grids_are_drawn_in_bounded_detail():
     level.attributes["floorHeight"][:] = 0
     level.weights[:950] = 1.0
     level.weights[:, 1200] = np.inf
-    content = render_png(level, layers=["occupancy"])
+    content = render_picture(level, layers=["occupancy"])
     image = pixels(content)
     assert len(content) < 300_000
     rows, cols = find(image, FREE, slice(0, image.shape[0] // 2))

@@ -24,7 +24,7 @@ from navbake.cli.printing import (
 from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
-    from navbake.batch.page.page import LivePage
+    from navbake.batch.page import LivePage
     from navbake.batch.run import BatchResult
     from navbake.batch.store import Folder
     from navbake.batch.workers import Ended
@@ -141,7 +141,7 @@ def batch(
     from navbake.batch.cluster import RayExecutor
     from navbake.batch.index import LOCK, NAME, TABLE
     from navbake.batch.job import Plan
-    from navbake.batch.page.page import NAME as PAGE
+    from navbake.batch.page import NAME as PAGE
     from navbake.batch.products import parse_products
     from navbake.batch.run import Means, run_batch
     from navbake.batch.scenes import list_jobs
@@ -210,7 +210,7 @@ class _Watch:
         self._total, self._skipped = total - skipped, skipped
         self._log.begin(total, skipped)
         if self._wholly.page:
-            from navbake.batch.page.page import LivePage  # not every batch has a page
+            from navbake.batch.page import LivePage  # not every batch has a page
 
             self._page = LivePage(self._folder, self._total)
         # on a terminal, lines and a bar would run into each other
@@ -236,7 +236,7 @@ class _Watch:
 
     def interrupt(self, error: BaseException) -> None:
         """Note that the batch ended early, by a signal or because it can't go on."""
-        from navbake.batch.page.page import write_page  # not every batch has a page
+        from navbake.batch.page import write_page  # not every batch has a page
 
         baked, left = self._done - self._failed, self._total - self._done
         counts = _counts(baked, self._skipped, self._failed, left)
@@ -251,8 +251,8 @@ class _Watch:
     def end(self, result: BatchResult) -> None:
         """Print what the batch came to."""
         from navbake.batch.index import NAME, TABLE
-        from navbake.batch.page.page import NAME as PAGE
-        from navbake.batch.page.page import write_page
+        from navbake.batch.page import NAME as PAGE
+        from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
         baked, left = result.count("ok") - result.skipped, result.count("left")
@@ -292,7 +292,7 @@ def _in_words(counts: Json) -> str:
 
 def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
-    from navbake.batch.page.page import draw_thumbnails
+    from navbake.batch.page import draw_thumbnails
     from navbake.batch.store import FullError
     from navbake.cli.progress import stage_progress
 

@@ -131,7 +131,7 @@ def report(
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
     """Write the page of a batch from its index; thumbnails that are missing are drawn."""
-    from navbake.batch.page.page import NAME, write_page, write_page_beside
+    from navbake.batch.page import NAME, write_page
 
     if len(folders) > 1 or not os.path.isfile(folders[0] / INDEX):
         named = ", ".join(map(str, folders))
@@ -141,10 +141,7 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
         raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
     check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
     draw_missing_thumbnails(folders[0])
-    if output is None:
-        write_page(folders[0])
-    else:
-        write_page_beside(folders[0], page)
+    write_page(folders[0], output)
     say_unless_quiet(page)
 
 

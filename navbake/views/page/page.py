@@ -1,4 +1,7 @@
-"""Puts a page together: skeleton, content, and a policy that lets it load nothing."""
+"""What pages are made of: a skeleton, one style, functions that scripts share, and packed content.
+
+A page needs neither a server nor the network. `kit.js` unpacks what is packed here.
+"""
 
 import hashlib
 import html
@@ -13,13 +16,12 @@ import orjson
 
 from navbake.types import Int, Json
 
-KIT = "navbake.views.page"
 INSIDE = "data:"  # where pictures may be: in the page itself
 MAX_ROWS = 2000  # of a table; the page says how many more there are
 LEVEL = 6  # of compression: 9 takes five times as long for 2 % less
 
 
-def make_page(content: Json, package: str, script: str, pictures: str = INSIDE) -> bytes:
+def make_page(title: str, content: Json, package: str, name: str, pictures: str = INSIDE) -> bytes:
     """The page that shows some content, UTF-8; the same content, the same bytes.
 
     Its policy (Content-Security-Policy) names the hashes of its script and its style, and forbids
@@ -27,22 +29,30 @@ def make_page(content: Json, package: str, script: str, pictures: str = INSIDE) 
     the network for nothing.
 
     Args:
-        content: what its script reads, and its ``title``.
-        package: where its ``body.html`` and its script are.
-        script: the script's name; ``kit.js`` stands before it.
+        title: of the page.
+        content: what its script reads, besides the title.
+        package: where its body, ``name.html``, and its script, ``name.js``, are.
+        name: of these.
         pictures: where pictures may come from, as the policy writes it.
     """
-    style = _read(KIT, "page.css")
-    code = f"{_read(KIT, 'kit.js')}\n{_read(package, script)}"
-    packed = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
-    page = Template(_read(KIT, "page.html")).substitute(
+
+    def read(package: str, name: str) -> str:
+        return resources.files(package).joinpath(name).read_text(encoding="utf-8").strip()
+
+    def hash_of(text: str) -> str:
+        return f"sha256-{b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
+
+    style = read(__package__, "page.css")
+    code = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
+    packed = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
+    page = Template(read(__package__, "page.html")).substitute(
         PICTURES=pictures,
         STYLE=style,
-        STYLE_HASH=_hash(style),
-        BODY=_read(package, "body.html"),
+        STYLE_HASH=hash_of(style),
+        BODY=read(package, f"{name}.html"),
         SCRIPT=code,
-        SCRIPT_HASH=_hash(code),
-        TITLE=html.escape(content["title"]),
+        SCRIPT_HASH=hash_of(code),
+        TITLE=html.escape(title),
         # a "<" could end the element that holds the content
         CONTENT=packed.replace(b"<", b"\\u003c").decode("utf-8"),
     )
@@ -57,13 +67,12 @@ def table(
     A column that is empty in all rows is left out.
     """
     kept = [i for i in range(len(columns)) if any(row[i] not in ("", None) for row in rows)]
-    shown = rows[:MAX_ROWS]
     return {
         "title": title,
         "columns": [columns[i] for i in kept],
-        "rows": [["" if row[i] is None else row[i] for i in kept] for row in shown],
+        "rows": [["" if row[i] is None else row[i] for i in kept] for row in rows[:MAX_ROWS]],
         "numbers": [place for place, i in enumerate(kept) if i in numbers],
-        "more": len(rows) - len(shown),
+        "more": max(0, len(rows) - MAX_ROWS),
     }
 
 
@@ -83,12 +92,3 @@ def pack(values: Int) -> Json:
 def to_text(data: bytes) -> str:
     """Compress bytes into text: zlib, then base64."""
     return b64encode(zlib.compress(data, LEVEL)).decode("ascii")
-
-
-def _read(package: str, name: str) -> str:
-    return resources.files(package).joinpath(name).read_text(encoding="utf-8").strip()
-
-
-def _hash(text: str) -> str:
-    digest = hashlib.sha256(text.encode("utf-8")).digest()
-    return f"sha256-{b64encode(digest).decode('ascii')}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +12,9 @@ from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Int, Json
 from navbake.views.page.page import pack, table
-from navbake.views.report.maps import describe_place, thinning, to_png
+from navbake.views.report.maps import describe_place, to_url
 
 MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
 MOST_ADDED = 4  # times the cells of two levels that a lattice over both may have, and
@@ -39,6 +39,7 @@ ALIKE_COLORS = {
 }
 CHANGES, ALIKE = tuple(CHANGE_COLORS), tuple(ALIKE_COLORS)
 COLORS = CHANGE_COLORS | ALIKE_COLORS
+ONLY = ("only in the first", "only in the second")
 
 Row = tuple[str, str, str]
 """What differs, and how the first and the second grid have it."""
@@ -46,32 +47,22 @@ Row = tuple[str, str, str]
 
 def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> Json:
     """The sheet of two grids' difference, as a report has one of a grid."""
+    grids, warnings = (first, second), []
     pairs = match_levels(first, second)
     levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
-    columns = ("what", *names)
+    counts = [level.counts() for level in levels]
+    called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
     cells = [
-        (
-            first.level_names[level.first],
-            second.level_names[level.second],
-            *(level.counts().get(name, 0) for name in CHANGES),
-        )
-        for level in levels
+        (*both, *(count.get(name, 0) for name in CHANGES))
+        for both, count in zip(called, counts, strict=True)
     ]
     alone = [
-        ("only in the first", name, "")
-        for number, name in enumerate(first.level_names)
-        if number not in [level.first for level in levels]
-    ] + [
-        ("only in the second", "", name)
-        for number, name in enumerate(second.level_names)
-        if number not in [level.second for level in levels]
+        (ONLY[side], *("" if side else name, name if side else ""))
+        for side, grid in enumerate(grids)
+        for number, name in enumerate(grid.level_names)
+        if number not in [pair[side] for pair in pairs]
     ]
-    num_changed = sum(sum(level.counts().values()) for level in levels)
-    areas = [
-        sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
-        for grid in (first, second)
-    ]
-    area = f"{areas[0]:.2f} to {areas[1]:.2f} m² ({areas[1] - areas[0]:+.2f})"
+    columns = ("what", *names)
     tables = [
         table("Cells that changed", (*names, *CHANGES), cells, numbers=range(2, 2 + len(CHANGES))),
         table("Levels that only one has", columns, alone),
@@ -79,40 +70,43 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         table("Doors that changed", columns, list_doors(first, second)),
         table("Settings that changed", columns, list_settings(first, second)),
     ]
-    warnings = []
     if first.scene_id != second.scene_id:
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
-    ours, theirs = (grid.levels[0].lattice.cell_size for grid in (first, second))
+    ours, theirs = (grid.levels[0].lattice.cell_size for grid in grids)
     if abs(ours - theirs) > 1e-9:
         warnings.append(
             f"cells of {ours:g} m are compared with the cells of {theirs:g} m "
             "in which their centres lie"
         )
+    areas = [
+        sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
+        for grid in grids
+    ]
+    area = f"{areas[0]:.2f} to {areas[1]:.2f} m² ({areas[1] - areas[0]:+.2f})"
+    num_changed = sum(sum(count.values()) for count in counts)
+    facts = [("first", names[0]), ("second", names[1])]
+    facts += [
+        ("cells that changed", f"{num_changed:,}"),
+        *([("free area", area)] if levels else []),
+    ]
     return {
         "name": "difference",
-        "facts": [
-            ("first", names[0]),
-            ("second", names[1]),
-            ("cells that changed", f"{num_changed:,}"),
-            *(("free area", area) for _ in levels[:1]),
-        ],
+        "facts": facts,
         "warnings": warnings,
-        "levels": [_show_level(first, second, level) for level in levels],
+        "levels": [_show_level(*each) for each in zip(levels, called, strict=True)],
         "tables": [made for made in tables if made["rows"]],
     }
 
 
-def _show_level(first: NavGrid, second: NavGrid, level: LevelDifference) -> Json:
-    every = max(thinning(first.levels[level.first]), thinning(second.levels[level.second]))
-    change = level.change[::every, ::every]
+def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
+    place = describe_place(" / ".join(dict.fromkeys(names)), level.lattice)
+    change = level.change[:: place["every"], :: place["every"]]
     colors = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
     there = np.bincount(change.ravel(), minlength=len(COLORS)) > 0
     legend = [entry for entry, is_there in zip(COLORS.items(), there, strict=True) if is_there]
-    ours, theirs = first.level_names[level.first], second.level_names[level.second]
-    layer: Json = {"name": "changes", "title": "", "png": to_png(colors[change]), "legend": legend}
+    layer: Json = {"name": "changes", "title": "", "png": to_url(colors[change]), "legend": legend}
     return {
-        **describe_place(ours if ours == theirs else f"{ours} / {theirs}", level.lattice),
-        "every": every,
+        **place,
         "of": [[0, level.first], [1, level.second]],
         "change": pack(change.astype(np.int64)),
         "kinds": [*COLORS],
@@ -146,7 +140,8 @@ class LevelDifference(NamedTuple):
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
     """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart.
 
-    Levels that lie too far from each other to be drawn together are no pair; see `MOST_ADDED`.
+    Levels that lie too far from each other to be drawn together, so that a lattice over both has
+    far more cells than they have, are no pair; see `MOST_ADDED`.
     """
     apart = [
         (abs(one.ground - other.ground), i, j)
@@ -155,17 +150,12 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
     ]
     pairs: list[tuple[int, int]] = []
     for distance, i, j in sorted(apart):
-        taken = any(i == a or j == b for a, b in pairs)
-        if distance <= MOST_APART and not taken and _are_near(first.levels[i], second.levels[j]):
+        one, other = first.levels[i], second.levels[j]
+        both, own = _cover_both(one.lattice, other.lattice), one.weights.size + other.weights.size
+        is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
+        if distance <= MOST_APART and is_near and not any(i == a or j == b for a, b in pairs):
             pairs.append((i, j))
     return sorted(pairs)
-
-
-def _are_near(first: SceneGrid2D, second: SceneGrid2D) -> bool:
-    """Whether a lattice over both has not far more cells than they have."""
-    both = _cover_both(first.lattice, second.lattice)
-    own = first.weights.size + second.weights.size
-    return both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
 
 
 def compare_levels(
@@ -178,72 +168,58 @@ def compare_levels(
     second that holds the centre.
     """
     lattice = _cover_both(first.lattice, second.lattice)
-    one, other = _Sampled.of(first, lattice), _Sampled.of(second, lattice)
-    rooms = _match_rooms(one.room, other.room)
-    same_room = np.zeros(
-        (int(one.room.max(initial=0)) + 1, int(other.room.max(initial=0)) + 1), bool
+    there, free, floor, room, weight = zip(
+        _sample(first, lattice), _sample(second, lattice), strict=True
     )
+    rooms, both = _match_rooms(*room), there[0] & there[1]
+    same_room = np.zeros([int(of_one.max(initial=0)) + 1 for of_one in room], bool)
     same_room[0, 0] = True
     for a, b, _ in rooms:
         same_room[a, b] = True
     # NaN, no floor, differs from every height, and not from itself
-    moved = ~(np.abs(one.floor - other.floor) <= SAME_FLOOR)
-    moved &= ~(np.isnan(one.floor) & np.isnan(other.floor))
-    happened = (
-        other.free & ~one.free & one.there,
-        one.free & ~other.free & other.there,
-        moved & one.there & other.there,
-        ~same_room[one.room, other.room] & one.there & other.there,
-        (one.weight != other.weight) & one.there & other.there,
-        one.there & ~other.there & one.holds_anything,
-        other.there & ~one.there & other.holds_anything,
-        one.free,
-        ~np.isnan(one.floor),
-    )
-    change = np.full(lattice.shape, len(CHANGES) + len(ALIKE) - 1, dtype=np.uint8)
-    for number, mask in reversed(list(enumerate(happened))):
-        change[mask] = number
+    has_none = [np.isnan(heights) for heights in floor]
+    moved = ~(np.abs(floor[0] - floor[1]) <= SAME_FLOOR) & ~(has_none[0] & has_none[1])
+    happened = [
+        free[1] & ~free[0] & there[0],
+        free[0] & ~free[1] & there[1],
+        moved & both,
+        ~same_room[room] & both,
+        (weight[0] != weight[1]) & both,
+        ~there[1] & (free[0] | ~has_none[0]),
+        ~there[0] & (free[1] | ~has_none[1]),
+        free[0],
+        ~has_none[0],
+    ]
+    change = np.select(happened, [*range(len(happened))], len(happened)).astype(np.uint8)
     return LevelDifference(*pair, lattice, change, rooms)
 
 
-class _Sampled(NamedTuple):
-    """A level at the centres of a lattice's cells; arrays of the lattice's shape."""
+def _sample(level: SceneGrid2D, lattice: Lattice) -> tuple[NDArray[Any], ...]:
+    """A level at the centres of a lattice's cells, arrays of the lattice's shape.
 
-    there: Bool  # whether the level has a cell there
-    free: Bool
-    floor: Float  # world z [m], NaN for none
-    room: Int
-    weight: Float
-
-    @property
-    def holds_anything(self) -> Bool:
-        return np.asarray(self.free | ~np.isnan(self.floor))
-
-    @classmethod
-    def of(cls, level: SceneGrid2D, lattice: Lattice) -> _Sampled:
-        own = level.lattice
-        rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
-        cols = np.floor((lattice.center_x() - own.x_min) / own.cell_size).astype(np.int64)
-        inside = ((rows >= 0) & (rows < own.height))[:, None] & ((cols >= 0) & (cols < own.width))
-        at = np.ix_(np.clip(rows, 0, own.height - 1), np.clip(cols, 0, own.width - 1))
-        return cls(
-            there=inside,
-            free=level.free[at] & inside,
-            floor=np.where(inside, level.floor[at], np.nan),
-            room=np.where(inside, level.room_index[at].astype(np.int64), 0),
-            weight=np.where(inside, level.weights[at].astype(np.float64), np.inf),
-        )
+    Returns:
+        Whether the level has a cell there; free; floor [m], NaN for none; room; weight.
+    """
+    own = level.lattice
+    rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
+    cols = np.floor((lattice.center_x() - own.x_min) / own.cell_size).astype(np.int64)
+    inside = ((rows >= 0) & (rows < own.height))[:, None] & ((cols >= 0) & (cols < own.width))
+    at = np.ix_(np.clip(rows, 0, own.height - 1), np.clip(cols, 0, own.width - 1))
+    return (
+        inside,
+        level.free[at] & inside,
+        np.where(inside, level.floor[at], np.nan),
+        np.where(inside, level.room_index[at].astype(np.int64), 0),
+        np.where(inside, level.weights[at].astype(np.float64), np.inf),
+    )
 
 
 def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
     """The cells of a lattice, and as many more beside them as cover another one, too."""
-    x0, y0, x1, y1 = other.bounds
     size = lattice.cell_size
-    slack = 1e-6 * size  # of what lies on an edge but for rounding
-    left = max(0, int(np.ceil((lattice.x_min - x0 - slack) / size)))
-    top = max(0, int(np.ceil((y1 - lattice.y_max - slack) / size)))
-    right = max(0, int(np.ceil((x1 - lattice.bounds[2] - slack) / size)))
-    bottom = max(0, int(np.ceil((lattice.bounds[1] - y0 - slack) / size)))
+    # of each side; what lies on an edge but for rounding isn't beyond it
+    beyond = (np.array(lattice.bounds) - other.bounds) * (1, 1, -1, -1) / size - 1e-6
+    left, bottom, right, top = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
     return Lattice(
         lattice.x_min - left * size,
         lattice.y_max + top * size,
@@ -255,20 +231,15 @@ def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
 
 def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
     """Pair rooms each of which overlaps the other the most, with intersection over union."""
-    num_one, num_other = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
-    codes, counts = np.unique(one * num_other + other, return_counts=True)
-    cells_one = np.bincount(one.ravel(), minlength=num_one)
-    cells_other = np.bincount(other.ravel(), minlength=num_other)
-    overlaps = []
-    for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
-        a, b = divmod(code, num_other)
-        if a and b:
-            share = count / (int(cells_one[a]) + int(cells_other[b]) - count)
-            overlaps.append((share, a, b))
-    overlaps.sort(key=lambda found: (found[0], -found[1], -found[2]))
-    best_of_one = {a: (b, share) for share, a, b in overlaps}
-    best_of_other = {b: a for _, a, b in overlaps}
-    return sorted((a, b, share) for a, (b, share) in best_of_one.items() if best_of_other[b] == a)
+    pairs, common = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1, return_counts=True)
+    all_one, all_other = np.bincount(one.ravel()), np.bincount(other.ravel())
+    share = common / (all_one[pairs[0]] + all_other[pairs[1]] - common)
+    # the largest share last; of equal ones the lowest rooms
+    order = [k for k in np.lexsort((-pairs[1], -pairs[0], share)).tolist() if pairs[:, k].all()]
+    found = [(*pairs[:, k].tolist(), float(share[k])) for k in order]
+    best_of_one = {a: (a, b, share) for a, b, share in found}
+    best_of_other = {b: (a, b, share) for a, b, share in found}
+    return sorted(pair for pair in best_of_one.values() if best_of_other[pair[1]] == pair)
 
 
 def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -> list[Row]:
@@ -289,8 +260,8 @@ def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -
             whats += [f"{share:.1%} of their cells are common"] if share != 1 else []
             if whats:
                 rows.append(("; ".join(whats), shown(one), shown(other)))
-    rows += [("only in the first", shown(room), "") for room in rooms[0].values()]
-    return rows + [("only in the second", "", shown(room)) for room in rooms[1].values()]
+    rows += [(ONLY[0], shown(room), "") for room in rooms[0].values()]
+    return rows + [(ONLY[1], "", shown(room)) for room in rooms[1].values()]
 
 
 def list_doors(first: NavGrid, second: NavGrid) -> list[Row]:
@@ -300,33 +271,28 @@ def list_doors(first: NavGrid, second: NavGrid) -> list[Row]:
 
 def list_settings(first: NavGrid, second: NavGrid) -> list[Row]:
     """The settings and digests that differ, by their path in the metadata."""
-    return _differing(*(dict(flatten(_settings_of(grid))) for grid in (first, second)))
+
+    def settings_of(grid: NavGrid) -> dict[str, str]:
+        own = {key: grid.navbake.get(key) for key in ("settings", "sceneDigest")}
+        own["cell size"] = f"{grid.cell_size * grid.unit:g} m"
+        own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
+        return flatten(own)
+
+    return _differing(settings_of(first), settings_of(second))
 
 
 def _differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:
-    keys = sorted(one.keys() | other.keys())
-    rows = [(key, one.get(key, ""), other.get(key, "")) for key in keys]
-    return [row for row in rows if row[1] != row[2]]
+    keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
+    return [(key, one.get(key, ""), other.get(key, "")) for key in keys]
 
 
-def _settings_of(grid: NavGrid) -> Json:
-    own: Json = {
-        key: grid.navbake[key] for key in ("settings", "sceneDigest") if key in grid.navbake
-    }
-    facts = {"cell size": f"{grid.cell_size * grid.unit:g} m", "radius": f"{grid.agent_radius:g} m"}
-    return {**own, **facts, "inflation": grid.metadata.get("inflation")}
-
-
-def flatten(value: Any, path: str = "") -> list[tuple[str, str]]:
-    """The values in nested objects, each with its path; lists of objects count from 0."""
-
-    def walk(part: Any, path: str) -> Iterator[tuple[str, str]]:
-        if isinstance(part, list) and any(isinstance(inner, dict) for inner in part):
-            part = dict(enumerate(part))
-        if isinstance(part, dict):
-            for key, inner in part.items():
-                yield from walk(inner, f"{path}.{key}" if path else str(key))
-        elif part is not None:
-            yield path, str(part)
-
-    return list(walk(value, path))
+def flatten(value: Any, path: str = "") -> dict[str, str]:
+    """The values in nested objects by their paths; lists of objects count from 0."""
+    if isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
+        value = dict(enumerate(value))
+    if not isinstance(value, dict):
+        return {} if value is None else {path: str(value)}
+    found: dict[str, str] = {}
+    for key, inner in value.items():
+        found |= flatten(inner, f"{path}.{key}" if path else str(key))
+    return found

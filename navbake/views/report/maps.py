@@ -1,6 +1,5 @@
 """What a report shows of a level: pictures of its layers, and what is known of each cell."""
 
-import io
 from base64 import b64encode
 
 import numpy as np
@@ -14,6 +13,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Float, Int, Json
 from navbake.views.layers import LAYERS, make_panel, paint
+from navbake.views.notebook import encode_png
 from navbake.views.page.page import pack, to_text
 
 KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
@@ -22,52 +22,29 @@ MOST_STEPS = 2**31  # that a page counts of heights
 MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
 NONE = -1  # stands for no value in what is packed
 BAR = 64  # colours of the bar beside a layer
-PALETTE = 256  # most colours of a picture that numbers them, one byte a pixel
-
-
-def thinning(level: SceneGrid2D) -> int:
-    """Every which row and column of a level a page shows; 1 for all."""
-    step = 1
-    while -(-level.height // step) * -(-level.width // step) > MAX_SHOWN:
-        step += 1
-    return step
 
 
 def describe_place(name: str, lattice: Lattice) -> Json:
-    """Where a map lies in the world."""
-    return {
-        "name": name,
-        "width": lattice.width,
-        "height": lattice.height,
-        "cellSize": lattice.cell_size,
-        "xMin": lattice.x_min,
-        "yMax": lattice.y_max,
-    }
+    """Where a map lies in the world, and every which row and column of it a page shows."""
+    every = 1
+    while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
+        every += 1
+    place = {"name": name, "width": lattice.width, "height": lattice.height, "every": every}
+    return place | {"cellSize": lattice.cell_size, "xMin": lattice.x_min, "yMax": lattice.y_max}
 
 
 def describe_map(grid: NavGrid, number: int) -> Json:
-    """The map of one level: its place, its layers, and its cells."""
-    level = grid.levels[number]
-    return {
-        **describe_place(grid.level_names[number], level.lattice),
-        "cells": _describe_cells(grid, number),
-        "layers": [_draw_layer(grid, number, layer) for layer in LAYERS],
-    }
+    """The map of one level: its place, its layers, and its cells.
 
-
-def _describe_cells(grid: NavGrid, number: int) -> Json:
-    """What is known of the cells of one level, packed by `pack`.
-
-    Returns:
-        ``every``, see `thinning`; ``floor`` and ``clearance`` in steps of a millimetre from
-        ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m];
-        ``room``, ``island``; ``weight`` and ``names`` as numbers into the
-        lists ``weights`` (None for infinite) and ``nameLists``, which is JSON, compressed. An entry
-        of it holds the names of what stands in a cell, and of what blocks it, by `KINDS`.
+    Of the cells, packed by `pack`: ``floor`` and ``clearance`` in steps of a millimetre from
+    ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m]; ``room``,
+    ``island``; ``weight`` and ``names`` as numbers into the lists ``weights`` (None for infinite)
+    and ``nameLists``, which is JSON, compressed: the names of what stands in a cell, and of what
+    blocks it, by `KINDS`.
     """
     level = grid.levels[number]
-    every = thinning(level)
-    shown = np.s_[::every, ::every]
+    place = describe_place(grid.level_names[number], level.lattice)
+    shown = np.s_[:: place["every"], :: place["every"]]
     floor, free = level.floor[shown], level.free[shown]
     finite = floor[np.isfinite(floor)]
     floor_from = float(finite.min()) if finite.size else 0.0
@@ -75,8 +52,7 @@ def _describe_cells(grid: NavGrid, number: int) -> Json:
     away = clearance(level)[shown].astype(np.float64)
     weights, weight = np.unique(np.where(free, level.weights[shown], np.inf), return_inverse=True)
     names, name_lists = _number_names(level)
-    return {
-        "every": every,
+    cells = {
         "floor": pack(_to_steps(floor - floor_from, floor_step)),
         "floorFrom": floor_from,
         "floorStep": floor_step,
@@ -88,12 +64,13 @@ def _describe_cells(grid: NavGrid, number: int) -> Json:
         "names": pack(names[shown]),
         "nameLists": to_text(orjson.dumps(name_lists)),
     }
+    layers = [_draw_layer(grid, number, layer, place["every"]) for layer in LAYERS]
+    return {**place, "cells": cells, "layers": layers}
 
 
 def _to_steps(metres: Float, step: float) -> Int:
-    """Metres >= 0 as whole steps, `NONE` where they are not finite, int64."""
-    finite = np.isfinite(metres)
-    return np.where(finite, np.round(np.where(finite, metres, 0) / step), NONE).astype(np.int64)
+    """Metres >= 0 as whole steps, `NONE` where they are not finite."""
+    return np.nan_to_num(np.round(metres / step), nan=NONE, posinf=NONE).astype(np.int64)
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
@@ -114,34 +91,20 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     source = UserData.of(level.user_data).source
     if isinstance(source, Shared):
         cells, number, entries = source
+        numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[number]
     else:
-        cells, entries = np.fromiter(source, np.int64, len(source)), list(source.values())
-        number = np.arange(len(source))
-    if len(cells):
-        numbers[cells] = np.fromiter(map(number_of, entries), np.int64, len(entries))[number]
+        for cell, entry in source.items():
+            numbers[cell] = number_of(entry)
     return numbers.reshape(level.shape), lists
 
 
-def to_png(rgb: NDArray[np.uint8]) -> str:
+def to_url(rgb: NDArray[np.uint8]) -> str:
     """A picture, shape (rows, cols, 3), as the URL of a PNG that holds all of it."""
-    number = rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
-    colors, index = np.unique(number, return_inverse=True)
-    if len(colors) <= PALETTE:
-        image = Image.fromarray(index.reshape(number.shape).astype(np.uint8), mode="L")
-        image.putpalette(
-            np.stack([colors >> 16, colors >> 8 & 255, colors & 255], 1).astype(np.uint8).tobytes()
-        )
-    else:
-        image = Image.fromarray(rgb)
-    content = io.BytesIO()
-    image.save(content, format="PNG", optimize=True)
-    return "data:image/png;base64," + b64encode(content.getvalue()).decode("ascii")
+    return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
 
-def _draw_layer(grid: NavGrid, number: int, layer: str) -> Json:
-    panel = make_panel(grid, layer, number)
-    every = thinning(grid.levels[number])
-    scale = None
+def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
+    panel, scale = make_panel(grid, layer, number), None
     if panel.scale is not None:
         scale = {
             "label": panel.scale.label,
@@ -151,7 +114,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str) -> Json:
     return {
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
-        "png": to_png(paint(panel)[::every, ::every]),
+        "png": to_url(paint(panel)[::every, ::every]),
         "legend": panel.legend,
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],

@@ -1,17 +1,21 @@
-"""Writes a report on grids: one page, which a browser opens without a server or the network."""
+"""Writes a report on grids: one page, which a browser opens without a server or the network.
+
+`maps.py` has what it shows of each level, `difference.py` what differs between two grids;
+`report.html` and `report.js` show it.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
+import msgspec
 import numpy as np
 
 from navbake.errors import FormatError, QueryError, printable
-from navbake.formats.allowance import shown
 from navbake.formats.source import read_object, write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
@@ -23,11 +27,25 @@ from navbake.views.report.maps import describe_map
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
 
-PACKAGE = "navbake.views.report"  # where the page's script is
 WAYS = {"link": "steps"}  # as `navbake rooms` has it
 PRINTED = "what `navbake verify --json` prints"
-WHOLE = {"ok": bool, "checked": int, "cells": int, "findings": list}
-FINDING = {"kind": str, "level": int, "position": list, "text": str}
+Place = tuple[float, float, float]
+Remarked = tuple[str, int | None, Place | None, str | None, str]
+"""What was found: its kind, level, place [m], a further fact, and in words."""
+
+
+class Finding(TypedDict):
+    kind: str
+    level: int
+    position: Place
+    text: str
+
+
+class Verification(TypedDict):
+    ok: bool
+    checked: int
+    cells: int
+    findings: list[Finding]
 
 
 def write_report(
@@ -85,26 +103,12 @@ def render_report(
         name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
         for i, name in enumerate(called)
     ]
-    for grid, verification in zip(grids, verifications, strict=True):
-        _check_is_of(grid, verification)
     sheets = [
         _describe_grid(*each) for each in zip(grids, called, audits, verifications, strict=True)
     ]
     if num == 2:
         sheets.append(describe_changes(grids[0], grids[1], called))
-    return make_page({"title": ", ".join(called), "sheets": sheets}, PACKAGE, "report.js")
-
-
-def _check_is_of(grid: NavGrid, verification: Json | None) -> None:
-    if verification is None:
-        return
-    cells = sum(level.width * level.height for level in grid.levels)
-    stated = verification.get("sceneId"), verification["cells"]
-    if stated != (grid.scene_id, cells):
-        raise QueryError(
-            f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
-            f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
-        )
+    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views.report", "report")
 
 
 def read_verification(path: str | os.PathLike[str]) -> Json:
@@ -114,24 +118,12 @@ def read_verification(path: str | os.PathLike[str]) -> Json:
         FormatError: it is none, or can't be read.
     """
     report, name = read_object(path, expected=PRINTED)
-    _check(report, WHOLE, "", name)
-    for number, finding in enumerate(report["findings"]):
-        _check(finding, FINDING, f"findings[{number}].", name)
-        position = finding["position"]
-        if len(position) != 3 or not all(type(v) in (int, float) for v in position):
-            raise FormatError(f"expected [x, y, z] at `findings[{number}].position` in {name}")
+    try:
+        msgspec.convert(report, Verification)
+    except msgspec.ValidationError as error:
+        raise FormatError(f"expected {PRINTED} in {name}: {error}") from error
     checked: Json = report
     return checked
-
-
-def _check(value: Any, kinds: dict[str, type], where: str, name: str) -> None:
-    if not isinstance(value, dict):
-        raise FormatError(f"expected {PRINTED} in {name}, got {shown(value)}")
-    for key, kind in kinds.items():
-        if type(value.get(key)) is not kind:
-            raise FormatError(
-                f"expected {kind.__name__} at `{where}{key}` in {name}, got {shown(value.get(key))}"
-            )
 
 
 def _describe_grid(
@@ -140,7 +132,21 @@ def _describe_grid(
     """A sheet of the page: everything that it shows of a grid."""
     facts = describe(grid)
     names = {room.id: room.name or room.id for room in grid.rooms}
-    marks = [*_audit_marks(audit), *verify_marks(verification, len(grid.levels))]
+    remarks: list[tuple[list[Json], Json]] = []
+    if audit is not None:
+        found: list[Remarked] = [
+            (each.check, each.level, each.place, each.severity, each.text) for each in audit.remarks
+        ]
+        otherwise = f"{len(audit.checks)} checks, nothing to say"
+        remarks.append(_show_remarks("audit", "Audit", "how bad", found, otherwise))
+    if verification is not None:
+        _check_is_of(grid, verification)
+        keys = ("kind", "level", "position", "geom", "text")
+        found = [tuple(map(each.get, keys)) for each in verification["findings"]]
+        looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
+        title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
+        remarks.append(_show_remarks("verify", title, "geom", found, looked_at))
+    marks = [mark for of_one, _ in remarks for mark in of_one]
     levels = [
         {
             **describe_map(grid, number),
@@ -154,32 +160,22 @@ def _describe_grid(
         for key, value in grid.timings.items()
         if isinstance(value, int | float)
     ]
+    settings = [*flatten(grid.navbake.get("settings")).items()]
     tables = [
         _levels_table(facts),
         _rooms_table(grid, names),
         _doors_table(grid, names),
         _links_table(grid),
-        *_audit_tables(audit),
-        *verify_tables(verification),
-        table("Settings", ("setting", "value"), flatten(grid.navbake.get("settings"))),
+        *(made for _, made in remarks),
+        table("Settings", ("setting", "value"), settings),
         table("Timings", ("stage", "ms"), timings, numbers=(1,)),
         table("Made by", ("what", "version or digest"), list(facts["made_by"].items())),
     ]
-    return {
-        "name": name,
-        "facts": _facts(grid, facts),
-        "warnings": facts["warnings"],
-        "levels": levels,
-        "tables": [made for made in tables if made["rows"]],
-    }
-
-
-def _facts(grid: NavGrid, facts: Json) -> list[tuple[str, str]]:
     area = sum(level["free_area"] for level in facts["levels"])
     shown = [
         ("scene", facts["scene_id"] or "not named"),
-        ("levels", str(len(facts["levels"]))),
-        ("cells", f"{sum(lv['width'] * lv['height'] for lv in facts['levels']):,}"),
+        ("levels", str(len(levels))),
+        ("cells", f"{sum(level.free.size for level in grid.levels):,}"),
         ("cell size", f"{facts['cell_size']:g} m"),
         ("free", f"{area:.2f} m²"),
         ("rooms", str(len(grid.rooms))),
@@ -193,7 +189,13 @@ def _facts(grid: NavGrid, facts: Json) -> list[tuple[str, str]]:
         for entry in facts["inflated"]
         if all(isinstance(entry[key], int | float) for key in ("radius", "clearance"))
     ]
-    return shown
+    return {
+        "name": name,
+        "facts": shown,
+        "warnings": facts["warnings"],
+        "levels": levels,
+        "tables": [made for made in tables if made["rows"]],
+    }
 
 
 def _levels_table(facts: Json) -> Json:
@@ -224,13 +226,10 @@ def _rooms_table(grid: NavGrid, names: dict[str, str]) -> Json:
             f"{names.get(near.room, near.room)} ({near.door or WAYS.get(near.kind, near.kind)})"
             for near in room.neighbours
         ]
-        where = ", ".join(f"{value:.2f}" for value in room.centroid)
-        kind = "outdoors" if room.outdoors else ""
         level = grid.level_names[room.level] if len(grid.levels) > 1 else ""
-        area = f"{room.area:.2f}"
-        rows.append(
-            (room.id, room.name, level, area, where, room.source, kind, ", ".join(opens_to))
-        )
+        where, kind = _place(room.centroid), "outdoors" if room.outdoors else ""
+        facts = (level, f"{room.area:.2f}", where, room.source, kind, ", ".join(opens_to))
+        rows.append((room.id, room.name, *facts))
     columns = ("id", "name", "level", "m²", "centre x, y, z [m]", "from", "", "opens to")
     return table("Rooms", columns, rows, numbers=(3,))
 
@@ -252,74 +251,39 @@ def _links_table(grid: NavGrid) -> Json:
     for level, other in np.unique(links[:, ::2], axis=0).tolist():
         own = links[(links[:, 0] == level) & (links[:, 2] == other)]
         lattice = grid.levels[level].lattice
-        x, y = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
+        middle = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
         names = grid.level_names[level], grid.level_names[other]
-        rows.append((*names, len(own), f"{x:.2f}, {y:.2f}"))
+        rows.append((*names, len(own), _place(middle)))
     columns = ("from", "to", "steps", "mean place x, y [m]")
     return table("Links between levels", columns, rows, numbers=(2,))
 
 
-def _audit_marks(audit: AuditReport | None) -> Iterator[Json]:
-    for remark in audit.remarks if audit else ():
-        if remark.place is not None:
-            yield {
-                "level": remark.level,
-                "x": remark.place[0],
-                "y": remark.place[1],
-                "kind": f"audit: {remark.check}",
-                "text": remark.text,
-            }
+def _place(position: Iterable[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in position)
 
 
-def _audit_tables(audit: AuditReport | None) -> Iterator[Json]:
-    if audit is None:
-        return
-    rows = [
-        (
-            remark.severity,
-            remark.check,
-            "" if remark.level is None else remark.level,
-            "" if remark.place is None else ", ".join(f"{v:.2f}" for v in remark.place),
-            remark.text,
+def _check_is_of(grid: NavGrid, verification: Json) -> None:
+    cells, num = sum(level.free.size for level in grid.levels), len(grid.levels)
+    stated = verification.get("sceneId"), verification["cells"]
+    if stated != (grid.scene_id, cells):
+        raise QueryError(
+            f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
+            f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
         )
-        for remark in audit.remarks
+    for level in (finding["level"] for finding in verification["findings"]):
+        if not 0 <= level < num:
+            raise FormatError(f"expected levels below {num} in the verification, got {level}")
+
+
+def _show_remarks(
+    source: str, title: str, more: str, found: list[Remarked], otherwise: str
+) -> tuple[list[Json], Json]:
+    """Marks on the map, and a table; `more` names a remark's further fact."""
+    marks = [
+        {"level": level, "x": place[0], "y": place[1], "kind": f"{source}: {kind}", "text": text}
+        for kind, level, place, _, text in found
+        if place is not None
     ]
-    rows = rows or [("", "", "", "", f"{len(audit.checks)} checks, nothing to say")]
-    yield table("Audit", ("how bad", "check", "level", "x, y, z [m]", "what"), rows)
-
-
-def verify_marks(verification: Json | None, num_levels: int) -> Iterator[Json]:
-    """What a verification found, as marks on the map."""
-    for finding in (verification or {}).get("findings", ()):
-        x, y, _ = finding["position"]
-        if not 0 <= finding["level"] < num_levels:
-            raise FormatError(
-                f"expected levels below {num_levels} in the verification, got {finding['level']}"
-            )
-        yield {
-            "level": finding["level"],
-            "x": x,
-            "y": y,
-            "kind": f"verify: {finding['kind']}",
-            "text": finding["text"],
-        }
-
-
-def verify_tables(verification: Json | None) -> Iterator[Json]:
-    """What a verification found, as a table."""
-    if verification is None:
-        return
-    rows = [
-        (
-            finding["kind"],
-            finding["level"],
-            ", ".join(f"{v:.3f}" for v in finding["position"]),
-            finding.get("geom") or "",
-            finding["text"],
-        )
-        for finding in verification["findings"]
-    ]
-    looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
-    rows = rows or [("none", "", "", "", looked_at)]
-    title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
-    yield table(title, ("disagreement", "level", "x, y, z [m]", "geom", "what"), rows)
+    rows = [(kind, level, _place(at or ()), fact, text) for kind, level, at, fact, text in found]
+    columns = ("kind", "level", "x, y, z [m]", more, "what")
+    return marks, table(title, columns, rows or [("none", None, "", "", otherwise)])

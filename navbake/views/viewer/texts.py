@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
-from navbake.views.color_scale import ColorScale
-from navbake.views.layers import Panel
+from navbake.views.layers import ColorScale, Panel
 from navbake.views.viewer.exhibit import Choices, Counts, Route, Told
 
 if TYPE_CHECKING:
@@ -145,7 +144,7 @@ def write_legend(panels: Sequence[Panel]) -> str:
 
 
 def _write_scale(scale: ColorScale, title: str) -> str:
-    stops = ", ".join(f"{color} {100 * place:.1f}%" for place, color in scale.stops)
+    stops = ", ".join(scale.colors)
     ticks = "".join(
         f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
         f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'

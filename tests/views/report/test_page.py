@@ -85,7 +85,7 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         press(driver, "grids", "difference")
         press(driver, "levels", house.level_names[0])
         assert driver.find_element("id", "pointed").text.startswith("Point at a cell")
-        wait_until(lambda: driver.execute_script("return level().changes?.length > 0"), "changes")
+        wait_until(lambda: driver.execute_script("return Boolean(level().unpacked)"), "changes")
         x, y = at_changed(house)
         words = told(driver, x, y)
         assert "became blocked" in words

@@ -134,7 +134,7 @@ def test_large_levels_show_every_nth_cell(monkeypatch):
     level = level_from("..#..\n#...#\n.....")
     [sheet] = content_of(render_report(level))["sheets"]
     [shown] = sheet["levels"]
-    assert shown["cells"]["every"] == 2
+    assert shown["every"] == 2
     weight = unpack(shown["cells"]["weight"], (2, 3))
     free = np.array([w is not None for w in shown["cells"]["weights"]])[weight]
     np.testing.assert_array_equal(free, level.free[::2, ::2])
@@ -191,15 +191,15 @@ def test_audits_and_verifications_are_marked(tmp_path):
     [
         ("{", "expected what .* prints, .*verify.json can't be read"),
         ("[]", "expected what `navbake verify --json` prints in .*verify.json"),
-        ('{"ok": 1}', "expected bool at `ok` in .*verify.json, got 1"),
+        ('{"ok": 1}', r"verify.json: Expected `bool`, got `int` - at `\$.ok`"),
         (
             '{"ok": true, "checked": 1, "cells": 2, "findings": [{"kind": "x"}]}',
-            r"`findings\[0\].level`",
+            r"missing required field `level` - at `\$.findings\[0\]`",
         ),
         (
             '{"ok": true, "checked": 1, "cells": 2, "findings": '
             '[{"kind": "x", "level": 0, "position": [1, 2], "text": ""}]}',
-            r"expected \[x, y, z\] at `findings\[0\].position`",
+            r"length 3, got 2 - at `\$.findings\[0\].position`",
         ),
     ],
 )

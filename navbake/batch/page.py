@@ -1,0 +1,210 @@
+"""The page of a batch: what became of its scenes, for a browser, without a server or the network.
+
+`page.html` and `page.js` show what `describe_batch` gathers from the index, names as text only.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from navbake.batch import store
+from navbake.batch.index import read_index
+from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
+from navbake.batch.products import GRID, THUMBNAIL
+from navbake.errors import NavbakeError, printable
+from navbake.formats.navgrid import read_navgrid
+from navbake.formats.source import write_bytes
+from navbake.types import Json
+from navbake.views.layers import nice_step
+from navbake.views.notebook import draw_thumbnail
+from navbake.views.page.page import make_page, to_text
+
+NAME = "index.html"
+PICTURES = "'self' file: data:"  # thumbnails are beside the page
+EVERY = 15.0  # how often the page of a batch that runs is written anew [s]
+SHARE = 0.01  # of the time that this may take
+
+STATUSES = (OK, FAILED, LEFT)
+CHARTS = ("free_area", "cells", "rooms", "seconds")
+SHOWN = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)  # as it is
+NUM_BINS = 24  # bars of a chart, about
+SKEWED = 20  # so many times the median at the most: then bars have equal ratios, not widths
+TEXTS = ("failures", "warnings", "audit")  # why a scene failed, and what was noticed
+
+# a setting, what is quoted, and words
+PART = re.compile(
+    r"""(?P<setting>`[^`]*`)|(?<!\w)'[^']*'(?!\w)|(?<!\w)"[^"]*"(?!\w)"""
+    r"""|(?P<word>[^\s`'"(),;:=<>\[\]{}]+)"""
+)
+THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")  # commas within a number
+# with a unit: 5cm, 30%
+NUMBER = re.compile(r"[-+±]?(\d+(\.\d+)*|\.\d+)([eE][-+]?\d+)?[a-zA-Z%²³°]{0,3}")
+NAMED = re.compile(r"[/\\\d]|\.[a-zA-Z]\w{1,4}$")  # in a path, a file's name or a numbered name
+
+
+def write_page(
+    folder: store.Folder, path: Path | None = None, *, progress: tuple[int, int] | None = None
+) -> None:
+    """Write the page of a batch, whole or not at all: to `path`, or into its folder.
+
+    Its links lead from there to the folder. `progress` is how many scenes of a batch that still
+    runs have ended, of how many.
+    """
+    base = "."
+    if path is not None:
+        try:  # as it is written: browsers know nothing of links in a file system
+            base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
+        except ValueError:  # another drive on Windows
+            base = Path(folder).absolute().as_posix()
+    name = (folder.resolve() if isinstance(folder, Path) else Path(store.shown(folder))).name
+    content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
+    # a name that is no UTF-8 is its bytes in a link, as browsers have it
+    content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
+    packed, title = to_text(json.dumps(content).encode()), printable(name) or "batch"
+    page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURES)
+    if path is None:
+        store.write_file(folder, NAME, page)
+    else:
+        write_bytes(page, path)
+
+
+def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
+    """Whether a scene has a thumbnail, by its id; of a store, from one listing."""
+    if isinstance(folder, Path):
+        return lambda id: os.path.isfile(folder / id / THUMBNAIL)
+    found = store.sizes_below(folder)
+    return lambda id: f"{id}/{THUMBNAIL}" in found
+
+
+def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
+    """Draw the thumbnails that are missing, from the grids; returns how many are missing still.
+
+    `show` is called with the share that is done. Raises FullError where the folder has no room.
+    """
+    has_thumbnail, num_failed = _find_thumbnails(folder), 0
+    done = [id for id, row in read_index(folder).items() if row.get("status") == OK]
+    missing = [id for id in done if not has_thumbnail(id)]
+    for number, id in enumerate(missing):
+        show(number / len(missing))
+        place = store.as_folder(store.join(folder, id))
+        try:
+            picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID))))
+            if record := read_record(place):  # so that it is removed with the grid
+                write_record(place, {**record, "more": [THUMBNAIL]})
+            store.write_file(place, THUMBNAIL, picture)
+        except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
+            if (why := store.why_full(error)) is not None:
+                raise store.refused(
+                    f"thumbnails into {store.shown(os.fspath(folder))}", why
+                ) from error
+            num_failed += 1
+    return num_failed
+
+
+class LivePage:
+    """The page of a batch that runs, for a small share of its time; on a store, at its end."""
+
+    def __init__(self, folder: store.Folder, total: int) -> None:
+        self._folder, self._total = folder, total
+        self._next = time.monotonic() + EVERY if isinstance(folder, Path) else float("inf")
+
+    def refresh(self, done: int) -> None:
+        """Write it if it is time; `done` is how many of the batch's scenes have ended."""
+        begin = time.monotonic()
+        if begin < self._next:
+            return
+        with suppress(NavbakeError):  # raised at the end, if it can't be written then
+            write_page(self._folder, progress=(done, self._total))
+        end = time.monotonic()
+        self._next = end + max(EVERY, (end - begin) / SHARE)
+
+
+def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
+    """What the page shows of the rows of an index.
+
+    Returns:
+        ``scenes``; ``work``: how long any was being baked [s]; ``groups``: the group of each
+        status and of each of `TEXTS`; ``edges`` of the bars of each chart.
+    """
+    scenes: list[Json] = []
+    for row in rows:
+        if row.get("status") in STATUSES:
+            scene: Json = {key: row.get(key) for key in SHOWN}
+            why = ": ".join(filter(None, (row.get("how"), row.get("error"))))
+            scene["failures"] = [why] if row["status"] == FAILED else []
+            scene |= {key: row.get(key) or [] for key in ("warnings", "audit")}
+            scene |= {"files": [*(row.get("files") or ())], "stages": row.get("stages") or {}}
+            scene["thumbnail"] = row["status"] == OK and has_thumbnail(row["id"])
+            scenes.append(scene)
+    return {
+        "work": round(measure_work(scenes), 3),
+        "scenes": scenes,
+        "groups": {"status": {status: status for status in STATUSES}}
+        | {kind: _group(text for scene in scenes for text in scene[kind]) for kind in TEXTS},
+        "edges": {key: _edges([s[key] for s in scenes if s[key] is not None]) for key in CHARTS},
+    }
+
+
+def measure_work(scenes: Iterable[Json]) -> float:
+    """How long at least one scene was being baked [s], however often the batch went on.
+
+    That is the length of the union of the times from each one's beginning to its end.
+    """
+    timed = [scene for scene in scenes if scene["ended"] and scene["seconds"]]
+    seconds = np.array([scene["seconds"] for scene in timed], dtype=np.float64)
+    ends = [np.datetime64(scene["ended"].removesuffix("Z"), "ms") for scene in timed]
+    end = np.array(ends, "datetime64[ms]").astype(np.float64) / 1000
+    order = np.argsort(end - seconds)
+    begin, reached = (end - seconds)[order], np.maximum.accumulate(end[order])
+    since = np.maximum(begin, np.concatenate([begin[:1], reached])[: len(begin)])
+    return float(np.maximum(end[order] - since, 0.0).sum())
+
+
+def _edges(values: Sequence[float]) -> list[float]:
+    """The edges of bars for some numbers: as wide as one another, or in equal ratios."""
+    if not values:
+        return []
+    least, most = float(min(values)), float(max(values))
+    if least > 0 and most > SKEWED * float(np.median(values)):
+        return [*np.geomspace(least, most, NUM_BINS + 1).tolist()[:-1], most]
+    step = nice_step((most - least or abs(most) or 1) / (NUM_BINS - 4))
+    if all(float(value).is_integer() for value in values):
+        step = max(step, 1.0)
+    first = math.floor(least / step + 1e-9)
+    last = max(math.floor(most / step + 1e-9), first) + 1
+    return [round(number * step, 12) for number in range(first, last + 1)]
+
+
+def _group(texts: Iterable[str]) -> dict[str, str]:
+    """The group of each text: what it has in common with others, or itself where it is alone."""
+    folded = {text: fold(text) for text in texts}
+    count = Counter(folded.values())
+    return {text: group if count[group] > 1 else text for text, group in folded.items()}
+
+
+def fold(text: str) -> str:
+    """A text without what differs from scene to scene, so that alike ones are the same.
+
+    What is quoted, paths, names of files and words with digits in them become ``…``, numbers
+    become ``#``. What stands between backticks is a setting and stays.
+    """
+
+    def replace(match: re.Match[str]) -> str:
+        if match["word"] is None:
+            return match["setting"] or "…"
+        core = match["word"].rstrip(".!?")
+        folded = "#" if NUMBER.fullmatch(core) else "…" if NAMED.search(core) else core
+        return folded + match["word"][len(core) :]
+
+    return PART.sub(replace, THOUSANDS.sub("", text))
