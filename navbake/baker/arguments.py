@@ -10,7 +10,7 @@ import numpy as np
 
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
-from navbake.baker.scene.names import body_name, names_of
+from navbake.baker.scene.names import all_names, body_name
 from navbake.baker.scene.scene import open_file
 from navbake.config.keywords import config_with, memory_config
 from navbake.config.scene import ExcludeSettings
@@ -94,7 +94,7 @@ def take_input(
 def _leave_out(config: BakeConfig, model: Any, left_out: LeftOut) -> BakeConfig:
     """The settings with what is left out besides, as patterns of `scene.exclude`."""
     bodies = [body_name(model, body) for body in range(model.nbody)]
-    geoms = [names_of(model, geom).geom for geom in range(model.ngeom)]
+    geoms = [names.geom for names in all_names(model).geoms]
     given = _check_exclude(left_out.exclude)
     own = config.scene.exclude
     robots = [] if left_out.robot is None else _listed(left_out.robot)

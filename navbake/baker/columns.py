@@ -291,7 +291,7 @@ def _facets_of(triangles: Triangles) -> Facets:
 
 def height_range(shapes: Shapes, lattice: Lattice) -> Band:
     """Heights below and above everything over the lattice, infinite planes included [m]."""
-    bounds = shapes.bounds()
+    bounds = shapes.bounds
     heights = [0.0] if bounds is None else [float(bounds[0, 2]), float(bounds[1, 2])]
     x0, y0, x1, y1 = lattice.bounds
     corners = np.array([[x0, y0], [x0, y1], [x1, y0], [x1, y1]])

@@ -176,7 +176,9 @@ def test_broken_xml(fails, folder, text, culprit):
 def test_numbers_that_are_none(fails, folder):
     write("room.xml", ROOM.replace('pos="1 0 1"', 'pos="nan 0 1"'))
     err = fails("room.xml", scene={"path": "room.xml"})
-    assert "geom 'wall' has a pose or size that is infinite or no number, in room.xml" in err
+    assert (
+        "geom 'wall' has a pose or size that is no number, or beyond 1e+100 m, in room.xml" in err
+    )
 
 
 # ---------------------------------------------------------------- MJB and meshes

@@ -391,7 +391,7 @@ def with_nan(model):
         (
             lambda m: (m, with_nan(m)),
             {},
-            "has a pose or size that is infinite or no number, in <scene>",
+            "has a pose or size that is no number, or beyond 1e.100 m, in <scene>",
         ),
         (lambda m: (mujoco.MjData(m),), {}, f"{NO_SCENE}.* got MjData: give its model first"),
         (lambda m: (42,), {}, f"{NO_SCENE}.* got int"),

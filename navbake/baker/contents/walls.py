@@ -15,7 +15,6 @@ from navbake.baker.scene.names import (
     body_name,
     find_subtree_ends,
     geoms_of_bodies,
-    names_of,
     warn_unmatched,
 )
 from navbake.baker.scene.scene import Scene
@@ -252,7 +251,7 @@ def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) ->
 
 def _names(scene: Scene, geom: int) -> list[str]:
     """The names of a geom, of its body and of its mesh."""
-    names = names_of(scene.model, geom)
+    names = all_names(scene.model).geoms[geom]
     return [name for name in (names.geom, names.body, names.mesh) if name]
 
 

@@ -166,14 +166,14 @@ def place_doors(
     placings = []
     for candidate in candidates:
         own = {state: candidate.only(shapes) for state, shapes in posed.items()}
-        boxes = [box for shapes in own.values() if (box := shapes.bounds()) is not None]
+        boxes = [box for shapes in own.values() if (box := shapes.bounds) is not None]
         box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
         by_state = _blocked_by_state(own, candidate, around)
         blocked = {state: cells for state, (cells, _) in by_state.items()}
         leaf = largest_side(extents["closed"], candidate.geoms)
         rooms = _rooms_beside(leaf, extents["closed"], blocked["closed"], around)
         if rooms is None and not candidate.named:
-            bounds, reach = own["modelled"].bounds(), around.footprints.whole.reach
+            bounds, reach = own["modelled"].bounds, around.footprints.whole.reach
             is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
             placings.append(Placing(candidate, None, is_part, box))
             continue
@@ -225,7 +225,7 @@ def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
     """For each level, the cells with a floor whose volume the shapes meet; and over the square."""
     lattice, reach = around.rooms.lattice, around.footprints.whole.reach
-    bounds = shapes.bounds()
+    bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds, reach)
     if window is None:
         nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
@@ -334,7 +334,7 @@ def _warn_walkable(
 
 def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
     """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
-    lattice, bounds, agent = around.rooms.lattice, shapes.bounds(), around.agent
+    lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
     window = None if bounds is None else lattice.window(bounds)
     if window is None:
         return 0.0

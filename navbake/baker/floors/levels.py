@@ -160,7 +160,7 @@ class FloorFinder:
         if not len(sheets.key):
             raise SceneError(_no_floor(self._store, self._agent))
         is_large, drops, changed = self._judge(stale, near)
-        cropped = find_cropped(self._lattice, shapes.bounds())
+        cropped = find_cropped(self._lattice, shapes.bounds)
         self._known.begin(self._last, self._now)
         agent = self._agent
         site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, self._known)

@@ -14,7 +14,7 @@ from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SAME
 from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.names import own_names, warn_unmatched
+from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
@@ -77,8 +77,8 @@ def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
     model, data = scene.model, scene.data
     geoms = np.zeros(model.ngeom, dtype=np.bool_)
     if "geoms" in settings.sources:
-        geoms[match_geoms(own_names(model, "geom"), settings)[0]] = True
-    sites, _ = match_sites(own_names(model, "site"), settings)
+        geoms[match_geoms(all_names(model).own_geoms, settings)[0]] = True
+    sites, _ = match_sites(all_names(model).sites, settings)
     placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
     return geoms, np.hstack(placed)[sites if "sites" in settings.sources else []]
 
@@ -102,7 +102,7 @@ class _Markers:
         lies so over a room's floor is `covered`.
         """
         model = self.scene.model
-        names = own_names(model, "geom")
+        names = all_names(model).own_geoms
         chosen, warnings = match_geoms(names, self.settings)
         labels = self._no_rooms()
         if not chosen:
@@ -136,7 +136,7 @@ class _Markers:
         floor, on all levels together, is no room.
         """
         model, lattice, least = self.scene.model, self.columns.lattice, self.settings.min_area
-        names = own_names(model, "site")
+        names = all_names(model).sites
         chosen, warnings = match_sites(names, self.settings)
         labels = self._no_rooms()
         kept: list[str | None] = []

@@ -58,8 +58,8 @@ def choose_geoms(
     names = all_names(model).geoms
     excluded, notes = _find_excluded(model, settings, names)
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    left = np.array([not reason for reason in excluded], dtype=bool)
-    counts = _rule(model, settings, collides, bool((collides & left).any()))
+    any_collides = any(can and not out for can, out in zip(collides, excluded, strict=True))
+    counts = _rule(model, settings.geoms, collides, any_collides)
     rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
     if ground is not None:
         rules[ground] = (True, "added by `scene.ground`")
@@ -70,10 +70,10 @@ def choose_geoms(
         if modes[geom] == "auto" and rules[geom][0]:
             modes[geom] = "surface" if hides_room(geom) else "hull"
             opened += [names[geom].geom] if modes[geom] == "surface" else []
-    taken: list[MeshMode] = [
-        "hull" if mode == "hull" else "shell" if mode == "shell" else "surface" for mode in modes
+    taken: dict[str, MeshMode] = {"hull": "hull", "shell": "shell"}
+    choices = [
+        Choice(*rule, taken.get(mode, "surface")) for rule, mode in zip(rules, modes, strict=True)
     ]
-    choices = [Choice(*rule, mode) for rule, mode in zip(rules, taken, strict=True)]
     notes += unused
     if opened:
         more = f", and {len(opened) - 1} more" if opened[1:] else ""
@@ -85,40 +85,33 @@ def choose_geoms(
     return choices, notes
 
 
-def _rule(
-    model: Any, settings: SceneSettings, collides: Bool, any_collides: bool
-) -> list[tuple[bool, str]]:
+def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tuple[bool, str]]:
     """For each geom, whether it counts by `scene.geoms`, and why."""
-    if settings.geoms == "all":
+    if geoms == "all":
         return [(True, "all geoms count")] * model.ngeom
-    if settings.geoms == "auto" and not any_collides:
+    if geoms == "auto" and not any_collides:
         return [(True, "no geom can collide, so all count")] * model.ngeom
-    if settings.geoms == "visual":
-        return _visual_rule(model, collides)
-    no, yes = (False, "can't collide (contype and conaffinity are 0)"), (True, "can collide")
-    return [yes if can else no for can in collides]
-
-
-def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
-    group, body = model.geom_group, model.geom_bodyid
+    if geoms != "visual":
+        no, yes = (False, "can't collide (contype and conaffinity are 0)"), (True, "can collide")
+        return [yes if can else no for can in collides]
     # a geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it)
     alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
     is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
     by_material = (model.geom_matid >= 0) & is_default
     alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
-    drawn = (alpha > 0) & (group < DRAWN_GROUPS)
-    visuals: dict[int, set[int]] = {}
-    for visual in np.flatnonzero(drawn & ~collides):
-        visuals.setdefault(int(body[visual]), set()).add(int(group[visual]))
+    groups, bodies = model.geom_group.tolist(), model.geom_bodyid.tolist()
+    drawn = (alpha > 0) & (model.geom_group < DRAWN_GROUPS)
+    visuals: dict[int, set[int]] = {0: set()}  # the world's own geoms stand for themselves
+    for visual in np.flatnonzero(drawn & ~collides).tolist():
+        if bodies[visual]:
+            visuals.setdefault(bodies[visual], set()).add(groups[visual])
     rule = []
-    for geom in range(model.ngeom):
-        # the world's own geoms stand for themselves
-        beside = visuals.get(int(body[geom]), set()) if body[geom] else set()
-        if not drawn[geom]:
-            is_hidden = group[geom] >= DRAWN_GROUPS
-            why = f"not drawn (group {int(group[geom])})" if is_hidden else "not drawn (alpha 0)"
-            rule.append((False, why))
-        elif collides[geom] and beside - {int(group[geom])}:
+    for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
+        if group >= DRAWN_GROUPS:
+            rule.append((False, f"not drawn (group {group})"))
+        elif not drawn[geom]:
+            rule.append((False, "not drawn (alpha 0)"))
+        elif collides[geom] and visuals.get(body, set()) - {group}:
             rule.append((False, "stands in for its body's visual geoms"))
         else:
             rule.append((True, "is drawn"))
@@ -128,35 +121,27 @@ def _visual_rule(model: Any, collides: Bool) -> list[tuple[bool, str]]:
 def _find_excluded(
     model: Any, settings: SceneSettings, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
-    """The reason each geom is excluded, empty where it isn't; and patterns that match nothing."""
-    exclude = settings.exclude
-    bodies = _excluded_bodies(model, settings)
-    reasons = [bodies[body] for body in model.geom_bodyid.tolist()]
-    if exclude.geoms:
-        for geom, name in enumerate(names):
-            pattern = _first_match(exclude.geoms, name.geom)
-            if pattern:
-                reasons[geom] = f"excluded: matches {pattern!r}"
-    body_names = all_names(model).bodies[1:]
-    notes = _unused("scene.exclude.bodies", exclude.bodies, body_names)
-    return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
+    """The reason each geom is excluded, empty where it isn't; and patterns that match nothing.
 
-
-def _excluded_bodies(model: Any, settings: SceneSettings) -> list[str]:
-    """The reason each body is excluded, empty where it isn't; the world never is."""
+    A body is excluded with all that hangs on it, the world never is.
+    """
     exclude, parents = settings.exclude, model.body_parentid.tolist()
-    free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == FREE)}
-    reasons, names = [""] * model.nbody, all_names(model).bodies
+    free = set(model.jnt_bodyid[model.jnt_type == FREE].tolist())
+    of_bodies, bodies = [""] * model.nbody, all_names(model).bodies
     for body in range(1, model.nbody):  # parents come before their children
-        name = names[body]
-        pattern = _first_match(exclude.bodies, name) if exclude.bodies else None
+        pattern = _first_match(exclude.bodies, bodies[body])
         if pattern:
-            reasons[body] = f"excluded: body {name!r} matches {pattern!r}"
+            of_bodies[body] = f"excluded: body {bodies[body]!r} matches {pattern!r}"
         elif exclude.movable and body in free:
-            reasons[body] = f"excluded: body {name!r} is movable (free joint)"
+            of_bodies[body] = f"excluded: body {bodies[body]!r} is movable (free joint)"
         else:
-            reasons[body] = reasons[parents[body]]
-    return reasons
+            of_bodies[body] = of_bodies[parents[body]]
+    reasons = [of_bodies[body] for body in model.geom_bodyid.tolist()]
+    for geom, name in enumerate(names) if exclude.geoms else ():
+        pattern = _first_match(exclude.geoms, name.geom)
+        reasons[geom] = f"excluded: matches {pattern!r}" if pattern else reasons[geom]
+    notes = _unused("scene.exclude.bodies", exclude.bodies, bodies[1:])
+    return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
 
 
 def _mesh_modes(
@@ -167,7 +152,8 @@ def _mesh_modes(
         return [settings.meshes] * len(names), []
     by_pattern: Mapping[str, str] = settings.meshes
     modes = [
-        next((by_pattern[p] for p in by_pattern if _matches(p, name)), "auto") for name in names
+        next((mode for p, mode in by_pattern.items() if _matches(p, name)), "auto")
+        for name in names
     ]
     of_meshes = [names[geom] for geom in np.flatnonzero(np.isin(types, (MESH, SDF)))]
     known = [text for name in of_meshes for text in name]
@@ -185,8 +171,5 @@ def _first_match(patterns: Iterable[str], name: str) -> str | None:
 def _unused(
     setting: str, patterns: Iterable[str], names: list[str], found: str = "nothing"
 ) -> list[str]:
-    return [
-        warn_unmatched(setting, pattern, names, found)
-        for pattern in patterns
-        if not _matches(pattern, names)
-    ]
+    unmatched = [pattern for pattern in patterns if not _matches(pattern, names)]
+    return [warn_unmatched(setting, pattern, names, found) for pattern in unmatched]

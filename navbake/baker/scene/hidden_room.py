@@ -10,7 +10,8 @@ import numpy as np
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.floors.sheets import AreaTest
 from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
-from navbake.baker.scene.collect import MeshTriangles, mesh_shapes
+from navbake.baker.scene.choice import Choice, MeshMode
+from navbake.baker.scene.collect import MeshTriangles, collect_shapes
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
@@ -64,8 +65,8 @@ class HiddenRoom:
         return left[0] * left[1] >= self._floors.min_area - SLACK
 
     def _look(self, geom: int) -> bool:
-        hull = mesh_shapes(self._model, self._data, geom, "hull", self._meshes)
-        bounds = hull.bounds()
+        hull = self._shapes(geom, "hull")
+        bounds = hull.bounds
         if bounds is None or not np.isfinite(bounds).all():
             return False
         x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
@@ -74,13 +75,17 @@ class HiddenRoom:
         by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
-        mesh = mesh_shapes(self._model, self._data, geom, "surface", self._meshes)
-        has_room = _find_room(_cast(mesh, lattice), _cast(hull, lattice), self._agent.height)
+        in_mesh, in_hull = (
+            cast_columns(tile_shapes(shapes, lattice, spacing / 2))
+            for shapes in (self._shapes(geom, "surface"), hull)
+        )
+        has_room = _find_room(in_mesh, in_hull, self._agent.height)
         return AreaTest(lattice, self._floors).passes(np.flatnonzero(has_room))
 
-
-def _cast(shapes: Shapes, lattice: Lattice) -> Columns:
-    return cast_columns(tile_shapes(shapes, lattice, lattice.cell_size / 2))
+    def _shapes(self, geom: int, mode: MeshMode) -> Shapes:
+        """The triangles of a mesh, counted as a mode says."""
+        counted = {geom: Choice(True, "", mode)}
+        return collect_shapes(self._model, self._data, counted, {}, counted, self._meshes).shapes
 
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:

@@ -22,12 +22,7 @@ from navbake.baker.scene.model import catch_warnings, load_model
 from navbake.config.scene import SceneSettings
 from navbake.errors import NavbakeError, SceneError
 from navbake.files import scratch_folder
-from navbake.processes import (
-    end_with_parent,
-    ending_of,
-    lacked_memory,
-    limit_memory,
-)
+from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
 
 # The child finds modules where this process did: with -c, Python would look in the current folder
 # first, which is as little to be trusted as the scene. So the path is set before anything else.
@@ -62,48 +57,44 @@ def load_isolated(
         SceneError: MuJoCo crashed, or took more time or memory than it may; or as `load_model`.
         ConfigError: as `load_model`.
     """
-    path = Path(settings.path)
+    scene = Path(settings.path)
     with scratch_folder() as place:
         (place / JOB).write_bytes(pickle.dumps((settings, limits)))
-        _run_child(place, path, limits)
+        path = [entry or os.getcwd() for entry in sys.path]
+        command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
+        none = subprocess.DEVNULL
+        longest = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
+        try:
+            status = subprocess.run(
+                command, stdin=none, stdout=none, stderr=none, timeout=longest
+            ).returncode
+        except subprocess.TimeoutExpired:
+            status = -ALARM
+        if status == -ALARM:
+            raise SceneError(
+                f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
+                "smaller, or give it more time"
+            )
+        if not (place / STARTED).exists():
+            raise NavbakeError(
+                f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
+                f"{sys.executable!r} find navbake?"
+            )
+        if not (place / RESULT).exists():
+            raise SceneError(
+                f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
+                f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+            )
         warned, error = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
         if error is not None:
             raise error
         model = mujoco.MjModel.from_binary_path(str(place / MODEL))
     parts = {}
-    if path.suffix.lower() in MESH_SUFFIXES:
-        own = read_mesh_parts(path, settings.up, settings.unit)
+    if scene.suffix.lower() in MESH_SUFFIXES:
+        own = read_mesh_parts(scene, settings.up, settings.unit)
         parts = {int(model.geom(part.name).id): part for part in own}
     return model, parts, None if settings.ground is None else int(model.ngeom) - 1
-
-
-def _run_child(place: Path, scene: Path, limits: CompileLimits) -> None:
-    path = [entry or os.getcwd() for entry in sys.path]
-    command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
-    none = subprocess.DEVNULL
-    try:
-        longest = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
-        status = subprocess.run(
-            command, stdin=none, stdout=none, stderr=none, timeout=longest
-        ).returncode
-    except subprocess.TimeoutExpired:
-        status = -ALARM
-    if status == -ALARM:
-        raise SceneError(
-            f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
-            "smaller, or give it more time"
-        )
-    if not (place / STARTED).exists():
-        raise NavbakeError(
-            f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
-            f"{sys.executable!r} find navbake?"
-        )
-    if not (place / RESULT).exists():
-        raise SceneError(
-            f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
-            f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
-        )
 
 
 def compile_job(folder: str) -> None:
@@ -122,9 +113,8 @@ def compile_job(folder: str) -> None:
             mujoco.mj_saveModel(model, str(place / MODEL), None)
         except Exception as error:
             if lacked_memory(error):
-                failed = SceneError(
-                    f"{settings.path} needs more than {limits.memory:g} GiB of memory"
-                )
+                lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
+                failed = SceneError(lacks)
             elif isinstance(error, NavbakeError):
                 failed = error
             else:

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import struct
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import SceneError
+from navbake.formats.allowance import MAX_BYTES
 from navbake.types import Float, Int32
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
@@ -87,10 +89,9 @@ def prepare_ply(path: Path) -> bytes:
     return _as_utf8(data) if b"format ascii" in data[:200] else data
 
 
-def check_ply(path: Path, num_vertices: int, num_faces: int) -> None:
+def check_ply(path: Path, data: bytes, num_vertices: int, num_faces: int) -> None:
     """Refuse a PLY of which trimesh found fewer vertices or triangles than its header says."""
-    with path.open("rb") as file:
-        header = file.read(MOST_HEADER).partition(b"end_header")[0]
+    header = data[:MOST_HEADER].partition(b"end_header")[0]
     for name, found in ((b"vertex", num_vertices), (b"face", num_faces)):
         said = re.search(rb"element %s (\d+)" % name, header)
         if said and int(said[1]) > found:
@@ -112,19 +113,30 @@ PLY_COORDINATES = {b"x", b"y", b"z"}
 PLY_IGNORED = {b"nx", b"ny", b"nz", b"red", b"green", b"blue", b"alpha"}
 PLY_HEADER = re.compile(
     rb"ply\nformat (?P<format>\w+) 1\.0\n(?:comment [^\n]*\n)*"
-    rb"element vertex (?P<vertices>\d+)\n(?P<properties>(?:property \w+ \w+\n)+)"
-    rb"element face (?P<faces>\d+)\nproperty list (?P<count>\w+) (?P<index>\w+) vertex_ind\w+\n"
-    rb"end_header\n"
+    rb"element vertex (?P<vertices>\d{1,10})\n(?P<properties>(?:property \w+ \w+\n)+)"
+    rb"element face (?P<faces>\d{1,10})\n"
+    rb"property list (?P<count>\w+) (?P<index>\w+) vertex_ind\w+\nend_header\n"
 )
-MOST_DIGITS = 10  # of a number of vertices or faces
 
 
-def read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary PLY that holds nothing but these.
+def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
+    """The vertices and triangles of a binary PLY or STL that holds nothing but these.
 
     Returns:
         None where the file is anything else or broken: trimesh knows more, and says what is wrong.
     """
+    if suffix == ".ply":
+        return _read_plain_ply(data)
+    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
+    is_text = data[:STL_HEADER].lstrip()[:5].lower() in (b"solid", b"")
+    if suffix != ".stl" or is_text or not count or len(data) != STL_HEADER + STL_TRIANGLE * count:
+        return None
+    facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    corners = np.frombuffer(data, facet, count, STL_HEADER)["corners"].reshape(-1, 3)
+    return _to_float64(corners.T), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+
+
+def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     header = PLY_HEADER.match(data)
     if header is None or header["format"] not in PLY_FORMATS:
         return None
@@ -134,8 +146,6 @@ def read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     known = len(set(names)) == len(names) and set(names) <= PLY_COORDINATES | PLY_IGNORED
     kinds = [*(kind for kind, _ in named), header["count"], header["index"]]
     if not known or not set(names) >= PLY_COORDINATES or not set(kinds) <= PLY_TYPES.keys():
-        return None
-    if max(len(header["vertices"]), len(header["faces"])) > MOST_DIGITS:
         return None
     vertex = np.dtype([(name.decode(), order + PLY_TYPES[kind]) for kind, name in named])
     count, index = (order + PLY_TYPES[header[key]] for key in ("count", "index"))
@@ -153,29 +163,15 @@ def read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     return _to_float64([of_vertices[axis] for axis in "xyz"]), faces
 
 
-def read_plain_stl(data: bytes) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary STL; None where it is text, or broken."""
-    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
-    is_text = data[:STL_HEADER].lstrip()[:5].lower() in (b"solid", b"")
-    if is_text or not count or len(data) != STL_HEADER + STL_TRIANGLE * count:
-        return None
-    facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    corners = np.frombuffer(data, facet, count, STL_HEADER)["corners"].reshape(-1, 3)
-    return _to_float64(list(corners.T)), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-
-
-def _to_float64(axes: list[NDArray[np.floating]]) -> Float:
-    vertices = np.empty((len(axes[0]), 3))
+def _to_float64(axes: Iterable[NDArray[np.floating]]) -> Float:
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
-        for axis, values in enumerate(axes):
-            vertices[:, axis] = values
+        vertices = np.stack([axis.astype(np.float64) for axis in axes], axis=1)
     vertices += 0.0  # -0.0 becomes 0.0
     return vertices
 
 
 JSON_CHUNK = 0x4E4F534A
 TRIANGLE_FAN = 6
-MAX_BUFFER = 2 << 30  # of a file beside it [bytes]
 UNREAD = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
     "EXT_meshopt_compression": "export it without compression",
@@ -196,7 +192,7 @@ def check_gltf(path: Path) -> None:
         header = json.loads(_json_chunk(data) if path.suffix.lower() == ".glb" else data)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
-        problem = _find_problem(header, len(data)) or _find_outside(header, path.parent)
+        problem = next(_find_problems(header, len(data), path.parent), "")
     except (ValueError, RecursionError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise SceneError(f"broken glTF {path}: {' '.join(str(error).split())[:200]}") from error
     if problem:
@@ -216,37 +212,33 @@ def _json_chunk(data: bytes) -> bytes:
     return data[20 : 20 + json_length]
 
 
-def _find_outside(header: dict[str, Any], folder: Path) -> str:
-    """Say what is wrong with the files that hold its buffers: a device would never end."""
-    for buffer in header.get("buffers", []):
-        uri = buffer.get("uri")
+def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[str]:
+    for name in header.get("extensionsUsed", []):
+        if name in UNREAD:
+            yield f"it uses {name}: {UNREAD[name]}"
+    accessors = header.get("accessors", [])
+    for accessor in accessors:
+        if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
+            raise ValueError(f"it claims {accessor['count']} numbers without data")
+    for primitive in (each for mesh in header.get("meshes", []) for each in mesh["primitives"]):
+        if primitive.get("mode") == TRIANGLE_FAN:
+            yield "it has triangle fans: export them as triangles"
+        used = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
+        for accessor in (accessors[index] for index in used if index is not None):
+            if "sparse" in accessor:
+                yield "it has sparse accessors: export them as plain ones"
+            if accessor.get("normalized"):
+                yield "its positions are normalized integers: export it unquantized"
+    for uri in (buffer.get("uri") for buffer in header.get("buffers", [])):
         if uri is None or uri.startswith("data:"):
             continue
         files = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
         there = [file for file in files if os.path.exists(file)]
         if not there:
-            return f"its buffer {uri[:80]!r} is missing"
-        if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BUFFER for file in there):
-            return f"its buffer {uri[:80]!r} is no file of {MAX_BUFFER >> 20} MiB at most"
-    return ""
+            yield f"its buffer {uri[:80]!r} is missing"
+        # a device would never end
+        if not all(os.path.isfile(file) and file.stat().st_size <= MAX_BYTES for file in there):
+            yield f"its buffer {uri[:80]!r} is no file of {MAX_BYTES >> 20} MiB at most"
 
 
-def _find_problem(header: dict[str, Any], size: int) -> str:
-    for name in header.get("extensionsUsed", []):
-        if name in UNREAD:
-            return f"it uses {name}: {UNREAD[name]}"
-    accessors = header.get("accessors", [])
-    for accessor in accessors:
-        if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
-            raise ValueError(f"it claims {accessor['count']} numbers without data")
-    for mesh in header.get("meshes", []):
-        for primitive in mesh["primitives"]:
-            if primitive.get("mode") == TRIANGLE_FAN:
-                return "it has triangle fans: export them as triangles"
-            used = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
-            for accessor in (accessors[index] for index in used if index is not None):
-                if "sparse" in accessor:
-                    return "it has sparse accessors: export them as plain ones"
-                if accessor.get("normalized"):
-                    return "its positions are normalized integers: export it unquantized"
-    return ""
+PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}

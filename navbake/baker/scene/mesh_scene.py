@@ -12,19 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.scene.kernels.triangles import check_faces, sum_by_facing
-from navbake.baker.scene.mesh_readers import (
-    check_gltf,
-    check_ply,
-    prepare_obj,
-    prepare_ply,
-    prepare_stl,
-    read_plain_ply,
-    read_plain_stl,
-)
+from navbake.baker.scene.kernels.triangles import check_faces
+from navbake.baker.scene.mesh_readers import PREPARE, check_gltf, check_ply, read_plain
 from navbake.baker.scene.names import unique_name
 from navbake.config.scene import stem_of
 from navbake.errors import SceneError
+from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
 
@@ -41,16 +34,10 @@ MAX_COORDINATE = 1e10
 # Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
 # is to be taken for one that lies on its side
 LYING = 1.5
-MAX_BYTES = 2 << 30  # of a file; trimesh takes several times as much memory
-# How trimesh reads a format, what repairs a file for it, and what reads a file without it
+# How trimesh reads a format
 PLAIN: dict[str, Any] = {"skip_materials": True}
-OPTIONS = {
-    ".obj": PLAIN | {"split_objects": True, "split_groups": True, "group_material": False},
-    ".glb": PLAIN,
-    ".gltf": PLAIN,
-}
-PLAIN_READERS = {".ply": read_plain_ply, ".stl": read_plain_stl}
-PREPARE = {".obj": prepare_obj, ".stl": prepare_stl, ".ply": prepare_ply}
+OPTIONS = {".glb": PLAIN, ".gltf": PLAIN}
+OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_material": False}
 
 
 class MeshPart(NamedTuple):
@@ -86,12 +73,11 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
         SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
             number, or beyond 1e10 m.
     """
-    suffix = path.suffix.lower()
     try:
         found = _read_parts(path)
+        scale = unit * (_dae_unit(path) if path.suffix.lower() == ".dae" else 1.0)
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
-    scale = unit * (_dae_unit(path) if suffix == ".dae" else 1.0)
     return _to_world(found, path, up, scale)
 
 
@@ -127,17 +113,6 @@ def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) ->
     return _to_world(own, path, up, unit)
 
 
-def _to_world(found: list[MeshPart], path: Path, up: str, scale: float) -> list[MeshPart]:
-    """Turn parts into the world frame, and name each by a name of its own."""
-    turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
-    taken = {"world"}  # MuJoCo's own body
-    parts = [_clean(part, turn, path) for part in found]
-    named = [part._replace(name=unique_name(part.name, taken)) for part in parts if len(part.faces)]
-    if not named:
-        raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
-    return named
-
-
 def lies_on_side(parts: Iterable[MeshPart]) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
@@ -152,8 +127,12 @@ def lies_on_side(parts: Iterable[MeshPart]) -> bool:
     width, depth, height = np.subtract(high, low)
     if not depth < min(width, height):
         return False
-    facing = [sum_by_facing(part.vertices, part.faces, np.sqrt(0.5)) for part in parts]
-    faces_y, faces_z = np.sum(facing, axis=0)
+    corners = np.concatenate([part.vertices[part.faces] for part in parts])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    faces_y, faces_z = (
+        size[np.abs(normal[:, axis]) >= size * np.sqrt(0.5)].sum() for axis in (1, 2)
+    )
     return bool(faces_y > LYING * faces_z)
 
 
@@ -165,14 +144,10 @@ def _read_parts(path: Path) -> list[MeshPart]:
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
     data = PREPARE[suffix](path) if suffix in PREPARE else b""
-    plain = PLAIN_READERS[suffix](data) if suffix in PLAIN_READERS else None
+    plain = read_plain(data, suffix)
     if plain is not None:
         return [MeshPart("", *plain)]
-    return _read_by_trimesh(path, io.BytesIO(data) if suffix in PREPARE else path)
-
-
-def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
-    suffix = path.suffix.lower()
+    source: Any = io.BytesIO(data) if suffix in PREPARE else path
     options = OPTIONS.get(suffix, {})
     try:
         with _silence():
@@ -185,34 +160,32 @@ def _read_by_trimesh(path: Path, source: Any) -> list[MeshPart]:
         ) from error
     if suffix == ".ply":
         num_vertices = sum(len(part.vertices) for part in parts)
-        check_ply(path, num_vertices, sum(len(part.faces) for part in parts))
+        check_ply(path, data, num_vertices, sum(len(part.faces) for part in parts))
     return parts
 
 
 def _parts_of(loaded: Any) -> list[MeshPart]:
-    nodes = list(loaded.graph.nodes_geometry)
-    return [part for node in nodes if (part := _part_of(loaded, node)) is not None]
-
-
-def _part_of(loaded: Any, node: str) -> MeshPart | None:
-    """A node's mesh in the file's frame; None for lines and points, which have no surface."""
-    matrix, geometry_name = loaded.graph[node]
-    geometry = loaded.geometry[geometry_name]
-    if not isinstance(geometry, trimesh.Trimesh):
-        return None
-    faces = np.asarray(geometry.faces, dtype=np.int64)
-    vertices = np.asarray(geometry.vertices, dtype=np.float64)
-    if faces.shape[1:] != (3,) or vertices.shape[1:] != (3,):
-        raise ValueError(f"{geometry_name!r} has no vertices of three coordinates and triangles")
-    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
-        raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
-    matrix = np.asarray(matrix, dtype=np.float64)
-    way = -1 if np.linalg.det(matrix[:3, :3]) < 0 else 1  # a mirror turns every triangle over
-    corners = np.ascontiguousarray(faces[:, ::way], dtype=np.int32)
-    name = str(node)
-    if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
-        name = str(loaded.graph.transforms.parents.get(node, geometry_name))
-    return MeshPart(name, _turn(vertices, matrix[:3, :3]) + matrix[:3, 3], corners)
+    """The nodes' meshes in the file's frame, without lines and points, which have no surface."""
+    parts = []
+    for node in loaded.graph.nodes_geometry:
+        matrix, geometry_name = loaded.graph[node]
+        geometry = loaded.geometry[geometry_name]
+        if not isinstance(geometry, trimesh.Trimesh):
+            continue
+        faces = np.asarray(geometry.faces, dtype=np.int64)
+        vertices = np.asarray(geometry.vertices, dtype=np.float64)
+        if faces.shape[1:] != (3,) or vertices.shape[1:] != (3,):
+            raise ValueError(f"{geometry_name!r} has no vertices of three coordinates or triangles")
+        if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+            raise ValueError(f"a face of {geometry_name!r} has vertices that are not there")
+        turn, shift = np.split(np.asarray(matrix, dtype=np.float64)[:3], [3], axis=1)
+        way = -1 if np.linalg.det(turn) < 0 else 1  # a mirror turns every triangle over
+        corners = np.ascontiguousarray(faces[:, ::way], dtype=np.int32)
+        name = str(node)
+        if geometry.metadata.get("from_gltf_primitive"):  # trimesh makes such names up at random
+            name = str(loaded.graph.transforms.parents.get(node, geometry_name))
+        parts.append(MeshPart(name, _turn(vertices, turn) + shift[:, 0], corners))
+    return parts
 
 
 def _turn(vertices: Float, matrix: Float) -> Float:
@@ -247,6 +220,17 @@ def _dae_unit(path: Path) -> float:
         if event == "end" and tag == "asset":
             break
     return 1.0
+
+
+def _to_world(found: list[MeshPart], path: Path, up: str, scale: float) -> list[MeshPart]:
+    """Turn parts into the world frame, and name each by a name of its own."""
+    turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
+    taken = {"world"}  # MuJoCo's own body
+    parts = [_clean(part, turn, path) for part in found]
+    named = [part._replace(name=unique_name(part.name, taken)) for part in parts if len(part.faces)]
+    if not named:
+        raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
+    return named
 
 
 def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:

@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.parsers import expat
 
 import mujoco
 import numpy as np
@@ -32,6 +31,7 @@ XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
 TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 """Vertices and faces, counter-clockwise from outside."""
+BROKEN_XML = (ElementTree.ParseError, ValueError, LookupError)
 BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
 NO_NAME = "MuJoCo Model"  # what MuJoCo calls a model that was given no name
 # What decides where a model's geoms stand: a data fits a model that is the same in these
@@ -78,13 +78,13 @@ def load_model(
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
+    suffix = path.suffix.lower()
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
         if not path.is_file():
             kind = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {kind} at {path}")
-        suffix = path.suffix.lower()
         if suffix in MESH_SUFFIXES:
             found = read_mesh_parts(path, settings.up, settings.unit)
             model, parts = model_of_parts(found, path, ground, warnings)
@@ -97,7 +97,8 @@ def load_model(
                 f" (an MJB fits only the MuJoCo that wrote it, this is {mujoco_version()}: save it "
                 f"again, or bake its XML)"
             )
-            model = compile_model(path, warnings, partial(_load_mjb, path), hint)
+            load = partial(mujoco.MjModel.from_binary_path, str(path))
+            model = compile_model(path, warnings, load, hint)
         elif suffix in XML_SUFFIXES:
             model = _load_xml(settings, warnings)
         else:
@@ -113,7 +114,7 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
     if path.stat().st_size == 0:
         raise SceneError(f"{path} is empty: expected an MJCF or URDF scene")
     root = ""  # where Python's parser doesn't get that far
-    with suppress(ElementTree.ParseError, ValueError, LookupError):
+    with suppress(*BROKEN_XML):
         root = str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
     if root == "robot":
         text, meshes = read_urdf(path, settings.geoms, warnings)
@@ -124,9 +125,8 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         return compile_model(path, warnings, lambda: _build_mjcf(path, ground, warnings))
     except SceneError as error:
         try:
-            with path.open("rb") as file:
-                expat.ParserCreate().ParseFile(file)
-        except (expat.ExpatError, ValueError, LookupError) as problem:  # says better where
+            ElementTree.parse(path)
+        except BROKEN_XML as problem:  # says better where
             raise SceneError(f"broken XML in {path}: {problem}") from error
         raise
 
@@ -146,23 +146,12 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
     except (ConfigError, SceneError):
         raise
     except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)] or [
-            type(error).__name__
-        ]
-        lines = dict.fromkeys(said)  # each once, in order
-        reason = "; ".join(" ".join(line.split()) for line in lines if line.strip())
+        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)]
+        lines = dict.fromkeys(" ".join(line.split()) for line in said or [type(error).__name__])
+        reason = "; ".join(line for line in lines if line)  # each once, in order
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if lacked_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
-
-
-def _load_mjb(path: Path) -> Any:
-    try:
-        return mujoco.MjModel.from_binary_path(str(path))
-    except ValueError:
-        # MuJoCo says the same of a file of another version and of one that it has no memory for
-        bytearray(path.stat().st_size)
-        raise
 
 
 def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
@@ -287,34 +276,30 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         SceneError: a spec does not compile, or a mesh is broken.
         ConfigError: the data is of another model, or goes with other settings of the pose.
     """
+    path, ground = settings.path, settings.ground
+    parts: dict[int, MeshPart] = {}
     with catch_warnings() as warned:
-        opened = _open(scene, settings, warned)
+        if isinstance(scene, mujoco.MjModel):
+            if ground is not None:
+                raise ConfigError(
+                    f"`scene.ground` can't be added to {path}, which is compiled: give its MjSpec "
+                    "or its file"
+                )
+            model = scene
+        elif isinstance(scene, mujoco.MjSpec):
+            model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
+        else:
+            found = take_mesh_parts(scene, path, settings.up, settings.unit)
+            model, parts = model_of_parts(found, path, ground, warned)
+    added = None if ground is None else int(model.ngeom) - 1
+    opened = OpenScene(model, parts, added, warned)
     if data is None:
         return opened
     if settings.keyframe is not None or settings.joints:
         key = "keyframe" if settings.keyframe is not None else "joints"
         raise ConfigError(f"expected a pose by `scene.{key}` or by a data, got both")
-    check_data(opened.model, data, str(settings.path))
-    return opened._replace(data=data_with_joints(opened.model, data, {}))
-
-
-def _open(scene: Any, settings: SceneSettings, warned: list[str]) -> OpenScene:
-    path, ground = settings.path, settings.ground
-    parts: dict[int, MeshPart]
-    if isinstance(scene, mujoco.MjModel):
-        if ground is not None:
-            raise ConfigError(
-                f"`scene.ground` can't be added to {path}, which is compiled: give its MjSpec or "
-                "its file"
-            )
-        return OpenScene(scene, {}, None, warned)
-    if isinstance(scene, mujoco.MjSpec):
-        model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
-        parts = {}
-    else:
-        found = take_mesh_parts(scene, path, settings.up, settings.unit)
-        model, parts = model_of_parts(found, path, ground, warned)
-    return OpenScene(model, parts, None if ground is None else int(model.ngeom) - 1, warned)
+    check_data(model, data, str(path))
+    return opened._replace(data=data_with_joints(model, data, {}))
 
 
 def check_data(model: Any, data: Any, name: str) -> None:

@@ -43,10 +43,12 @@ def names_at(model: Any, addresses: Iterable[int]) -> list[str]:
 
 
 class ModelNames(NamedTuple):
-    """The names of all geoms, and of all bodies, by their ids."""
+    """Names by id: of all geoms and bodies; and the own ones of geoms and sites, empty for none."""
 
     geoms: list[GeomNames]
     bodies: list[str]
+    own_geoms: tuple[str, ...]
+    sites: tuple[str, ...]
 
 
 # Each stage asks for all names again, and they never change
@@ -55,46 +57,24 @@ _names: WeakKeyDictionary[Any, ModelNames] = WeakKeyDictionary()
 
 def all_names(model: Any) -> ModelNames:
     """The names of a model, which are read once."""
-    known = _names.get(model)
-    if known is None:
-        known = _names[model] = _read_names(model)
-    return known
-
-
-def names_of(model: Any, geom: int) -> GeomNames:
-    """The names of a geom."""
-    return all_names(model).geoms[geom]
-
-
-def _read_names(model: Any) -> ModelNames:
-    bodies, geoms, meshes = (
-        names_at(model, addresses.tolist())
-        for addresses in (model.name_bodyadr, model.name_geomadr, model.name_meshadr)
+    if (known := _names.get(model)) is not None:
+        return known
+    bodies, geoms, meshes, sites = (
+        names_at(model, getattr(model, f"name_{kind}adr").tolist())
+        for kind in ("body", "geom", "mesh", "site")
     )
     bodies = [name or f"body {body}" for body, name in enumerate(bodies)]
     of_mesh = np.isin(model.geom_type, (MESH, SDF)) & (model.geom_dataid >= 0)
+    mesh_of = [*meshes, ""]  # the last one for what is no mesh
     shapes = np.where(of_mesh, model.geom_dataid, -1).tolist()
-    named = zip(geoms, shapes, model.geom_bodyid.tolist(), strict=True)
-    return ModelNames(
-        [
-            GeomNames(name or f"geom {geom}", meshes[mesh] if mesh >= 0 else "", bodies[body])
-            for geom, (name, mesh, body) in enumerate(named)
-        ],
-        bodies,
-    )
-
-
-# Empty where something has none, by "geom" or "site"
-_own_names: WeakKeyDictionary[Any, dict[str, tuple[str, ...]]] = WeakKeyDictionary()
-
-
-def own_names(model: Any, kind: str) -> tuple[str, ...]:
-    """The own names of all geoms or sites, by their ids, empty for none; read once, as above."""
-    known = _own_names.setdefault(model, {})
-    if kind not in known:
-        addresses = {"geom": model.name_geomadr, "site": model.name_siteadr}[kind]
-        known[kind] = tuple(names_at(model, addresses.tolist()))
-    return known[kind]
+    named = [
+        GeomNames(name or f"geom {geom}", mesh_of[shape], bodies[body])
+        for geom, (name, shape, body) in enumerate(
+            zip(geoms, shapes, model.geom_bodyid.tolist(), strict=True)
+        )
+    ]
+    _names[model] = ModelNames(named, bodies, tuple(geoms), tuple(sites))
+    return _names[model]
 
 
 def body_name(model: Any, body: int) -> str:

@@ -9,20 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.kernels.parts import (
-    COPY,
-    SHEET,
-    find_parts,
-)
-from navbake.baker.scene.kernels.shells import (
-    find_around,
-    find_cavities,
-    list_edges,
-    list_halves,
-    pair_halves,
-    unite_pairs,
-    weld_points,
-)
+from navbake.baker.kernels.parts import COPY, SHEET, find_parts
+from navbake.baker.scene.kernels.shells import find_cavities, find_shells, list_edges, weld_points
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int32
@@ -84,15 +72,16 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     kept = (one != two) & (two != three) & (three != one)
     if not kept.all():
         faces, point = faces[kept], point[kept]
-    found, is_shell = find_shells(point, len(vertices))
+    edges = list_edges(point, len(vertices))
+    found, is_shell = find_shells(point, *edges[1:])
     turned = np.zeros(len(faces), dtype=np.bool_)
     if not is_shell.all():
         rest = np.flatnonzero(~is_shell)  # these hang together with no shell
         own, corners = faces[rest], point[rest]
-        areas, edges = measure_areas(vertices, own), list_edges(corners, len(vertices))
-        part, turned[rest] = find_parts(corners, areas, *edges)
+        edges = list_edges(corners, len(vertices)) if is_shell.any() else edges
+        part, turned[rest] = find_parts(corners, measure_areas(vertices, own), *edges)
         found[rest] = np.where(part >= 0, rest[part], part)
-    del point, is_shell
+    del point, is_shell, edges
     kept = found != COPY
     if not kept.all():
         faces, found, turned = faces[kept], found[kept], turned[kept]
@@ -104,23 +93,6 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
-
-
-def find_shells(faces: Int32, num: int) -> tuple[Int32, Bool]:
-    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
-
-    Args:
-        faces: corners of each triangle, numbers of points below `num`, no two of one triangle the
-            same, shape (m, 3).
-
-    Returns:
-        By triangle, the lowest triangle that it hangs together with over edges; and whether that
-        part is such a shell.
-    """
-    is_shell = np.ones(len(faces), dtype=np.bool_)
-    end, half = list_halves(faces, num)
-    run_in_bands(pair_halves, num, faces, end, half, is_shell, least=4096)
-    return unite_pairs(half, is_shell), is_shell
 
 
 def _number_parts(found: Int32) -> tuple[Int32, int]:
@@ -148,15 +120,15 @@ def _find_enclosing(
     facing_in[0] = False
     if not facing_in.any():
         return encloses
-    is_around = find_around(box, encloses, facing_in)
-    if not is_around.any():
+    inner = np.flatnonzero(facing_in)
+    some = np.flatnonzero(encloses[part])
+    if not len(some):
         return encloses
-    some = np.flatnonzero(is_around[part])
+    some = some[np.argsort(part[some], kind="stable")]
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
     origin = vertices[faces[0, 0]]
-    corners = vertices[of_part] - origin
-    member = np.lexsort((corners[:, :, 0].sum(axis=1), part[some]))  # from west to east
-    start = np.searchsorted(part[some][member], np.arange(num + 2))
     point = (vertices[faces[largest]] - origin).mean(axis=1)
-    find_cavities(start, member, corners, point, box, encloses, facing_in)
+    inner = inner[np.argsort(point[inner, 0])]
+    corners = vertices[of_part] - origin
+    find_cavities(part[some], corners, inner, point[inner, 0], point, box, encloses)
     return encloses

@@ -1,6 +1,7 @@
 """Poses of a compiled model: keyframes and joint values, checked against its joints."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -26,17 +27,24 @@ EXPECTED = {
 
 def pose_model(model: Any, settings: SceneSettings) -> Any:
     """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
-    try:
-        data = mujoco.MjData(model)
+    data = mujoco.MjData(model)
+    with _errors_of(f"pose {settings.path}"):
         if settings.keyframe is not None:
             mujoco.mj_resetDataKeyframe(model, data, _keyframe_id(model, settings))
         for name, value in settings.joints.items():
             _set_joint(model, data, settings, name, value)
         mujoco.mj_kinematics(model, data)
+    return data
+
+
+@contextmanager
+def _errors_of(what: str) -> Iterator[None]:
+    """Raise MuJoCo's errors as a SceneError that says what it can't do."""
+    try:
+        yield
     except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
         reason = " ".join(str(error).split())[:400]
-        raise SceneError(f"MuJoCo cannot pose {settings.path}: {reason}") from error
-    return data
+        raise SceneError(f"MuJoCo cannot {what}: {reason}") from error
 
 
 def _keyframe_id(model: Any, settings: SceneSettings) -> int:
@@ -78,11 +86,10 @@ def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
     for name, value in settings.joints.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         unit = UNITS.get(int(model.jnt_type[joint]))
-        if unit is None or not model.jnt_limited[joint]:
-            continue
-        position = float(np.ravel(value)[0])
         low, high = (float(v) for v in model.jnt_range[joint])
-        if not low - RANGE_SLACK <= position <= high + RANGE_SLACK:
+        position = float(np.ravel(value)[0])
+        is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
+        if unit is not None and model.jnt_limited[joint] and not is_within:
             notes.append(
                 f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit}, got {position:.6g} "
                 f"at `scene.joints.{name}`: it is posed there anyway"
@@ -124,8 +131,5 @@ def data_with_joints(model: Any, data: Any, positions: Mapping[int, float]) -> A
 
 def place_geoms(model: Any, data: Any) -> None:
     """Place all geoms of a data by its joint positions and mocap bodies."""
-    try:
+    with _errors_of("take the pose"):
         mujoco.mj_kinematics(model, data)
-    except (mujoco.FatalError, mujoco.UnexpectedError, ValueError) as error:
-        reason = " ".join(str(error).split())[:400]
-        raise SceneError(f"MuJoCo cannot take the pose: {reason}") from error

@@ -2,10 +2,9 @@
 
 import hashlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,23 +116,24 @@ def load_scene(
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
-    digest = run_beside(digest_scene, model, data, parts)
+    digest = run_beside(lambda: start_digest(model, data, parts)())
     lying = run_beside(_warn_lying, settings, parts)
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
-    with _errors_name(settings):
+    try:
         choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
+        collected = collect_shapes(model, data, choices, parts, meshes=meshes)
+    except SceneError as error:
+        raise SceneError(f"{error}, in {settings.path}") from error
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
+    if not own:
+        raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(choice.counted for choice in own):
-        if not own:
-            raise SceneError(f"{settings.path} has no geoms: nothing to bake")
         reasons = sorted({choice.reason for choice in own})
         raise SceneError(
             f"none of the {len(own)} geoms of {settings.path} counts "
             f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
         )
-    with _errors_name(settings):
-        collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
     given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
@@ -142,13 +142,20 @@ def load_scene(
         for name, is_given in given.items()
         if is_given and not parts
     ]
-    warnings += [*lying(), *_warn_unit(settings, parts)]
-    warnings += [*notes, *collected.notes]
+    warnings += [*lying(), *_warn_unit(settings, parts), *notes, *collected.notes]
+    types = model.geom_type.tolist()
+    geoms = [
+        GeomReport(
+            geom, names.geom, names.body, TYPE_NAMES.get(types[geom], "unknown"), choice.counted,
+            collected.kinds.get(geom, ""), choice.reason,
+        )
+        for geom, (names, choice) in enumerate(zip(all_names(model).geoms, choices, strict=True))
+    ]  # fmt: skip
     return Scene(
         id=settings.id or stem_of(settings.path),
-        geoms=_report_geoms(model, choices, collected.kinds),
+        geoms=geoms,
         shapes=collected.shapes,
-        bounds=collected.shapes.bounds(),
+        bounds=collected.shapes.bounds,
         digest=digest(),
         warnings=warnings,
         model=model,
@@ -165,24 +172,6 @@ def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> O
         if limits is None:
             return OpenScene(*load_model(settings, warned), warned)
         return OpenScene(*load_isolated(settings, limits, warned), warned)
-
-
-@contextmanager
-def _errors_name(settings: SceneSettings) -> Iterator[None]:
-    """Add the scene's file to a SceneError."""
-    try:
-        yield
-    except SceneError as error:
-        raise SceneError(f"{error}, in {settings.path}") from error
-
-
-def _report_geoms(model: Any, choices: list[Choice], kinds: list[str]) -> list[GeomReport]:
-    types = [TYPE_NAMES.get(kind, "unknown") for kind in model.geom_type.tolist()]
-    known = zip(all_names(model).geoms, types, choices, kinds, strict=True)
-    return [
-        GeomReport(geom, names.geom, names.body, type_, choice.counted, kind, choice.reason)
-        for geom, (names, type_, choice, kind) in enumerate(known)
-    ]
 
 
 def _find_unusable(model: Any) -> list[str]:
@@ -226,78 +215,58 @@ def _warn_unit(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]
     ]
 
 
-class DigestedNames(NamedTuple):
-    """What the names of a model add to the digest of a scene; they never change.
-
-    Attributes:
-        geoms: the sha256 of the geoms' names, with which the digest begins.
-        sites, joints: their names, uint8.
-    """
-
-    geoms: Any
-    sites: NDArray[np.uint8]
-    joints: NDArray[np.uint8]
-
-    @classmethod
-    def of(cls, model: Any) -> "DigestedNames":
-        """Of a model."""
-        digest = hashlib.sha256()
-        for names in all_names(model).geoms:
-            digest.update("\0".join(names).encode() + b"\n")
-        sites, joints = (
-            np.frombuffer("\0".join(names_at(model, addresses.tolist())).encode(), dtype=np.uint8)
-            for addresses in (model.name_siteadr, model.name_jntadr)
-        )
-        return cls(digest, sites, joints)
+DigestedNames = tuple[Any, NDArray[np.uint8], NDArray[np.uint8]]
+"""The sha256 of the geoms' names, with which a digest begins; the names of sites, and of joints."""
 
 
-def digest_scene(
-    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
-) -> str:
-    """sha256 of what the bake can see of a posed model, wherever it was loaded from.
-
-    Args:
-        names: the model's, where they are known.
-    """
-    return _end_digest(*_begin_digest(model, data, parts, names))
+def digest_names(model: Any) -> DigestedNames:
+    """What the names of a model add to the digest of a scene; they never change."""
+    digest = hashlib.sha256()
+    for names in all_names(model).geoms:
+        digest.update("\0".join(names).encode() + b"\n")
+    sites, joints = (
+        np.frombuffer("\0".join(names_at(model, addresses.tolist())).encode(), dtype=np.uint8)
+        for addresses in (model.name_siteadr, model.name_jntadr)
+    )
+    return digest, sites, joints
 
 
 def start_digest(
-    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames
+    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
 ) -> Callable[[], str]:
-    """Start `digest_scene` on another thread; gives what waits for the result."""
-    return run_beside(_end_digest, *_begin_digest(model, data, parts, names))
+    """Start the sha256 of what the bake can see of a posed model, wherever it was loaded from.
 
+    Small arrays become one, which is hashed on another thread: a hash lets go of Python's lock for
+    each that it is given, and to get that back takes longer than the hash.
 
-def _begin_digest(
-    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None
-) -> tuple[Any, bytearray]:
-    """The digest of all but what is left, and that.
+    Args:
+        names: the model's, where they are known.
 
-    Small arrays become one, as a hash lets go of Python's lock for each that it is given: beside
-    other threads, to get that back takes longer than the hash.
+    Returns:
+        What waits for the digest, and returns it.
     """
-    names = names or DigestedNames.of(model)
-    digest, left = names.geoms.copy(), bytearray()
-    for number, array in enumerate(_digest_arrays(model, data, parts, names)):
+    begun, sites, joints = names or digest_names(model)
+    digest, left = begun.copy(), bytearray()
+    for number, array in enumerate(_digest_arrays(model, data, parts, sites, joints)):
         array = np.ascontiguousarray(array)
         left += f"{number} {array.dtype.str} {array.shape}\n".encode()
+        content = array.reshape(-1).view(np.uint8).data
         if array.nbytes > LARGE_ARRAY:
             digest.update(left)
-            digest.update(array.reshape(-1).view(np.uint8).data)
+            digest.update(content)
             left = bytearray()
         else:
-            left += array.reshape(-1).view(np.uint8).data
-    return digest, left
+            left += content
 
+    def finish() -> str:
+        digest.update(left)
+        return str(digest.hexdigest())
 
-def _end_digest(digest: Any, left: bytearray) -> str:
-    digest.update(left)
-    return str(digest.hexdigest())
+    return run_beside(finish)
 
 
 def _digest_arrays(
-    model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames
+    model: Any, data: Any, parts: dict[int, MeshPart], *names: NDArray[np.uint8]
 ) -> Iterator[NDArray[Any]]:
     yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
     yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
@@ -309,7 +278,7 @@ def _digest_arrays(
     yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    yield from (names.sites, names.joints)
+    yield from names
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

@@ -97,12 +97,9 @@ class Shapes:
     triangles: Triangles
     endless: Bool
 
+    @cached_property
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        return self._bounds
-
-    @cached_property
-    def _bounds(self) -> Float | None:
         corners = self.triangles.corners
         if self.endless.any():
             corners = corners[~self.endless[self.triangles.geom]]
@@ -121,16 +118,10 @@ class Shapes:
 
         def marked(items: Items) -> Items:
             kept = geoms[items.geom]
-            if kept.all():
-                return items
-            return type(items)._make(array[kept] for array in items)
+            return items if kept.all() else type(items)._make(array[kept] for array in items)
 
-        return Shapes(
-            marked(self.solids),
-            marked(self.planes),
-            marked(self.triangles),
-            self.endless & geoms,
-        )
+        kept = marked(self.solids), marked(self.planes), marked(self.triangles)
+        return Shapes(*kept, self.endless & geoms)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
@@ -147,22 +138,17 @@ def find_reach(kind: Int32, way: Float, size: Float) -> Float:
         kind, size: fields of `Solids`.
         way: shape (n, 3), float64.
     """
-    reach = np.zeros(len(kind))
-    for number in np.unique(kind).tolist():
-        own = kind == number
-        along, half = np.abs(way[own]), size[own]
-        if number == SPHERE:
-            reach[own] = half[:, 0]
-        elif number == CAPSULE:
-            reach[own] = half[:, 0] + along[:, 2] * half[:, 1]
-        elif number == ELLIPSOID:
-            reach[own] = np.sqrt(np.square(along * half).sum(axis=1))
-        elif number == CYLINDER:
-            flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
-            reach[own] = along[:, 2] * half[:, 1] + half[:, 0] * flat
-        else:  # BOX
-            reach[own] = (along * half).sum(axis=1)
-    return reach
+    along = np.abs(way)
+    flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
+    tall = along[:, 2] * size[:, 1]
+    reaches = {
+        SPHERE: size[:, 0],
+        CAPSULE: size[:, 0] + tall,
+        ELLIPSOID: np.sqrt(np.square(along * size).sum(axis=1)),
+        CYLINDER: tall + size[:, 0] * flat,
+    }
+    is_kind = [kind == number for number in reaches]
+    return np.select(is_kind, list(reaches.values()), (along * size).sum(axis=1))  # else a box
 
 
 def plane_triangles(half: Float) -> Float:

@@ -37,16 +37,15 @@ def read_urdf(
         compiler.attrib = {**own, **compiler.attrib, "meshdir": ""}
         compiler.attrib.pop("assetdir", None)
         has_collision = root.find("link/collision/geometry") is not None
-        visuals_count = geoms in ("visual", "all") or not has_collision
-        if compiler.get("discardvisual") == "true":
-            visuals_count = False
-        left_out = [] if visuals_count else _drop_missing_visuals(root, path)
-        if left_out and warnings is not None:
-            more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
-            warnings.append(
-                f"mesh {left_out[0]!r}{more} of {path} not found: left out, as it is only drawn, "
-                "and visuals don't count here"
-            )
+        is_discarded = compiler.get("discardvisual") == "true"
+        if is_discarded or (geoms not in ("visual", "all") and has_collision):
+            left_out = _drop_missing_visuals(root, path)
+            if left_out and warnings is not None:
+                more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
+                warnings.append(
+                    f"mesh {left_out[0]!r}{more} of {path} not found: left out, as it is only "
+                    "drawn, and visuals don't count here"
+                )
         taken: set[str] = set()
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
@@ -59,10 +58,8 @@ def read_urdf(
             mesh.set("filename", keys[file])
         text = ElementTree.tostring(root, encoding="unicode")
         return text, {key: file for file, key in keys.items()}
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
         raise SceneError(f"broken XML in {path}: {error}") from error
-    except RecursionError as error:
-        raise SceneError(f"broken XML in {path}: it is nested too deep") from error
 
 
 def _drop_missing_visuals(root: ElementTree.Element, path: Path) -> list[str]:

@@ -14,7 +14,7 @@ from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
-from navbake.baker.scene.scene import DigestedNames, Scene, load_scene, start_digest
+from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
 from navbake.types import Bool, Float, Int
@@ -61,7 +61,7 @@ class FollowedScene:
 
     def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
         self._config, self._opened = config, opened
-        self._names = DigestedNames.of(opened.model)
+        self._names = digest_names(opened.model)
         self._first = scene
         self._is_large = np.zeros(opened.model.ngeom, dtype=np.bool_)
         self.keep(scene, np.arange(opened.model.ngeom))
@@ -110,7 +110,7 @@ class FollowedScene:
         scene = replace(
             was,
             shapes=shapes,
-            bounds=shapes.bounds() if len(counted) else was.bounds,
+            bounds=shapes.bounds if len(counted) else was.bounds,
             digest="",
             data=data,
         )

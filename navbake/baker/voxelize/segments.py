@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.names import body_name, names_of, warn_unmatched
+from navbake.baker.scene.names import all_names, body_name, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.errors import ConfigError
 from navbake.known_names import find_near
@@ -89,7 +89,7 @@ def _label_by_kind(scene: Scene, kind: str) -> Labels:
         key = ("geom", geom) if is_geom else ("body", body)
         number = geom + 1 if kind == "geom" else numbers.setdefault(key, len(numbers) + 1)
         ids[geom] = number
-        table[number] = names_of(model, geom).geom if is_geom else body_name(model, body)
+        table[number] = all_names(model).geoms[geom].geom if is_geom else body_name(model, body)
     return Labels(ids, table, [])
 
 
@@ -125,7 +125,7 @@ def _counted(scene: Scene) -> list[int]:
 
 def _known_as(model: Any, geom: int) -> list[str]:
     """The names that a geom is known by, those of all bodies that it hangs on included."""
-    names = names_of(model, geom)
+    names = all_names(model).geoms[geom]
     bodies, body = [], int(model.geom_bodyid[geom])
     while body:
         bodies.append(body_name(model, body))

@@ -160,7 +160,7 @@ class Voxelizer:
         Raises:
             ConfigError: a number is wrong, or the grid needs more memory than there is.
         """
-        bounds = self.shapes.bounds()
+        bounds = self.shapes.bounds
         place = place_grid(position, cells, size, res, bounds, align=align)
         grid = self.fill(place, segments)
         if place.moved > CELL_SLACK * place.res:

@@ -32,14 +32,14 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
     """A mesh may be as long and as thin as it likes."""
     seen = []
 
-    def cast(shapes, lattice):
+    def tile(shapes, lattice, half):
         seen.append(lattice)
         raise InterruptedError
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
-    shapes = SimpleNamespace(bounds=lambda: bounds)
-    monkeypatch.setattr(hidden_room, "mesh_shapes", lambda *arguments: shapes)
-    monkeypatch.setattr(hidden_room, "_cast", cast)
+    found = SimpleNamespace(shapes=SimpleNamespace(bounds=bounds))
+    monkeypatch.setattr(hidden_room, "collect_shapes", lambda *arguments: found)
+    monkeypatch.setattr(hidden_room, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
     data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])

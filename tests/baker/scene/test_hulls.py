@@ -27,7 +27,7 @@ def compile_mesh(points, geom="", **attributes):
 
 
 def hull_corners(model):
-    triangles = MeshTriangles(model).count(0, "hull").triangles
+    triangles = MeshTriangles(model).count(0, "hull")
     return triangles.vertices[triangles.faces]
 
 

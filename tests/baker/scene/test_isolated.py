@@ -110,16 +110,6 @@ def test_what_mujoco_says_where_memory_is_short_is_one_line_of_the_limit(room, c
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
-def test_an_mjb_for_which_memory_is_short_is_not_taken_for_one_of_another_version(room):
-    (room.parent / "a.mjb").write_bytes(bytes(100_000_000))
-    settings = SceneSettings(path=room.parent / "a.mjb")
-    with pytest.raises(SceneError, match=r"a\.mjb needs more than 0\.06 GiB of memory$"):
-        load_isolated(settings, CompileLimits(memory=0.06), [])
-    with pytest.raises(SceneError, match="an MJB fits only the MuJoCo that wrote it"):
-        load_isolated(settings, CompileLimits(), [])
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited on Linux")
 @pytest.mark.parametrize(
     ("asset", "world"),
     [

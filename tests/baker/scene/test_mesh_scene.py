@@ -13,7 +13,8 @@ import trimesh
 from PIL import Image
 
 from navbake.baker.scene import mesh_scene
-from navbake.baker.scene.mesh_scene import PLAIN_READERS, read_mesh_parts
+from navbake.baker.scene.mesh_readers import read_plain
+from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
 from navbake.config.scene import SceneSettings
 from navbake.errors import SceneError
@@ -417,13 +418,13 @@ def test_plain_files_are_read_as_trimesh_reads_them(read, name, content, monkeyp
     ],
 )
 def test_what_is_not_plain_is_left_to_trimesh(name, content):
-    assert PLAIN_READERS[Path(name).suffix](content) is None
+    assert read_plain(content, Path(name).suffix) is None
 
 
 def unplain(monkeypatch, function):
     """What a function gives where no file is read as a plain one."""
     with monkeypatch.context() as changed:
-        changed.setattr("navbake.baker.scene.mesh_scene.PLAIN_READERS", {})
+        changed.setattr(mesh_scene, "read_plain", lambda *_: None)
         return function()
 
 
@@ -612,7 +613,7 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
     for name in ("a.obj", "a.glb"):
         with open(tmp_path / name, "wb") as file:
             file.truncate(mesh_scene.MAX_BYTES + 1)  # takes no room
-        with pytest.raises(SceneError, match=rf"{name} is too large: .* 2048 MiB at most"):
+        with pytest.raises(SceneError, match=rf"{name} is too large: .* 4096 MiB at most"):
             read_mesh_parts(tmp_path / name)
 
 
@@ -626,7 +627,7 @@ def test_a_gltf_reads_no_device_as_its_buffer(tmp_path, uri):
     content = json.loads((tmp_path / "w.gltf").read_text())
     content["buffers"] = [{**content["buffers"][0], "uri": uri}]
     (tmp_path / "w.gltf").write_text(json.dumps(content))
-    with pytest.raises(SceneError, match=r"w\.gltf: its buffer .* is (missing|no file of 2048)"):
+    with pytest.raises(SceneError, match=r"w\.gltf: its buffer .* is (missing|no file of 4096)"):
         read_mesh_parts(tmp_path / "w.gltf")
 
 

@@ -324,7 +324,7 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     fast = split(soup)
     monkeypatch.setattr(
         "navbake.baker.scene.parts.find_shells",
-        lambda faces, num: (np.zeros(len(faces), np.int32), np.zeros(len(faces), np.bool_)),
+        lambda faces, *_: (np.zeros(len(faces), np.int32), np.zeros(len(faces), np.bool_)),
     )
     general = split(soup)
     for name in ("faces", "part", "closed"):

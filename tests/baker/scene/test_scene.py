@@ -125,19 +125,17 @@ def test_flex_and_skin_are_named(load):
 
 def test_numbers_whose_squares_are_none_are_refused(load):
     solid = '<geom size="1"/><geom type="ellipsoid" pos="2 0 0" size="1e200 1 1"/>'
-    with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size beyond 1e\+100 m, in"):
+    with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size that is no number, or"):
         load(solid)
     field = '<asset><hfield name="h" nrow="2" ncol="2" size="1e200 1 1 1"/></asset>'
-    with pytest.raises(SceneError, match=r"geom 'geom 0' has a pose or size beyond 1e\+100 m, in"):
+    with pytest.raises(SceneError, match=r"geom 'geom 0' has a pose or size that is no number, or"):
         load('<geom type="hfield" hfield="h"/>', field)
 
 
 def test_warnings_of_mujoco_become_ours(load, capfd, tmp_path):
     before = mujoco.get_mju_user_warning()
     world = '<geom size="1"/><body><geom size="1" pos="nan 0 0"/></body>'
-    with pytest.raises(
-        SceneError, match=r"geom 'geom 1' has a pose or size that is infinite or no number, in"
-    ):
+    with pytest.raises(SceneError, match=r"geom 'geom 1' has a pose or size that is no number, or"):
         load(world)
     scene = load(world, exclude={"geoms": ["geom 1"]})
     assert scene.warnings == ["MuJoCo: XML contains a 'NaN'. Please check it carefully."]
@@ -486,5 +484,5 @@ def test_height_fields_without_a_size_are_refused(tmp_path, value):
     )
     model.hfield_size[0, 1] = value
     mujoco.mj_saveModel(model, str(tmp_path / "a.mjb"))
-    with pytest.raises(SceneError, match="hfield 'hill' has a size that is no number, or beyond"):
+    with pytest.raises(SceneError, match="hfield 'hill' has heights or a size that are no numbers"):
         load_scene(SceneSettings(path=tmp_path / "a.mjb"))

@@ -67,7 +67,7 @@ def test_bounds_leave_out_endless_planes():
         triangles = shapes.Triangles(
             np.array(geom, np.int32), part, closed, np.array(corners, float)
         )
-        return shapes.Shapes(solids, planes, triangles, np.array(endless)).bounds()
+        return shapes.Shapes(solids, planes, triangles, np.array(endless)).bounds
 
     large = TETRAHEDRON[[0, 1, 2]] * 1e5  # finite, however large
     strip = shapes.plane_triangles(np.array([2.0, 0.0]))

@@ -12,7 +12,6 @@ from navbake.baker.scene.kernels.triangles import (
     measure_areas,
     measure_boxes,
     measure_spans,
-    sum_by_facing,
     take_corners,
     unit_normal,
 )
@@ -61,13 +60,6 @@ def test_areas_and_what_they_use(mesh):
     has_area, is_used = check_faces(vertices, faces, 0.05)
     np.testing.assert_array_equal(has_area, double > 0.05)
     assert set(np.flatnonzero(is_used)) == set(faces[has_area].ravel())
-
-
-def test_area_by_facing(mesh):
-    cross = cross_of(*mesh)
-    double = np.linalg.norm(cross, axis=1)
-    expected = [double[np.abs(cross[:, k]) >= 0.7 * double].sum() for k in (1, 2)]
-    np.testing.assert_allclose(sum_by_facing(*mesh, 0.7), expected)
 
 
 def test_facing_and_spans(mesh):

@@ -11,15 +11,11 @@ other's triangles on a vertical line over a point of it, each counted by how it 
 line (Sunday, Inclusion of a point in a polygon, 2001).
 """
 
-import math
-
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import kernel, part
 from navbake.navgrid.kernels.union_find import find_root, unite
 
-# Triangles that share one box when one looks for those over a point
-BLOCK = 64
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 
 
@@ -79,27 +75,6 @@ def weld_points(points, num_shares, number, first, end):
 
 
 @part(inline="always")
-def _list_by_lower_point(faces, num):
-    """The half-edges 3 f + k of triangles, ragged, by the lower one of their two points."""
-    start = np.zeros(num + 1, np.int32)
-    half = np.empty(3 * faces.shape[0], np.int32)
-    for writing in (False, True):
-        for f in range(faces.shape[0]):
-            for k in range(3):
-                low = min(faces[f, k], faces[f, (k + 1) % 3])
-                if writing:
-                    half[start[low]] = 3 * f + k
-                start[low] += 1
-        if not writing:  # to where each list begins
-            total = np.int32(0)
-            for low in range(num):
-                count = start[low]
-                start[low] = total
-                total += count
-    return start, half  # start is now where each list ends
-
-
-@part(inline="always")
 def sort_keys(keys, num):
     """Sort the first keys, ascending, in place: Shell's sort."""
     gap = 1
@@ -115,112 +90,33 @@ def sort_keys(keys, num):
         gap //= 3
 
 
-@part(inline="always")
-def _are_neighbours(faces, key, other):
-    """Whether two triangles run along their edge in opposite ways, and are no back of each other.
-
-    Their keys are those of `pair_halves`.
-    """
-    f, g = (key & 0xFFFFFFFF) >> 1, (other & 0xFFFFFFFF) >> 1
-    # both have the edge's two points, so equal sums are equal third points
-    is_back = (
-        np.int64(faces[f, 0]) + faces[f, 1] + faces[f, 2]
-        == np.int64(faces[g, 0]) + faces[g, 1] + faces[g, 2]
-    )
-    return (key & 1) != (other & 1) and not is_back
-
-
-@kernel
-def list_halves(faces, num):
-    """List the half-edges of triangles, as `pair_halves` takes them: where lists end, and they."""
-    return _list_by_lower_point(faces, num)
-
-
-@kernel(nogil=True)
-def pair_halves(faces, end_of, half, is_shell, low0, low_end):
-    """Bring the triangles at each edge together, in place of the half-edges of some lower points.
-
-    The first triangle f at an edge becomes -1 - f, those that follow are as they are. Looks at the
-    points ``range(low0, low_end)``.
-
-    Args:
-        faces: corners of each triangle, numbers of points, no two of one triangle the same, (m, 3)
-            int32.
-        end_of, half: see `list_halves`.
-        is_shell: (m,) bool, receives False for the first triangle at each edge that is met by other
-            than two triangles, in either direction once.
-    """
-    most, first = 0, end_of[low0 - 1] if low0 > 0 else 0
-    for low in range(low0, low_end):
-        most, first = max(most, end_of[low] - first), end_of[low]
-    _pair_halves(faces, end_of, half, is_shell, np.empty(most, np.int64), low0, low_end)
-
-
-@part(**UNCOUNTED)
-def _pair_halves(faces, end_of, half, is_shell, keys, low0, low_end):
-    """See `pair_halves`; `keys` has room for those of a point."""
-    for low in range(low0, low_end):
-        first = end_of[low - 1] if low > 0 else 0
-        count = end_of[low] - first
-        for i in range(count):
-            f, k = half[first + i] // 3, half[first + i] % 3
-            high = max(faces[f, k], faces[f, (k + 1) % 3])
-            # the direction in the lowest bit
-            keys[i] = (np.int64(high) << 32) | (np.int64(f) << 1) | (faces[f, k] == low)
-        sort_keys(keys, count)
-        i = 0
-        while i < count:
-            last = i + 1
-            while last < count and keys[last] >> 32 == keys[i] >> 32:
-                half[first + last] = (keys[last] & 0xFFFFFFFF) >> 1
-                last += 1
-            one = (keys[i] & 0xFFFFFFFF) >> 1
-            half[first + i] = -1 - one
-            if last - i != 2 or not _are_neighbours(faces, keys[i], keys[i + 1]):
-                is_shell[one] = False
-            i = last
-
-
-@kernel
-def unite_pairs(paired, is_shell):
-    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
-
-    Args:
-        paired: the triangles at each edge, see `pair_halves`.
-        is_shell: what `pair_halves` says, (m,) bool; becomes whether a triangle's part is a shell.
-
-    Returns:
-        By triangle, the lowest triangle that it hangs together with over edges, (m,) int32.
-    """
-    part = np.arange(is_shell.shape[0]).astype(np.int32)
-    one = np.int64(0)
-    for i in range(paired.shape[0]):
-        if paired[i] < 0:
-            one = np.int64(-1 - paired[i])
-        else:
-            unite(part, one, np.int64(paired[i]))
-    for f in range(part.shape[0]):
-        part[f] = find_root(part, np.int64(f))
-        if not is_shell[f]:
-            is_shell[part[f]] = False
-    for f in range(part.shape[0]):
-        is_shell[f] = is_shell[part[f]]
-    return part
-
-
 @kernel
 def list_edges(faces, num):
     """Number the undirected edges of triangles.
 
     Args:
-        faces: see `pair_halves`.
+        faces: corners of each triangle, numbers of points below `num`, no two of one triangle the
+            same, (m, 3) int32.
 
     Returns:
         edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the next
             one, (3 m,) int32.
         start, half: the half-edges of each edge, ragged, ascending, int32.
     """
-    end, half = _list_by_lower_point(faces, num)
+    # the half-edges by the lower one of their two points, ragged
+    end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
+    for writing in (False, True):
+        for h in range(half.shape[0]):
+            low = min(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
+            if writing:
+                half[end[low]] = h
+            end[low] += 1
+        if not writing:  # to where each list begins, from where writing takes it to its end
+            total = np.int32(0)
+            for low in range(num):
+                count = end[low]
+                end[low] = total
+                total += count
     edge, start = np.empty(half.shape[0], np.int32), np.empty(half.shape[0] + 1, np.int32)
     keys = np.empty(16, np.int64)
     first, edges = 0, 0
@@ -245,6 +141,46 @@ def list_edges(faces, num):
 
 
 @part(inline="always")
+def _are_neighbours(faces, h, g):
+    """Whether two triangles run along their edge in opposite ways, and are no back of each other.
+
+    Takes their half-edges there.
+    """
+    here, next_ = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
+    other, third = faces[g // 3, g % 3], faces[g // 3, (g % 3 + 2) % 3]
+    return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
+
+
+@kernel
+def find_shells(faces, start, half):
+    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+
+    Args:
+        faces, start, half: see `list_edges`.
+
+    Returns:
+        By triangle, the lowest triangle that it hangs together with over edges, (m,) int32; and
+        whether that part is such a shell, (m,) bool.
+    """
+    is_shell = np.ones(faces.shape[0], np.bool_)
+    part = np.arange(faces.shape[0]).astype(np.int32)
+    for e in range(start.shape[0] - 1):
+        first = np.int64(half[start[e]])
+        for i in range(start[e] + 1, start[e + 1]):
+            unite(part, first // 3, np.int64(half[i]) // 3)
+        is_pair = start[e + 1] - start[e] == 2
+        if not is_pair or not _are_neighbours(faces, first, np.int64(half[start[e] + 1])):
+            is_shell[first // 3] = False
+    for f in range(part.shape[0]):
+        part[f] = find_root(part, np.int64(f))
+        if not is_shell[f]:
+            is_shell[part[f]] = False
+    for f in range(part.shape[0]):
+        is_shell[f] = is_shell[part[f]]
+    return part, is_shell
+
+
+@part(inline="always")
 def _is_left(ax, ay, bx, by, x, y):
     """Whether a point is left of the line from a to b; the same answer, turned, from b to a."""
     if ax < bx or (ax == bx and ay < by):
@@ -253,8 +189,11 @@ def _is_left(ax, ay, bx, by, x, y):
 
 
 @part(inline="always")
-def _winding(c, x, y):
-    """How a triangle, seen from above, winds round a point: 1, 0, or -1 for one that faces down."""
+def _winding_above(c, x, y, z):
+    """How a triangle that is above a point, seen from there, winds round it.
+
+    1, 0, or -1 for one that faces down.
+    """
     turns = 0
     for k in range(3):
         ax, ay, bx, by = c[k, 0], c[k, 1], c[(k + 1) % 3, 0], c[(k + 1) % 3, 1]
@@ -264,95 +203,46 @@ def _winding(c, x, y):
                 turns += 1
             elif by <= y and not is_left:
                 turns -= 1
-    return turns
-
-
-@part(inline="always")
-def _is_above(c, x, y, z):
-    """Whether the plane of a triangle that is not upright is above a point."""
+    if turns == 0:
+        return 0
     ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
     vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     height = nx * (c[0, 0] - x) + ny * (c[0, 1] - y) + nz * (c[0, 2] - z)
-    return height > 0.0 if nz > 0.0 else height < 0.0
-
-
-@part
-def _is_inside(point, corners, member, low, high, block):
-    """Whether a point is inside of closed triangles that face out, ``member[low:high]``.
-
-    More of those over the point face up than down. `block` has the bounds of BLOCK members each.
-    """
-    x, y, z = point[0], point[1], point[2]
-    total = 0
-    for b in range(low // BLOCK, (high + BLOCK - 1) // BLOCK):
-        if x < block[b, 0] or y < block[b, 1] or x > block[b, 2] or y > block[b, 3]:
-            continue
-        for t in member[max(low, b * BLOCK) : min(high, (b + 1) * BLOCK)]:
-            turns = _winding(corners[t], x, y)
-            if turns != 0 and _is_above(corners[t], x, y, z):
-                total += turns
-    return total > 0
-
-
-@part(inline="always")
-def _is_around(box, q, p):
-    """Whether the box of part q holds that of part p."""
-    is_around = True
-    for k in range(3):
-        is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
-    return is_around
+    return turns if (height > 0.0 if nz > 0.0 else height < 0.0) else 0
 
 
 @kernel
-def find_around(box, encloses, facing_in):
-    """Mark parts that enclose something and whose box holds that of a part that faces in.
-
-    Takes the boxes of the parts, (parts, 6) float64 [m], and bools by part.
-    """
-    marked = np.zeros(box.shape[0], np.bool_)
-    inner = np.flatnonzero(facing_in)
-    for q in range(box.shape[0]):
-        if encloses[q]:
-            for p in inner:
-                if _is_around(box, q, p):
-                    marked[q] = True
-                    break
-    return marked
-
-
-@kernel
-def find_cavities(start, member, corners, point, box, encloses, facing_in):
+def find_cavities(part, corners, facing_in, order, point, box, encloses):
     """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
 
+    A part is inside of another one where more of that one's triangles over a point of it face up
+    than down, and where its box is inside of the other's.
+
     Args:
-        start, member: the triangles of each part that `find_around` marks, ragged, int64; fast
-            where neighbours in the list are neighbours in space.
+        part: of each triangle, ascending, (m,) int32; those of parts that enclose something.
         corners: of these triangles, (m, 3, 3) float64 [m].
+        facing_in: the parts that face in, by their points from west to east, int64.
+        order: the x of these points, ascending, float64 [m].
         point: a point of each part, (parts, 3) float64 [m].
         box: of each part, (parts, 6) float64 [m].
-        encloses, facing_in: by part, bool.
+        encloses: by part, bool.
     """
-    num = start.shape[0] - 1
-    block = np.empty((member.shape[0] // BLOCK + 1, 4), np.float64)
-    block[:, :2], block[:, 2:] = math.inf, -math.inf
-    for i in range(member.shape[0]):
-        b = i // BLOCK
-        for corner in range(3):
-            for k in range(2):
-                value = corners[member[i], corner, k]
-                block[b, k] = min(block[b, k], value)
-                block[b, 2 + k] = max(block[b, 2 + k], value)
-    outer = np.flatnonzero(encloses)
-    outer = outer[np.argsort(box[outer, 0], kind="mergesort")]
-    for p in range(num):
-        if not facing_in[p]:
-            continue
-        for q in outer:
-            if box[q, 0] > box[p, 0]:
+    total = np.zeros(facing_in.shape[0], np.int64)
+    for t in range(part.shape[0]):
+        c, q = corners[t], part[t]
+        if t == 0 or part[t - 1] != q:
+            total[:] = 0
+        west, east = min(c[0, 0], c[1, 0], c[2, 0]), max(c[0, 0], c[1, 0], c[2, 0])
+        for i in range(np.searchsorted(order, west), len(order)):
+            if order[i] > east:
                 break
-            if not _is_around(box, q, p):
-                continue
-            if _is_inside(point[p], corners, member, start[q], start[q + 1], block):
-                encloses[p] = True
-                break
+            p = facing_in[i]
+            total[i] += _winding_above(c, point[p, 0], point[p, 1], point[p, 2])
+        if t + 1 == part.shape[0] or part[t + 1] != q:
+            for i in range(len(order)):
+                p = facing_in[i]
+                is_around = total[i] > 0
+                for k in range(3):
+                    is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
+                encloses[p] |= is_around

@@ -102,23 +102,6 @@ def measure_areas(vertices, faces):
     return area
 
 
-@kernel(**UNCOUNTED)
-def sum_by_facing(vertices, faces, cosine):
-    """Twice the area of the triangles that face along y, and of those that face along z [m²].
-
-    A triangle faces along an axis where the cosine of the angle between them is at least one given.
-    """
-    along_y = along_z = 0.0
-    for f in range(faces.shape[0]):
-        x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
-        size = _length(x, y, z)
-        if abs(y) >= size * cosine:
-            along_y += size
-        if abs(z) >= size * cosine:
-            along_z += size
-    return along_y, along_z
-
-
 @kernel(nogil=True, **UNCOUNTED)
 def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
     """Measure each part of a mesh: volume, area, box and largest triangle.
