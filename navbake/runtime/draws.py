@@ -1,20 +1,29 @@
-"""Random places and poses."""
+"""Random places and poses, where many agents start, and the lattice that steps lead to."""
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.runtime.flat_grid import REAL, FlatGrid
+from navbake.lazy import lazy
+from navbake.navgrid.cells import check_level, check_positions
+from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, place_crowd
+from navbake.runtime.flat_grid import REAL, check_distance
+from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
-from navbake.types import Float, Int
+from navbake.runtime.surroundings import find_blocked
+from navbake.types import Bool, Float, Int
 
-# Functions import kernels when they run: numba takes long to load.
+walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
+STRATA = ("area", "room", "island")
+STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+NEAR = 1e-4  # of a cell: how far from where it should be a step may end
+TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
 
 class Pose(NamedTuple):
@@ -29,8 +38,20 @@ class Pose(NamedTuple):
     heading: float
 
 
+class Spawns(NamedTuple):
+    """Where agents start.
+
+    Attributes:
+        positions: world x, y and floor z [m], shape (n, 3), float64.
+        headings: 0 along x, counted towards y, -pi to pi [rad], shape (n,), float64.
+    """
+
+    positions: Float
+    headings: Float
+
+
 class DrawQuestions(PlaceQuestions):
-    """Random places and poses."""
+    """Random places and poses, where many agents start, and the lattice that steps lead to."""
 
     def random_point(
         self,
@@ -62,9 +83,10 @@ class DrawQuestions(PlaceQuestions):
             QueryError: there is no such place, no agent can stand at the position, or `rng` is
                 not a generator.
         """
+        search = self.search
         if reachable_from is not None:
-            island = self._cache.home_island(reachable_from, island)
-        cells = np.flatnonzero(self._cache.allowed(level=level, room=room, island=island))
+            island = search.home_island(reachable_from, island)
+        cells = np.flatnonzero(search.allowed(level=level, room=room, island=island))
         limits = {"level": level, "room": room, "island": island}
         return self._draw(cells, rng, count, anywhere, limits)
 
@@ -145,28 +167,191 @@ class DrawQuestions(PlaceQuestions):
         Raises:
             QueryError: see `random_point_near`.
         """
-        from navbake.runtime.kernels.walks import first_in_sight
-
-        rng, cache = as_generator(rng), self._cache
+        rng, search = as_generator(rng), self.search
         if target is None:
-            cells = np.flatnonzero(cache.allowed(level=level))
+            cells = np.flatnonzero(search.allowed(level=level))
             place = self._draw(cells, rng, None, False, {"level": level})
             return Pose(place, float(rng.uniform(-math.pi, math.pi)))
         cells = self._cells_near(target, (min_distance, max_distance), True, level)
-        flat, number = cache.flat, self.rooms.number
+        flat, number = search.flat, search.rooms.number
         p, home = flat.locate(target, level)
-        assert home is not None  # or there were no cells near it
         if same_room:
             cells = cells[(number[cells] == number[home]) & (number[home] > 0)]
         if in_sight:
             # the first that sees the target, in a random order: as if drawn from all that do
-            space, cells = flat.sight_through(~self.occupied), rng.permutation(cells)
+            cells = rng.permutation(cells)
             points = np.ascontiguousarray(flat.positions(cells)[:, :2])
-            found = first_in_sight(space, number, home, p, cells, points)
+            found = walks.first_in_sight(*search.sight, number, home, p, cells, points)
             cells = cells[found : found + 1] if found >= 0 else cells[:0]
         limits = {"distance [m]": f"{min_distance:g} to {max_distance:g}", "in sight": in_sight}
         place = self._draw(cells, rng, None, False, limits)
         return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
+
+    def spawn(
+        self,
+        rng: np.random.Generator | None,
+        n: int,
+        *,
+        rooms: str | Sequence[str] | None = None,
+        level: int | None = None,
+        island: int | None = None,
+        reachable_from: ArrayLike | None = None,
+        clearance: float | None = None,
+        min_distance: float | None = None,
+        facing: ArrayLike | None = None,
+        stratify: str | None = None,
+    ) -> Spawns:
+        """Draw where many agents start: none meets anything, or another one.
+
+        Places are centres of cells where the agent's radius fits, that of the grid's inflation, or
+        else of its bake. One after the other is drawn, evenly by area, from those that are far
+        enough from all before it (Poisson-disc sampling). Distances between agents are measured
+        on the map; agents on floors that are the agent's height or more apart don't count.
+
+        Args:
+            rng: see `random_point`.
+            n: how many agents, >= 1.
+            rooms: in these rooms, by id or name; one or several.
+            level: on this level.
+            island: on this island; 1 is the largest.
+            reachable_from: where a path leads to from this world position [m].
+            clearance: a disc of this radius round each agent meets no obstacle and no drop, as
+                with `grid.inflate` [m]; unless `min_distance` is given, nor another agent's.
+            min_distance: between the centres of any two agents [m]; in any case more than twice
+                the agent's radius.
+            facing: where all look: a world position [m], or a heading [rad]; everywhere, if None.
+            stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
+                each; ``room`` and ``island`` draw as many agents in each, give or take one, and
+                leave out cells in no room. Agents that don't fit into a part go to others.
+
+        Returns:
+            Positions and headings, in random order.
+
+        Raises:
+            QueryError: they don't fit, with how many do at most where that can be proved at once;
+                there is no such room, level or island; a number makes no sense.
+        """
+        rng, search, grid = as_generator(rng), self.search, self.grid
+        check_level(level, search.flat.num_levels)
+        if clearance is not None:
+            check_radius(clearance, "clearance")
+            clearance = float(clearance)
+        numbers: tuple[int, ...] = ()
+        if rooms is not None:
+            is_one = isinstance(rooms, str) or not isinstance(rooms, Iterable)
+            names: list[Any] = [rooms] if is_one else list(rooms)
+            if not names:
+                raise QueryError("expected at least one room, got none")
+            numbers = tuple(sorted({search.rooms.find(name) for name in names}))
+        if island is not None:
+            island = search.islands.check(island)
+        if reachable_from is not None:
+            island = search.home_island(reachable_from, island)
+        if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
+            raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
+        if stratify not in (None, *STRATA):
+            raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
+        least = 0.0 if min_distance is None else min_distance
+        check_distance(least, "min_distance")
+        target = _check_facing(facing)
+        radius = agent_radius(grid)
+        if min_distance is None:
+            radius = max(radius, clearance or 0.0)
+        ids = [search.rooms.id_of(number) for number in numbers] or [grid.scene_id]
+        where = f"in {', '.join(map(repr, ids))}"
+        where += f" on level {level}" if level is not None else ""
+        where += f" on island {island}" if island is not None else ""
+
+        def find_clear() -> Bool:
+            """Where a disc of the clearance meets nothing, as `grid.inflate` has it."""
+            ledges, radius = ledges_of(grid) if exact_radius(grid) else "avoid", clearance or 0.0
+            blocked = [find_blocked(grid, k, radius, ledges) for k in range(len(grid.levels))]
+            return ~np.concatenate([mask.ravel() for mask in blocked])
+
+        def find() -> Int:
+            """The cells that agents may start in, along Hilbert's curve."""
+            allowed = search.allowed(level=level, island=island)
+            if numbers:
+                allowed = allowed & np.isin(search.rooms.number, numbers)
+            if clearance is not None:
+                allowed = allowed & search.keep("clear for", clearance, find_clear, 1)
+            return along_hilbert(search.flat, np.flatnonzero(allowed))
+
+        cells = search.keep("spawns", (numbers, level, island, clearance), find)
+        if not len(cells):
+            needed = "" if clearance is None else f" with {clearance:g} m round"
+            raise QueryError(f"no free cell{needed} {where}")
+        parts = [cells]
+        if stratify == "area":
+            parts = parts_of_area(search.flat, cells, int(n), rng.random())
+        elif stratify is not None:
+            number = (search.rooms if stratify == "room" else search.islands).number[cells]
+            if not number.any():
+                raise QueryError(f"no {stratify} of {grid.scene_id!r} has a free cell to spawn on")
+            order = np.argsort(number, kind="stable")[np.count_nonzero(number == 0) :]
+            _, first = np.unique(number[order], return_index=True)
+            parts = np.split(cells[order], first[1:])
+        # centres clash up to this distance, slack for rounding aside: discs do not touch
+        reach = max(2.0 * radius, least - 2.0 * SLACK, 0.0)
+        words = f"{least:g} m apart" if least > 2.0 * radius else f"of radius {radius:g} m"
+        apart = reach, grid.agent_height
+        chosen = place_crowd(search.flat, parts, int(n), apart, rng, (words, where))
+        positions = search.flat.positions(chosen)
+        if target is None:
+            return Spawns(positions, rng.uniform(-math.pi, math.pi, size=int(n)))
+        if target.ndim == 0:
+            turned = math.remainder(float(target), 2.0 * math.pi)
+            return Spawns(positions, np.full(int(n), turned))
+        away = target[:2] - positions[:, :2]
+        return Spawns(positions, np.arctan2(away[:, 1], away[:, 0]))
+
+    def reachable_positions(
+        self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
+    ) -> Float:
+        """List the positions that steps of one length along x and y lead to.
+
+        The positions are those of a square lattice through the start. A step is taken where
+        `try_step` gets to its end without sliding, over links to other levels as well, and where
+        the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
+
+        Args:
+            start: world position [m] where an agent can stand; the first in the list. From a
+                cell's centre, steps of whole cells lead to centres.
+            spacing: of the lattice [m], a cell's size or more.
+
+        Returns:
+            World x, y and floor z [m], shape (n, 3), float64, those of the fewest steps first.
+
+        Raises:
+            QueryError: no agent can stand at the start, or the spacing is less than a cell.
+        """
+        flat, radius = self.search.flat, agent_radius(self.grid)
+        cell = float(flat.layout.cell_size.max())
+        if not isinstance(spacing, REAL) or not cell * (1 - NEAR) <= spacing < np.inf:
+            raise QueryError(f"expected a spacing of a cell's {cell:g} m or more, got {spacing!r}")
+        p, home = flat.free_cell_at(start, level)
+        first = np.append(p[:2], flat.positions(home)[2])
+        places, at = first[None], np.zeros((1, 2), dtype=np.int64)
+        seen = {(int(flat.level_of(home)), 0, 0)}
+        found = [places]
+        while len(places):
+            at = (at[:, None] + STEPS).reshape(-1, 2)
+            wanted = first[:2] + at * spacing
+            ends = self.many.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
+            arrived = (np.abs(ends[:, :2] - wanted) <= NEAR * cell).all(axis=1)
+            at, places = at[arrived], ends[arrived]
+            cells = flat.cells_at(places)
+            points = list(zip(flat.level_of(cells).tolist(), *at.T.tolist(), strict=True))
+            new = [p not in seen and seen.add(p) is None for p in points]  # type: ignore[func-returns-value]
+            at, places, cells = at[new], places[new], cells[new]
+            # at a free cell's centre the agent's disc meets nothing; beside it, that is measured
+            off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
+            is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
+            clearance = self.many.clearance(places, max_distance=2.0 * radius + 1.0)
+            stands = is_center | (clearance >= radius * (1.0 - TOUCH))
+            at, places = at[stands], places[stands]
+            found.append(places)
+        return np.concatenate(found)
 
     def _draw(
         self,
@@ -184,7 +369,7 @@ class DrawQuestions(PlaceQuestions):
             given = [f"{name} {v}" for name, v in limits.items() if v not in (None, False)]
             asked = f" with {', '.join(given)}" if given else ""
             raise QueryError(f"no free cell in {self.grid.scene_id!r}{asked}")
-        flat, num = self._cache.flat, 1 if count is None else int(count)
+        flat, num = self.search.flat, 1 if count is None else int(count)
         chosen = cells[draw_cells(flat, cells, rng, num)]
         positions = flat.positions(chosen)
         if anywhere:
@@ -206,15 +391,15 @@ class DrawQuestions(PlaceQuestions):
             raise QueryError(
                 f"expected 0 <= min_distance <= max_distance [m], got {low} and {high}"
             )
-        flat = self._cache.flat
+        flat = self.search.flat
         p, home = flat.locate(position, level)
-        if home is None:
+        if home < 0:
             where = ", ".join(f"{v:g}" for v in p)
             raise QueryError(f"{where} is in no cell of {self.grid.scene_id!r}: nothing is near")
         if straight:
             return cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
         flat.free_cell_at(p, level)
-        field = self._cache.search.field(np.array([home]), weighted=False)
+        field = self.search.field(np.array([home]), weighted=False)
         near = (field >= low) & (field <= high + SLACK)
         return np.flatnonzero(near & np.isfinite(field))  # inf <= inf: not what no path leads to
 
@@ -231,12 +416,15 @@ def as_generator(rng: object) -> np.random.Generator:
     )
 
 
-def draw_cells(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int) -> Int:
-    """Draw indices into some cells, each cell as likely as its area has it."""
-    sizes = flat.layout.cell_size
-    if len(set(sizes)) == 1:
-        return rng.integers(len(cells), size=count)
-    # cells of different areas: a point on their areas in a row falls into one of them
-    edges = np.cumsum(sizes[flat.level_of(cells)] ** 2)
-    found = np.searchsorted(edges, rng.uniform(0.0, edges[-1], size=count), side="right")
-    return np.minimum(found, len(cells) - 1)
+def _check_facing(facing: ArrayLike | None) -> Float | None:
+    """A heading [rad] of shape (), or a position; None for neither."""
+    if facing is None:
+        return None
+    if isinstance(facing, REAL) and not isinstance(facing, bool):
+        if not math.isfinite(facing):
+            raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
+        return np.asarray(float(facing))
+    p = check_positions(facing, 1)
+    if p.ndim != 1:
+        raise QueryError(f"expected one position or heading as facing, got shape {p.shape}")
+    return p

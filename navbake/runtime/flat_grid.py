@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import step_limit
 from navbake.types import Bool, Float, Int
 
-REAL = int | float | np.integer | np.floating
-
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.kernels.arrays import Floors, Layout, Links, Space
+    from navbake.runtime.kernels.arrays import Floors, Layout, Links
+
+arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+places = lazy("navbake.runtime.kernels.places")
+
+REAL = int | float | np.integer | np.floating
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,22 +84,16 @@ class FlatGrid:
 
     def cells_at(self, positions: ArrayLike, level: int | None = None) -> Int:
         """`navbake.navgrid.cells.cells_at`, faster: flat ids, shape (...), -1 for no cell."""
-        return self._cells_at(check_positions(positions, self.num_levels, level), level)
-
-    def _cells_at(self, p: Float, level: int | None) -> Int:
-        from navbake.runtime.kernels.places import locate  # saves numba at start-up
-
-        on, points = as_points(p, level)
-        cells: Int = locate(self.layout, self.floors, on, points)
+        p = check_positions(positions, self.num_levels, level)
+        cells: Int = places.locate(self.layout, self.floors, *as_points(p, level))
         return cells.reshape(p.shape[:-1])
 
     def locate(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
-    ) -> tuple[Float, int | None]:
-        """One position as float64, and the flat id of its cell, None for none."""
+    ) -> tuple[Float, int]:
+        """One position as float64, and the flat id of its cell, -1 for none."""
         p = self.check_one(position, level, what)
-        cell = int(self._cells_at(p, level))
-        return p, cell if cell >= 0 else None
+        return p, int(places.locate(self.layout, self.floors, *as_points(p, level))[0])
 
     def check_one(
         self, position: ArrayLike, level: int | None = None, what: str = "position"
@@ -106,14 +104,10 @@ class FlatGrid:
             raise QueryError(f"expected one {what}, got an array of shape {p.shape}")
         return p
 
-    def cell_at(self, position: ArrayLike, level: int | None = None) -> int | None:
-        """The flat id of the cell that one position is in; None for none."""
-        return self.locate(position, level)[1]
-
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
         """As `locate`; raises QueryError where no agent can stand."""
         p, cell = self.locate(position, level)
-        if cell is None or not self.free[cell]:
+        if cell < 0 or not self.free[cell]:
             where = ", ".join(f"{v:g}" for v in p)
             raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
         return p, cell
@@ -136,12 +130,6 @@ class FlatGrid:
         """The cells that each link leads from and to, by flat id; each link is there both ways."""
         return np.repeat(self.links.cell, np.diff(self.links.start)), self.links.target
 
-    def sight_through(self, clear: Bool) -> Space:
-        """What a line of sight may run through: cells of a mask, whatever their floors' heights."""
-        from navbake.runtime.kernels.arrays import Space  # saves numba at start-up
-
-        return Space(self.layout, self.links, self.floors._replace(max_step=math.inf), clear)
-
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
     """Raise QueryError for anything but a number >= 0."""
@@ -157,76 +145,42 @@ def as_points(p: Float, level: int | None) -> tuple[int, Float]:
 
 def flatten(grid: NavGrid) -> FlatGrid:
     """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
-    from navbake.runtime.kernels.arrays import Floors, Layout, Links  # saves numba at start-up
-
     levels = grid.levels
-    lattices = [level.lattice for level in levels]
-    layout = Layout(
-        start=np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64),
-        width=np.array([v.width for v in lattices], dtype=np.int64),
-        height=np.array([v.height for v in lattices], dtype=np.int64),
-        x_min=np.array([v.x_min for v in lattices], dtype=np.float64),
-        y_max=np.array([v.y_max for v in lattices], dtype=np.float64),
-        cell_size=np.array([v.cell_size for v in lattices], dtype=np.float64),
-    )
-    floors = Floors(
-        z=np.concatenate(
-            [
-                level.floor.ravel()
-                if level.uses_cell_floors
-                else np.full(level.width * level.height, level.ground)
-                for level in levels
-            ]
-        ),
-        ground=np.array([level.ground for level in levels], dtype=np.float64),
-        max_step=step_limit(grid) * grid.unit,
-    )
-    weight = np.concatenate([level.weights.ravel().astype(np.float64) for level in levels])
+    x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
+    width, height = width.astype(np.int64), height.astype(np.int64)
+    start = np.append(0, np.cumsum(width * height))
+    layout = arrays.Layout(start, width, height, x_min, y_max, cell_size)
+    floor = [v.floor if v.uses_cell_floors else np.full(v.shape, v.ground) for v in levels]
+    z, ground = _flat(floor), np.array([level.ground for level in levels], dtype=np.float64)
+    floors = arrays.Floors(z, ground, step_limit(grid) * grid.unit)
+    weight = _flat([level.weights.astype(np.float64) for level in levels])
     free = np.isfinite(weight)
     weight[~free] = np.inf
-    # the lengths need the cells' positions, which need a FlatGrid
-    cell, start, target = _link_lists(grid.link_array, layout.start)
-    links = Links(cell, start, target, np.empty(0))
-    slopes = _find_slopes(grid.link_array, layout)
-    flat = FlatGrid(layout, links, floors, free, weight, slopes)
-    return replace(flat, links=links._replace(length=_link_lengths(flat)))
-
-
-def _link_lists(links: Int, start: Int) -> tuple[Int, Int, Int]:
-    """Links as lists by cell, each link both ways and once."""
-    a = start[links[:, 0]] + links[:, 1]
-    b = start[links[:, 2]] + links[:, 3]
-    pairs = np.stack([np.concatenate([a, b]), np.concatenate([b, a])], axis=1)
-    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    given = grid.link_array
+    # each link both ways and once, and to which neighbours one leads on the same level
+    ends = start[given[:, ::2]] + given[:, 1::2]
+    pairs = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     cell, first = np.unique(pairs[:, 0], return_index=True)
-    return cell, np.append(first, len(pairs)), np.ascontiguousarray(pairs[:, 1])
+    target = np.ascontiguousarray(pairs[:, 1])
+    slopes = np.zeros(0, dtype=np.uint8)
+    if (given[:, 0] == given[:, 2]).any():
+        slopes = np.zeros(start[-1], dtype=np.uint8)
+        on, low, step = given[:, 0], ends.min(axis=1), np.ptp(ends, axis=1)
+        own, of_row = on == given[:, 2], (ends - start[on, None]) // width[on, None]
+        slopes[low[own & (step == 1) & (np.diff(of_row)[:, 0] == 0)]] |= np.uint8(arrays.EAST)
+        slopes[low[own & (step == width[on])]] |= np.uint8(arrays.SOUTH)
+    links = arrays.Links(cell, np.append(first, len(pairs)), target, np.empty(len(pairs)))
+    flat = FlatGrid(layout, links, floors, free, weight, slopes)
+    # The length of a link is the octile distance between the centres of its cells, from above, and
+    # at least a cell: between neighbours on one lattice, as navbake links them, exactly a cell.
+    sources, targets = flat.link_ends()
+    apart = np.abs(flat.positions(sources) - flat.positions(targets))[:, :2]
+    across, along = np.sort(apart, axis=1).T
+    least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
+    links.length[:] = np.maximum(along + (math.sqrt(2.0) - 1.0) * across, least)
+    return flat
 
 
-def _find_slopes(links: Int, layout: Layout) -> NDArray[np.uint8]:
-    """The `slopes` of a FlatGrid."""
-    from navbake.runtime.kernels.arrays import EAST, SOUTH  # saves numba at start-up
-
-    own = links[links[:, 0] == links[:, 2]]
-    if not len(own):
-        return np.zeros(0, dtype=np.uint8)
-    slopes = np.zeros(layout.start[-1], dtype=np.uint8)
-    low, high = np.sort(own[:, [1, 3]], axis=1).T
-    width, first = layout.width[own[:, 0]], layout.start[own[:, 0]]
-    for step, bit in ((np.ones_like(width), EAST), (width, SOUTH)):
-        beside = (high - low == step) & ((bit == SOUTH) | (low // width == high // width))
-        slopes[(first + low)[beside]] |= np.uint8(bit)
-    return slopes
-
-
-def _link_lengths(flat: FlatGrid) -> Float:
-    """How long each link is [m].
-
-    It is the octile distance between the centres of its cells, seen from above, and at least a
-    cell: between neighbours on one lattice, as navbake links them, exactly a cell.
-    """
-    source, target = flat.link_ends()
-    one, other = flat.positions(source), flat.positions(target)
-    across, along = np.sort(np.abs(one - other)[:, :2], axis=1).T
-    size = flat.layout.cell_size
-    least = np.minimum(size[flat.level_of(source)], size[flat.level_of(target)])
-    return np.asarray(np.maximum(along + (math.sqrt(2.0) - 1.0) * across, least))
+def _flat(layers: list[NDArray[np.float64]]) -> Float:
+    return np.concatenate([layer.ravel() for layer in layers])

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
 from navbake.runtime.inflation import check_ledges
 from navbake.runtime.surroundings import block_by_others, find_surroundings
 from navbake.types import Bool, Float, Int
+
+kernels = lazy("navbake.runtime.kernels.inflation")  # numba loads slowly
 
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells]
@@ -26,8 +29,6 @@ def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
     """See `SceneGrid2D.inflate_footprint`."""
-    from navbake.runtime.kernels.inflation import meets_runs  # saves numba at start-up
-
     outline = _check_polygon(polygon)
     check_ledges(ledges)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
@@ -38,14 +39,14 @@ def inflate_footprint(
         reach = math.ceil(radius / level.lattice.cell_size) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
-        around = find_surroundings(grid, number, reach)
+        storeys, inside = find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         for k in range(num_headings):
             turned = _turn(outline / level.lattice.cell_size, 2 * math.pi * k / num_headings)
             offsets = _footprint_offsets(turned)
-            blocked = meets_runs(around.storeys.occupied[around.storeys.level], _to_runs(offsets))
-            block_by_others(around, radius, offsets, ledges, blocked)
-            free[k] = level.free_for_point & ~blocked[around.rows, around.cols]
+            blocked = kernels.meets_runs(storeys.occupied[storeys.level], _to_runs(offsets))
+            block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+            free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
     return masks
 

@@ -19,17 +19,21 @@ floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
 """
 
 import math
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import LEAST_FLOOR, find_blocked, find_blocked_by_others
 from navbake.types import Bool, Float, Json
+
+kernels = lazy("navbake.runtime.kernels.inflation")  # numba loads slowly
+ndimage = lazy("scipy.ndimage")
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
@@ -67,9 +71,7 @@ def inflate(
         blocked = find_blocked(grid, number, radius, ledges)
         soft = level.weights
         if "solid" in level.attributes:
-            opened = ~blocked & level.free_for_point & ~level.free
-            if opened.any():
-                soft = np.where(opened, 1.0, soft)
+            soft = np.where(level.free_for_point & ~level.free, 1.0, soft)
         if costs == "nav2":
             falling = nav2_costs(level, radius, radius + clearance, scaling)
             soft = np.maximum(soft, np.clip(falling, 1.0, LETHAL_COST))
@@ -86,23 +88,18 @@ def inflate(
 
 
 def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
-    """The weights that the original client's ``refine`` gives.
+    """The weights that the original client's ``refine`` gives (sstk, ``NavScene.js``).
 
     In cells: the radius, and the sum of radius and clearance. The client divides the sum, which
-    in floating point is not the sum of the quotients.
-
-    Source: sstk, ``NavScene.js``; the window leaves out its far row and column, as there.
+    in floating point is not the sum of the quotients; its window leaves out its far row and column.
     """
-    from navbake.runtime.kernels.inflation import refine_window  # saves numba at start-up
-
     occupied = np.ascontiguousarray(level.occupancy)
     reach = math.ceil(far - 0.5)
     if reach <= 0:
         return np.where(occupied != 0, np.inf, 1.0)
-    has_floor = ~np.isnan(level.floor_height)
-    weights = np.empty(level.shape)
+    has_floor, weights = ~np.isnan(level.floor_height), np.empty(level.shape)
     reach = min(reach, max(level.shape) + 1)
-    refine_window(occupied, has_floor, radius, far, reach, LEAST_FLOOR, weights)
+    kernels.refine_window(occupied, has_floor, radius, far, reach, LEAST_FLOOR, weights)
     return weights
 
 
@@ -114,21 +111,15 @@ def nav2_costs(
     254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
     radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
     """
-    from navbake.runtime.kernels.inflation import squared_distances  # saves numba at start-up
-
-    cell = level.lattice.cell_size
-    reach = min(math.ceil(inflation_radius / cell) + 1, sum(level.shape))
-    squares = squared_distances(np.ascontiguousarray(level.solid), reach)
-    # there are few different distances, so each cost is computed once and looked up
-    known = np.sqrt(np.arange(2 * (reach + 1) ** 2 + 1)) * cell
-    known[(reach + 1) ** 2 :] = np.inf
-    slack = 1e-9 * cell
-    falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(known - radius, 0)) + 1e-9)
-    cost = np.where(known <= radius + slack, 253, falling)
-    cost = np.where(known > inflation_radius + slack, 0, cost)
-    cost[0] = 254
-    costs: NDArray[np.uint8] = cost.astype(np.uint8)[squares]
-    return costs
+    solid, cell = level.solid != 0, level.lattice.cell_size
+    if not solid.any():
+        return np.zeros(level.shape, dtype=np.uint8)
+    distance, slack = ndimage.distance_transform_edt(~solid) * cell, 1e-9 * cell
+    falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(distance - radius, 0)) + 1e-9)
+    cost = np.where(distance <= radius + slack, 253, falling)
+    cost[distance > inflation_radius + slack] = 0
+    cost[solid] = 254
+    return cost.astype(np.uint8)
 
 
 def check_radius(radius: float, name: str = "radius") -> None:
@@ -219,28 +210,18 @@ def agent_radius(grid: NavGrid) -> float:
     return exact_radius(grid) or grid.agent_radius
 
 
-class Margins(NamedTuple):
-    """How far from an obstacle a cell's centre has to be [m].
+def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
+    """How far from a block a cell's centre has to be for an agent of a radius [m].
 
-    Attributes:
-        center: for an agent to stand there.
-        diagonal: to step diagonally from there.
-        off_center: to be anywhere in the cell.
+    To stand there, to step diagonally from there, to be anywhere in the cell; by default for the
+    grid's radius.
     """
-
-    center: float
-    diagonal: float
-    off_center: float
-
-
-def margins_of(grid: NavGrid, radius: float | None = None) -> Margins:
-    """How far an agent of a radius [m], by default the grid's, has to stay away from blocks."""
     if radius is not None:
         check_radius(radius, "margin")
     radius = agent_radius(grid) if radius is None else float(radius)
     if not exact_radius(grid):
-        return Margins(radius, radius, radius)
-    return Margins(radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels)))
+        return radius, radius, radius
+    return radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels))
 
 
 def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
@@ -255,7 +236,12 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
         return None
     ledges, masks = ledges_of(grid), []
     for number, level in enumerate(grid.levels):
-        inside = ~_at_edges(level)
+        # not beside a neighbour whose floor is a step higher or lower, not a slope
+        floor, inside = level.floor_height.astype(np.float64), np.ones(level.shape, dtype=np.bool_)
+        for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+            is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
+            inside[near] &= ~is_step
+            inside[far] &= ~is_step
         diagonal, anywhere = _larger(radius, level.lattice.cell_size)
         is_clear = inside & ~find_blocked(grid, number, anywhere, ledges)
         by_squares = inside & ~find_blocked_by_others(grid, number, anywhere, ledges)
@@ -263,17 +249,6 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
         masks.append([mask.ravel() for mask in (can_turn, is_clear, is_clear | by_squares)])
     one, two, three = (np.concatenate(parts) for parts in zip(*masks, strict=True))
     return one, two, three
-
-
-def _at_edges(level: SceneGrid2D) -> Bool:
-    """Cells with a neighbour whose floor is a step higher or lower, not a slope."""
-    floor = level.floor_height.astype(np.float64)
-    at_edge = np.zeros(level.shape, dtype=np.bool_)
-    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        is_step = np.abs(floor[near] - floor[far]) > STEEP * level.cell_size  # False for NaN
-        at_edge[near] |= is_step
-        at_edge[far] |= is_step
-    return at_edge
 
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:

@@ -1,24 +1,21 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.following import Drive, Follower
-from navbake.runtime.grid_cache import GridCache
+from navbake.runtime.draws import DrawQuestions
+from navbake.runtime.following import Follower
 from navbake.runtime.passage import Passage, find_passage
-from navbake.runtime.paths import Goal, Path, Planner
+from navbake.runtime.paths import Goal, Path, find_field, find_path
 from navbake.runtime.places import ManyPlaces
 from navbake.runtime.search import Search
-from navbake.runtime.spawns import SpawnQuestions
 from navbake.runtime.why_not import why_not
 from navbake.types import Float
 
 
-class PathFinder(SpawnQuestions):
+class PathFinder(DrawQuestions):
     """Answers an agent's questions about ways through a grid, and about places on it.
 
     A path steps over the edges and corners of free cells and over links between levels. Floors of
@@ -55,21 +52,8 @@ class PathFinder(SpawnQuestions):
         Raises:
             QueryError: a weight is negative.
         """
-        cache = GridCache(grid, cut_corners=self._cut_corners)
-        for name in ("many", "_kept"):
-            self.__dict__.pop(name, None)
-        self.grid, self._cache = grid, cache
-        self._planner = Planner(cache)
-
-    @cached_property
-    def many(self) -> ManyPlaces:
-        """The same questions about many positions at once: `snap`, `clearance` and others."""
-        return ManyPlaces(self._cache, self._planner)
-
-    @property
-    def search(self) -> Search:
-        """The cells and the steps between them, with what is blocked now."""
-        return self._cache.search
+        self.grid, self._search = grid, Search(grid, cut_corners=self._cut_corners)
+        self.many = ManyPlaces(self._search)
 
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
@@ -86,7 +70,7 @@ class PathFinder(SpawnQuestions):
         Returns:
             None where there is no path: `why_not` tells the reason.
         """
-        return self._planner.find_path(start, goal, level, smooth=smooth)
+        return find_path(self.search, start, goal, level, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say why there is no path: in one sentence, with positions and figures.
@@ -103,7 +87,7 @@ class PathFinder(SpawnQuestions):
         Returns:
             None if there is a path.
         """
-        return why_not(self._cache, *self._planner.find_ends(start, goal, level))
+        return why_not(self.search, start, goal, level)
 
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True
@@ -119,7 +103,7 @@ class PathFinder(SpawnQuestions):
             One array a level, shape (height, width), float64, inf where no path leads to the
             goal; read-only. The last few goals' fields are kept, so asking again costs nothing.
         """
-        field, flat = self._planner.field(goal, level, weighted=weighted), self._cache.flat
+        field, flat = find_field(self.search, goal, level, weighted=weighted), self._search.flat
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
 
     def distances(
@@ -135,8 +119,8 @@ class PathFinder(SpawnQuestions):
         Returns:
             Shape (...), float64; inf where there is no path.
         """
-        cells = self._cache.flat.cells_at(starts, level)
-        field = self._planner.field(goal, level, weighted=weighted)
+        cells = self._search.flat.cells_at(starts, level)
+        field = find_field(self.search, goal, level, weighted=weighted)
         return np.where(cells >= 0, field[cells], np.inf)
 
     def max_radius(
@@ -160,7 +144,7 @@ class PathFinder(SpawnQuestions):
         Raises:
             QueryError: start or goal is beside the grid or in something; the goal is an object.
         """
-        return find_passage(self._cache, start, goal, level, ledges)
+        return find_passage(self.search, start, goal, level, ledges)
 
     def follow(
         self,
@@ -193,5 +177,5 @@ class PathFinder(SpawnQuestions):
         """
         if not isinstance(path, Path):
             raise QueryError(f"expected a path that find_path has found, got {path!r}")
-        drive = Drive(speed, acceleration, turn_rate, lookahead, tolerance)
-        return Follower(self._cache, self._planner, path, drive)
+        limits = (speed, acceleration, turn_rate, lookahead, tolerance)
+        return Follower(self._search, path, *limits)

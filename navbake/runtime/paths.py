@@ -9,18 +9,21 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES, names_in
 from navbake.runtime.flat_grid import FlatGrid
-from navbake.runtime.grid_cache import GridCache, doors_on
-from navbake.types import Bool, Float, Int, Json
+from navbake.runtime.regions import doors_on
+from navbake.runtime.search import Search
+from navbake.types import Bool, Float, Int
+
+ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
 MAX_REACH = 1.0  # metres that a place next to an object may be away from it
-MAX_FIELDS = 8  # distance fields that are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +60,13 @@ class Path:
         Returns:
             World x, y, z [m], shape (3,), float64.
         """
-        run = np.concatenate([[0.0], np.cumsum(step_lengths(self.positions))])
+        run = run_of(self.positions)
         return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
 
 
-def step_lengths(positions: Float) -> Float:
-    """The lengths of the straight lines between positions in a row, seen from above [m]."""
-    return np.asarray(np.hypot(*np.diff(positions[:, :2], axis=0).T))
+def run_of(positions: Float) -> Float:
+    """The distances along straight lines up to each position in a row, seen from above [m]."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(positions[:, :2], axis=0).T)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,22 +82,16 @@ class Target:
         inside = self.cells[self.cells >= 0]
         return np.unique(inside[flat.free[inside]])
 
-    def position_in(self, cell: int) -> Float | None:
-        """World x, y of the first position that is in a cell; None for rooms and objects."""
-        if self.positions is None:
-            return None
-        return self.positions[int(np.argmax(self.cells == cell)), :2]
 
-
-def find_target(cache: GridCache, goal: Goal, level: int | None = None) -> Target:
+def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     """Find the cells of a goal, see `PathFinder`; raises QueryError for an unknown or wrong one."""
-    flat = cache.flat
+    flat = search.flat
     if isinstance(goal, str):
         kind, _, name = goal.partition(":")
         if kind == "room":
-            return Target(f"room {name!r}", cache.rooms.cells(name))
+            return Target(f"room {name!r}", search.rooms.cells(name))
         if kind == "object":
-            return Target(f"object {name!r}", cells_around(cache.grid, flat, name))
+            return Target(f"object {name!r}", cells_around(search.grid, flat, name))
         raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
     p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
@@ -126,6 +123,28 @@ def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     return np.concatenate(found)
 
 
+def _holds_objects(level: SceneGrid2D) -> Bool:
+    """The cells in which objects stand, or that only objects block, and no wall."""
+    walls = {name for entry in level.user_data.values() for name in names_in(entry, "walls")}
+    holds = np.zeros(level.shape, dtype=np.bool_)
+    for cell, entry in level.user_data.items():
+        in_way = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
+        holds.flat[cell] = bool(in_way) and not names_in(entry, "walls") and not in_way & walls
+    return holds
+
+
+def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
+    """The free cells of the first ring over passable cells that has any, and of the next one."""
+    reached = np.zeros(level.shape, dtype=np.bool_)
+    reached.flat[cells] = True
+    passable = passable | reached
+    for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
+        if (reached & free).any():
+            return np.flatnonzero(ndimage.binary_dilation(reached) & passable & free)
+        reached = ndimage.binary_dilation(reached) & passable
+    return np.empty(0, dtype=np.int64)
+
+
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     """The cells that an object, a door or a wall is in, by its name: flat ids, at least one."""
     if not isinstance(name, str):
@@ -143,88 +162,44 @@ def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     return np.array(cells, dtype=np.int64)
 
 
-def _holds_objects(level: SceneGrid2D) -> Bool:
-    """The cells in which objects stand, or that only objects block, and no wall."""
-    walls = {name for entry in level.user_data.values() for name in names_in(entry, "walls")}
+def find_path(
+    search: Search, start: ArrayLike, goal: Goal, level: int | None, *, smooth: bool
+) -> Path | None:
+    """`PathFinder.find_path`."""
+    flat, rooms = search.flat, search.rooms
+    p, origin = flat.locate(start, level, "start")
+    target = find_target(search, goal, level)
+    goals = target.free_cells(flat)
+    if origin < 0 or not flat.free[origin] or not len(goals):
+        return None
+    route = search.route(origin, goals)
+    if route is None:
+        return None
+    end = None
+    if target.positions is not None:  # the first that is in the cell
+        end = target.positions[int(np.argmax(target.cells == route[-1])), :2]
+    positions, levels = search.lay(route, smooth=smooth, start=p[:2], end=end)
+    numbers = rooms.number[route]
+    entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
+    return Path(
+        positions=positions,
+        levels=levels,
+        cells=np.stack(flat.split(route), axis=1),
+        length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
+        cost=float((search.lengths(route) * flat.weight[route[1:]]).sum()),
+        rooms=[str(rooms.id_of(int(n))) for n in entered if n],
+        doors=doors_on(search.doors, route),
+    )
 
-    def is_of_objects(entry: Json) -> bool:
-        in_way = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-        return bool(in_way) and not names_in(entry, "walls") and not in_way & walls
 
-    holds = np.zeros(level.shape, dtype=np.bool_)
-    cells = [cell for cell, entry in level.user_data.items() if is_of_objects(entry)]
-    holds.ravel()[cells] = True
-    return holds
+def find_field(search: Search, goal: Goal, level: int | None, *, weighted: bool = True) -> Float:
+    """The costs of `PathFinder.distance_field`, by flat id; read-only."""
+    # goals in other words but of the same cells share a field
+    goals = find_target(search, goal, level).free_cells(search.flat)
 
-
-def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
-    """The free cells of the first ring over passable cells that has any, and of the next one."""
-    from scipy.ndimage import binary_dilation  # saves scipy at start-up
-
-    reached = np.zeros(level.shape, dtype=np.bool_)
-    reached.ravel()[cells] = True
-    passable = passable | reached
-    for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
-        if (reached & free).any():
-            break
-        reached = binary_dilation(reached) & passable
-    else:
-        return np.empty(0, dtype=np.int64)
-    return np.flatnonzero(binary_dilation(reached) & passable & free)
-
-
-class Planner:
-    """Plans paths between positions and goals, and keeps the fields of the last few goals."""
-
-    def __init__(self, cache: GridCache) -> None:
-        self._cache = cache
-        self._fields: dict[tuple[int, bool, bytes], Float] = {}
-
-    def find_path(
-        self, start: ArrayLike, goal: Goal, level: int | None, *, smooth: bool
-    ) -> Path | None:
-        """`PathFinder.find_path`."""
-        search, rooms = self._cache.search, self._cache.rooms
-        flat = search.flat
-        p, origin, target = self.find_ends(start, goal, level)
-        goals = target.free_cells(flat)
-        if origin < 0 or not flat.free[origin] or not len(goals):
-            return None
-        route = search.route(origin, goals)
-        if route is None:
-            return None
-        end = target.position_in(route[-1])
-        positions, levels = search.lay(route, smooth=smooth, start=p[:2], end=end)
-        numbers = rooms.number[route]
-        entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
-        return Path(
-            positions=positions,
-            levels=levels,
-            cells=np.stack(flat.split(route), axis=1),
-            length=float(step_lengths(positions).sum()),
-            cost=float((search.lengths(route) * flat.weight[route[1:]]).sum()),
-            rooms=[str(rooms.id_of(int(n))) for n in entered if n],
-            doors=doors_on(self._cache.doors, route),
-        )
-
-    def field(self, goal: Goal, level: int | None, *, weighted: bool) -> Float:
-        """The costs of `PathFinder.distance_field`, by flat id; read-only."""
-        search = self._cache.search
-        goals = find_target(self._cache, goal, level).free_cells(search.flat)
-        # goals in other words but of the same cells share a field; blocks make a new version
-        key = (search.version, weighted, goals.tobytes())
-        field = self._fields.pop(key, None)
-        if field is None:
-            field = search.field(goals, weighted=weighted)
-            field.flags.writeable = False
-        self._fields[key] = field  # last in the row, so the first is the one unused for longest
-        for old in list(self._fields)[:-MAX_FIELDS]:
-            del self._fields[old]
+    def make() -> Float:
+        field = search.field(goals, weighted=weighted)
+        field.flags.writeable = False
         return field
 
-    def find_ends(
-        self, start: ArrayLike, goal: Goal, level: int | None
-    ) -> tuple[Float, int, Target]:
-        """A start and the flat id of its cell, -1 for none; and where a goal is."""
-        p, cell = self._cache.flat.locate(start, level, "start")
-        return p, (-1 if cell is None else cell), find_target(self._cache, goal, level)
+    return search.keep("fields", (weighted, goals.tobytes()), make)

@@ -118,28 +118,20 @@ def values_at(
     cells = cells_at(grid, positions, level)
     if layer in LAYERS:
         find, outside = LAYERS[layer]
-        arrays = find(grid)
-    else:
-        arrays, outside = _attribute(grid, layer)
-    values = np.full(cells.level.shape, outside, dtype=arrays[0].dtype)
-    for number, array in enumerate(arrays):
-        here = cells.level == number
-        values[here] = array[cells.row[here], cells.col[here]]
-    return values
-
-
-def _attribute(grid: NavGrid, name: str) -> tuple[list[NDArray[Any]], float]:
-    """An attribute of all levels in one dtype, and its value outside and where a level has none."""
-    stored = [part.attributes.get(name) for part in grid.levels]
-    dtypes = [array.dtype for array in stored if array is not None]
+        arrays: list[NDArray[Any] | None] = list(find(grid))
+    else:  # an attribute, of all levels in one dtype; some may not have it
+        arrays = [part.attributes.get(layer) for part in grid.levels]
+    dtypes = [array.dtype for array in arrays if array is not None]
     if not dtypes:
         known = [*LAYERS, *(key for part in grid.levels for key in part.attributes)]
-        hint = suggest(name, known, limit=len(known))
-        raise QueryError(f"no layer {name!r} in {grid.scene_id!r}: {hint}")
+        hint = suggest(layer, known, limit=len(known))
+        raise QueryError(f"no layer {layer!r} in {grid.scene_id!r}: {hint}")
     dtype = np.result_type(*dtypes)
-    outside = np.nan if dtype.kind == "f" else 0
-    arrays = [
-        np.full(part.shape, outside, dtype=dtype) if array is None else array.astype(dtype)
-        for part, array in zip(grid.levels, stored, strict=True)
-    ]
-    return arrays, outside
+    if layer not in LAYERS:
+        outside = np.nan if dtype.kind == "f" else 0
+    values = np.full(cells.level.shape, outside, dtype=dtype)
+    for number, array in enumerate(arrays):
+        if array is not None:
+            here = cells.level == number
+            values[here] = array[cells.row[here], cells.col[here]]
+    return values

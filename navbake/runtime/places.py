@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.flat_grid import REAL, FlatGrid, as_points, check_distance
-from navbake.runtime.grid_cache import GridCache, IslandMap, RoomMap
-from navbake.runtime.paths import Goal, Path, Planner, cells_named
+from navbake.runtime.paths import Goal, Path, cells_named, find_path
+from navbake.runtime.regions import IslandMap, RoomMap
+from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
-# Functions import kernels when they run: numba takes long to load.
+places = lazy("navbake.runtime.kernels.places")  # numba loads slowly
+walks = lazy("navbake.runtime.kernels.walks")
 
 MAX_DROP = 0.5  # [m], see `navbake.runtime.kernels.places`, which loads numba
 FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
@@ -42,26 +45,126 @@ class Obstacle:
     position: Float
 
 
-class RegionQuestions:
-    """Islands, rooms, and how far the grid goes."""
+class ManyPlaces:
+    """Asks of many positions what `PathFinder` asks of one; each answer is the same, bit for bit.
+
+    Positions are world x, y, z [m], shape (..., 3), or (..., 2) as in `PathFinder`. With `level`,
+    all of them are on that level. QueryError names the first position that has no answer.
+    """
+
+    def __init__(self, search: Search) -> None:
+        self._search = search
+
+    def snap(
+        self,
+        positions: ArrayLike,
+        *,
+        level: int | None = None,
+        same_level: bool = True,
+        room: str | None = None,
+        island: int | None = None,
+        max_distance: float = math.inf,
+    ) -> Float:
+        """`PathFinder.snap` of each: shape (..., 3), NaN where there is no such place."""
+        self._search.update()
+        check_distance(max_distance)
+        flat, allowed = self._search.flat, self._search.allowed(room=room, island=island)
+        p = check_positions(positions, flat.num_levels, level)
+        return snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)[0]
+
+    def clearance(
+        self, positions: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
+    ) -> Float:
+        """`PathFinder.clearance` of each: distances [m], shape (...), float64."""
+        self._search.update()
+        p = check_positions(positions, self._search.flat.num_levels, level)
+        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
+        return np.where(cells < 0, max_distance, distances).reshape(p.shape[:-1])
+
+    def try_step(
+        self, starts: ArrayLike, ends: ArrayLike, *, slide: bool = True, level: int | None = None
+    ) -> Float:
+        """`PathFinder.try_step` from each start to its end, or all to one: shape (..., 3)."""
+        self._search.update()
+        flat = self._search.flat
+        p = check_positions(starts, flat.num_levels, level)
+        q = check_positions(ends, flat.num_levels, 0)  # wherever the way leads, its level follows
+        if q.shape[:-1] not in (p.shape[:-1], ()):
+            raise QueryError(
+                f"expected an end for each start, {p.shape[:-1]} of them, got {q.shape[:-1]}"
+            )
+        on, points = as_points(p, level)
+        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
+        found, bad = walks.step_each(
+            flat.layout, flat.links, flat.floors, flat.free, on, points,
+            np.ascontiguousarray(to), slide,
+        )  # fmt: skip
+        if bad >= 0:
+            flat.free_cell_at(points[bad], level)  # says which one, and what to do
+        ways: Float = found.reshape(*p.shape[:-1], 3)
+        return ways
+
+    def find_path(
+        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
+    ) -> list[Path | None]:
+        """`PathFinder.find_path` from each start to its goal; None where there is none.
+
+        Args:
+            starts: shape (n, 3).
+            goals: a position for each start, shape (n, 3); or one for all: a position,
+                ``room:NAME`` or ``object:NAME``.
+            level, smooth: see `PathFinder.find_path`.
+
+        Raises:
+            QueryError: starts and goals don't fit together; or as `PathFinder.find_path`.
+        """
+        self._search.update()
+        num_levels = self._search.flat.num_levels
+        p = check_positions(starts, num_levels, level)
+        if p.ndim != 2:
+            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
+        targets: list[Goal] = [goals] * len(p)
+        if not isinstance(goals, str):
+            q = check_positions(goals, num_levels, level)
+            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
+                raise QueryError(
+                    f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts, got "
+                    f"shape {q.shape}"
+                )
+            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
+        return [
+            find_path(self._search, start, goal, level, smooth=smooth)
+            for start, goal in zip(p, targets, strict=True)
+        ]
+
+
+class PlaceQuestions:
+    """Islands, rooms, places where an agent can stand, and what is round them."""
 
     grid: NavGrid
-    _cache: GridCache
+    _search: Search
+    many: ManyPlaces  #: The same questions about many positions at once: `snap` and others.
+
+    @property
+    def search(self) -> Search:
+        """The cells and the steps between them, with what is blocked now."""
+        self._search.update()
+        return self._search
 
     @property
     def rooms(self) -> RoomMap:
         """The rooms of the grid and of each cell."""
-        return self._cache.rooms
+        return self._search.rooms
 
     @property
     def islands(self) -> IslandMap:
         """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
-        return self._cache.islands
+        return self.search.islands
 
     @property
     def occupied(self) -> Bool:
         """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
-        return self._cache.occupied
+        return self.search.occupied
 
     @property
     def navigable_area(self) -> float:
@@ -71,7 +174,7 @@ class RegionQuestions:
     @property
     def bounds(self) -> tuple[Float, Float]:
         """Lower and upper corner of the box round all free cells and their floors, world [m]."""
-        flat = self._cache.flat
+        flat = self.search.flat
         cells = np.flatnonzero(flat.free)
         if not len(cells):
             raise QueryError(f"no cell of {self.grid.scene_id!r} is free: it has no bounds")
@@ -81,8 +184,8 @@ class RegionQuestions:
 
     def island_at(self, position: ArrayLike, *, level: int | None = None) -> int | None:
         """Number of the island of a position, from 1, the largest; None where it isn't free."""
-        cell = self._cache.flat.cell_at(position, level)
-        return None if cell is None else int(self.islands.number[cell]) or None
+        _, cell = self.search.flat.locate(position, level)
+        return int(self.islands.number[cell]) or None if cell >= 0 else None
 
     def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are on one island, so that a path joins them."""
@@ -95,8 +198,8 @@ class RegionQuestions:
 
     def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
         """The id of the room that a position is in, None for none."""
-        cell = self._cache.flat.cell_at(position, level)
-        return None if cell is None else self.rooms.id_of(int(self.rooms.number[cell]))
+        _, cell = self.search.flat.locate(position, level)
+        return self.rooms.id_of(int(self.rooms.number[cell])) if cell >= 0 else None
 
     def same_room(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether both positions are in one room."""
@@ -107,10 +210,10 @@ class RegionQuestions:
         self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
     ) -> str | None:
         """The id of the room whose cell is the nearest on the level, None for none so near [m]."""
-        flat, number = self._cache.flat, self.rooms.number
+        flat, number = self.search.flat, self.rooms.number
         p, home = flat.locate(position, level)
         check_distance(max_distance)
-        if home is None:
+        if home < 0:
             return None
         on = int(flat.level_of(home))
         _, cell = snap(flat, number > 0, p, on, max_distance=max_distance)
@@ -118,13 +221,9 @@ class RegionQuestions:
 
     def room_of(self, name: str) -> str | None:
         """The id of the room that most cells of an object are in, by its name; None for none."""
-        numbers = self.rooms.number[cells_named(self.grid, self._cache.flat, name)]
+        numbers = self.rooms.number[cells_named(self.grid, self.search.flat, name)]
         counts = np.bincount(numbers[numbers > 0], minlength=1)
         return self.rooms.id_of(int(np.argmax(counts)))
-
-
-class PlaceQuestions(RegionQuestions):
-    """Places where an agent can stand, and what is round them."""
 
     def is_navigable(
         self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
@@ -142,10 +241,8 @@ class PlaceQuestions(RegionQuestions):
         self, positions: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
     ) -> Bool:
         """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
-        from navbake.runtime.kernels.places import stand_on
-
         check_distance(max_drop, "max_drop")
-        flat = self._cache.flat
+        flat = self.search.flat
         p: NDArray[Any] = positions if isinstance(positions, np.ndarray) else np.empty(0)
         if level is not None or p.dtype != np.float64 or p.ndim != 2 or p.shape[1] != 3:
             p = check_positions(positions, flat.num_levels, level)
@@ -153,7 +250,7 @@ class PlaceQuestions(RegionQuestions):
             cells = flat.cells_at(p, level)
             return np.asarray((cells >= 0) & flat.free[cells])
         _, points = as_points(p, level)
-        answers, bad = stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
+        answers, bad = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
         if bad >= 0:
             check_positions(points[bad], flat.num_levels)  # says what is wrong with it
         found: Bool = answers.reshape(p.shape[:-1])
@@ -161,8 +258,9 @@ class PlaceQuestions(RegionQuestions):
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
         """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""
-        cell = self._cache.flat.cell_at(position, level)
-        return None if cell is None else self._cache.flat.cell(cell)
+        flat = self.search.flat
+        _, cell = flat.locate(position, level)
+        return flat.cell(cell) if cell >= 0 else None
 
     def snap(
         self,
@@ -203,15 +301,15 @@ class PlaceQuestions(RegionQuestions):
             ):
                 return None
             room = here
-        allowed, flat = self._cache.allowed(room=room, island=island), self._cache.flat
-        check_distance(max_distance)
-        p = flat.check_one(position, level)
+        search = self.search
+        p = search.flat.check_one(position, level)
         if in_sight:
-            return _snap_in_sight(self._cache, allowed, p, level, same_level, max_distance)
-        found, cell = snap(
-            flat, allowed, p, level, same_level=same_level, max_distance=max_distance
-        )
-        return found if cell >= 0 else None
+            check_distance(max_distance)
+            allowed = search.allowed(room=room, island=island)
+            return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
+        limits = {"room": room, "island": island, "max_distance": max_distance}
+        found = self.many.snap(p, level=level, same_level=same_level, **limits)  # type: ignore[arg-type]
+        return None if np.isnan(found[0]) else found
 
     def try_step(
         self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
@@ -240,10 +338,9 @@ class PlaceQuestions(RegionQuestions):
         Raises:
             QueryError: no agent can stand at the start.
         """
-        flat = self._cache.flat
-        p = flat.check_one(start, level)
-        # wherever the way leads, its level follows
-        return _try_steps(flat, p, flat.check_one(end, 0, "end"), slide, level)
+        flat = self._search.flat
+        p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
+        return self.many.try_step(p, q, slide=slide, level=level)
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions meets nothing that is occupied.
@@ -252,14 +349,12 @@ class PlaceQuestions(RegionQuestions):
         the two beside it is clear. It changes levels where links lead; heights are not compared.
         False also where one of the two is beside the grid, or in something itself.
         """
-        from navbake.runtime.kernels.walks import first_in_sight
-
-        flat = self._cache.flat
-        (p, one), (q, other) = (flat.locate(end, level) for end in (a, b))
-        if one is None or other is None:
+        search = self.search
+        (p, one), (q, other) = (search.flat.locate(end, level) for end in (a, b))
+        if one < 0 or other < 0:
             return False
-        space = flat.sight_through(~self.occupied)
-        return bool(first_in_sight(space, NO_ROOMS, one, p, np.array([other]), q[None]) == 0)
+        ends = np.array([other]), q[None]
+        return bool(walks.first_in_sight(*search.sight, NO_ROOMS, one, p, *ends) == 0)
 
     def nearest_obstacle(
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
@@ -277,10 +372,9 @@ class PlaceQuestions(RegionQuestions):
         Returns:
             None where there is none so near; distance 0 within an occupied cell.
         """
-        flat = self._cache.flat
-        check_distance(max_distance)
+        flat = self.search.flat
         p = flat.check_one(position, level)
-        (home,), (cell,), (distance,) = _find_obstacles(self._cache, p, level, max_distance)
+        (home,), (cell,), (distance,) = _find_obstacles(self._search, p, level, max_distance)
         if cell < 0:
             return None
         half = flat.layout.cell_size[flat.level_of(home)] / 2
@@ -292,10 +386,8 @@ class PlaceQuestions(RegionQuestions):
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
     ) -> float:
         """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`."""
-        check_distance(max_distance)
-        p = self._cache.flat.check_one(position, level)
-        _, (cell,), (distance,) = _find_obstacles(self._cache, p, level, max_distance)
-        return float(distance) if cell >= 0 else float(max_distance)
+        p = self._search.flat.check_one(position, level)
+        return float(self.many.clearance(p, level=level, max_distance=max_distance))
 
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
         """Draw where on a level an agent can stand, as an array.
@@ -314,7 +406,7 @@ class PlaceQuestions(RegionQuestions):
         Raises:
             QueryError: `metres_per_pixel` is not a number > 0, or the picture would be too large.
         """
-        flat = self._cache.flat
+        flat = self.search.flat
         if level is None:
             raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
         check_level(level, flat.num_levels)
@@ -338,92 +430,6 @@ class PlaceQuestions(RegionQuestions):
         return palette[kind]
 
 
-class ManyPlaces:
-    """Asks of many positions what `PathFinder` asks of one; each answer is the same, bit for bit.
-
-    Positions are world x, y, z [m], shape (..., 3), or (..., 2) as in `PathFinder`. With `level`,
-    all of them are on that level. QueryError names the first position that has no answer.
-
-    Args:
-        cache: the grid, and what follows from it.
-        planner: plans the paths.
-    """
-
-    def __init__(self, cache: GridCache, planner: Planner) -> None:
-        self._cache = cache
-        self._planner = planner
-
-    def snap(
-        self,
-        positions: ArrayLike,
-        *,
-        level: int | None = None,
-        same_level: bool = True,
-        room: str | None = None,
-        island: int | None = None,
-        max_distance: float = math.inf,
-    ) -> Float:
-        """`PathFinder.snap` of each: shape (..., 3), NaN where there is no such place."""
-        check_distance(max_distance)
-        flat, allowed = self._cache.flat, self._cache.allowed(room=room, island=island)
-        p = check_positions(positions, flat.num_levels, level)
-        return snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)[0]
-
-    def clearance(
-        self, positions: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> Float:
-        """`PathFinder.clearance` of each: distances [m], shape (...), float64."""
-        check_distance(max_distance)
-        p = check_positions(positions, self._cache.flat.num_levels, level)
-        _, cells, distances = _find_obstacles(self._cache, p, level, max_distance)
-        return np.where(cells < 0, max_distance, distances).reshape(p.shape[:-1])
-
-    def try_step(
-        self, starts: ArrayLike, ends: ArrayLike, *, slide: bool = True, level: int | None = None
-    ) -> Float:
-        """`PathFinder.try_step` from each start to its end, or all to one: shape (..., 3)."""
-        flat = self._cache.flat
-        p = check_positions(starts, flat.num_levels, level)
-        q = check_positions(ends, flat.num_levels, 0)
-        if q.shape[:-1] not in (p.shape[:-1], ()):
-            raise QueryError(
-                f"expected an end for each start, {p.shape[:-1]} of them, got {q.shape[:-1]}"
-            )
-        return _try_steps(flat, p, q, slide, level)
-
-    def find_path(
-        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
-    ) -> list[Path | None]:
-        """`PathFinder.find_path` from each start to its goal; None where there is none.
-
-        Args:
-            starts: shape (n, 3).
-            goals: a position for each start, shape (n, 3); or one for all: a position,
-                ``room:NAME`` or ``object:NAME``.
-            level, smooth: see `PathFinder.find_path`.
-
-        Raises:
-            QueryError: starts and goals don't fit together; or as `PathFinder.find_path`.
-        """
-        num_levels = self._cache.flat.num_levels
-        p = check_positions(starts, num_levels, level)
-        if p.ndim != 2:
-            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
-        targets: list[Goal] = [goals] * len(p)
-        if not isinstance(goals, str):
-            q = check_positions(goals, num_levels, level)
-            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
-                raise QueryError(
-                    f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts, got "
-                    f"shape {q.shape}"
-                )
-            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
-        return [
-            self._planner.find_path(start, goal, level, smooth=smooth)
-            for start, goal in zip(p, targets, strict=True)
-        ]
-
-
 def snap(
     flat: FlatGrid,
     allowed: Bool,
@@ -435,23 +441,20 @@ def snap(
 ) -> tuple[Float, Int]:
     """`PathFinder.snap` of checked positions, to the allowed cells of a mask.
 
-    Returns:
-        Shape (..., 3), NaN for no place; and the places' cells by flat id, -1 for none.
+    Shape (..., 3), NaN for no place; and the places' cells by flat id, -1 for none.
     """
-    from navbake.runtime.kernels.places import snap_each
-
     on, points = as_points(p, level)
     if points.shape[1] == 2:
         same_level = True
         points = np.column_stack([points, np.full(len(points), flat.floors.ground[on])])
-    found, cells = snap_each(
+    found, cells = places.snap_each(
         flat.layout, flat.floors, allowed, on, same_level, float(max_distance), points
     )
     return found.reshape(*p.shape[:-1], 3), cells.reshape(p.shape[:-1])
 
 
 def _snap_in_sight(
-    cache: GridCache,
+    search: Search,
     allowed: Bool,
     p: Float,
     level: int | None,
@@ -463,9 +466,7 @@ def _snap_in_sight(
     Lines of sight cost more than distances. So cells are looked at from the nearest on, in rounds
     that reach twice as far each.
     """
-    from navbake.runtime.kernels.walks import first_in_sight
-
-    flat, layout, floors = cache.flat, cache.flat.layout, cache.flat.floors
+    flat, floors = search.flat, search.flat.floors
     home = int(flat.cells_at(p, level))
     if home < 0:
         return None
@@ -475,70 +476,46 @@ def _snap_in_sight(
     on_map = same_level or len(p) == 2
     levels = [on] if on_map else list(range(flat.num_levels))
     p = np.append(p, floors.ground[on]) if len(p) == 2 else p
-    # no cell is farther than the levels' corners; in space, by the triangle inequality, than that
-    # and then up or down
-    x1 = layout.x_min + layout.width * layout.cell_size
-    y0 = layout.y_max - layout.height * layout.cell_size
-    across = np.maximum(np.abs(layout.x_min - p[0]), np.abs(x1 - p[0]))
-    along = np.maximum(np.abs(layout.y_max - p[1]), np.abs(y0 - p[1]))
-    farthest = float(np.hypot(across, along)[levels].max())
-    if not on_map:
-        farthest += float(np.nanmax(np.abs(np.append(floors.z, floors.ground) - p[2])))
-    farthest = min(float(max_distance), farthest)
-    space = flat.sight_through(~cache.occupied)
-    reach, done = FIRST_LOOK, -1.0
-    while done < farthest:
-        radius = min(reach, farthest)
-        discs = (cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels)
-        cells = np.concatenate(list(discs))
-        places = flat.positions(cells)
-        distance = np.linalg.norm((places - p)[:, : 2 if on_map else 3], axis=1)
+    left = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
+    radius, done = min(FIRST_LOOK, float(max_distance)), -1.0
+    while left and done < radius:
+        discs = [cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels]
+        cells = np.concatenate(discs)
+        centers = flat.positions(cells)
+        distance = np.linalg.norm((centers - p)[:, : 2 if on_map else 3], axis=1)
         near = np.flatnonzero((distance > done) & (distance <= radius))
         # stable, so that of equally near cells the lowest id comes first
         near = near[np.argsort(distance[near], kind="stable")]
-        found = first_in_sight(space, cache.rooms.number, home, p, cells[near], places[near])
+        found = walks.first_in_sight(
+            *search.sight, search.rooms.number, home, p, cells[near], centers[near]
+        )
         if found >= 0:
-            return np.asarray(places[near[found]])
-        reach, done = 2.0 * reach, reach
+            return np.asarray(centers[near[found]])
+        left -= len(near)
+        radius, done = min(2.0 * radius, float(max_distance)), radius
     return None
 
 
 def _find_obstacles(
-    cache: GridCache, p: Float, level: int | None, max_distance: float
+    search: Search, p: Float, level: int | None, max_distance: float
 ) -> tuple[Int, Int, Float]:
     """Own cells, nearest occupied cells (-1 for none) and distances [m] of checked positions.
 
     Raises:
         QueryError: a position is beside the grid.
     """
-    from navbake.runtime.kernels.places import find_obstacles
-
-    flat = cache.flat
+    check_distance(max_distance)
+    flat = search.flat
     # floors less than this apart are at one height for an agent, as in `grid.inflate`
-    overlap = cache.grid.agent_height - flat.floors.max_step
+    overlap = search.grid.agent_height - flat.floors.max_step
     on, points = as_points(p, level)
-    homes, cells, distances = find_obstacles(
-        flat.layout, flat.floors, cache.occupied, overlap, on, float(max_distance), points
+    homes, cells, distances = places.find_obstacles(
+        flat.layout, flat.floors, search.occupied, overlap, on, float(max_distance), points
     )
     if (homes < 0).any():
         first = ", ".join(f"{v:g}" for v in points[int(np.argmax(homes < 0))])
         raise QueryError(f"{first} lies beside the grid: no obstacles")
     return homes, cells, distances
-
-
-def _try_steps(flat: FlatGrid, p: Float, q: Float, slide: bool, level: int | None) -> Float:
-    """`PathFinder.try_step` of checked starts and ends, shape (..., 3)."""
-    from navbake.runtime.kernels.arrays import Space
-    from navbake.runtime.kernels.walks import step_each
-
-    on, starts = as_points(p, level)
-    ends = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
-    space = Space(flat.layout, flat.links, flat.floors, flat.free)
-    found, bad = step_each(space, on, starts, np.ascontiguousarray(ends), slide)
-    if bad >= 0:
-        flat.free_cell_at(starts[bad], level)  # says which one, and what to do
-    ways: Float = found.reshape(*p.shape[:-1], 3)
-    return ways
 
 
 def cells_in_annulus(
@@ -553,17 +530,16 @@ def cells_in_annulus(
     row = (layout.y_max[level] - point[1]) / size - 0.5
     col = (point[0] - layout.x_min[level]) / size - 0.5
     reach = distances[1] / size
-    rows = _near(row, reach, int(layout.height[level]))
-    cols = _near(col, reach, width)
+    rows, cols = (
+        np.arange(
+            math.ceil(min(max(at - reach, 0.0), count)),
+            math.floor(max(min(at + reach, count - 1), -1.0)) + 1,
+        )
+        for at, count in ((row, int(layout.height[level])), (col, width))
+    )
     squared = ((rows - row)[:, None] ** 2 + (cols - col) ** 2) * size**2
     low, high = max(distances[0] - SLACK, 0.0), distances[1] + SLACK
     near = (squared >= low**2) & (squared <= high**2)
     cells = (int(layout.start[level]) + rows[:, None] * width + cols)[near]
     found: Int = cells[allowed[cells]].astype(np.int64)
     return found
-
-
-def _near(at: float, reach: float, count: int) -> Int:
-    """The numbers from 0 to count - 1 that are at most `reach` away from `at`."""
-    first = math.ceil(min(max(at - reach, 0.0), count))
-    return np.arange(first, math.floor(max(min(at + reach, count - 1), -1.0)) + 1)

@@ -29,12 +29,12 @@ What counts for an agent whose centre is on a cell's centre:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import step_limit
 from navbake.navgrid.lattice import Lattice
@@ -43,28 +43,12 @@ from navbake.types import Bool, Int, Int32
 if TYPE_CHECKING:
     from navbake.runtime.kernels.inflation import Storeys
 
-# Functions import kernels when they run: numba takes long to load.
+arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+kernels = lazy("navbake.runtime.kernels.inflation")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
 TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """A window of the scene's lattice around one level, with the cells of all levels in it.
-
-    Attributes:
-        rows, cols: the level's own rectangle in the arrays.
-        storeys: the arrays.
-        baked_radius: of the disc that is part of ``storeys.occupied`` [m]; 0 where the file has
-            none, or the squares alone in a layer ``solid``.
-    """
-
-    rows: slice
-    cols: slice
-    storeys: Storeys
-    baked_radius: float
 
 
 def find_blocked(grid: NavGrid, number: int, radius: float, ledges: str = "avoid") -> Bool:
@@ -72,16 +56,15 @@ def find_blocked(grid: NavGrid, number: int, radius: float, ledges: str = "avoid
 
     Cells that are not free before may be either.
     """
-    from navbake.runtime.kernels.inflation import dilate
-
     cells = radius / grid.levels[number].lattice.cell_size
-    around = find_surroundings(grid, number, math.ceil(cells) + 1)
-    occupied = around.storeys.occupied[around.storeys.level]
-    blocked: Bool = dilate(occupied, half_widths(cells, occupied.shape))
+    storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
+    occupied = storeys.occupied[storeys.level]
+    blocked: Bool = kernels.dilate(occupied, half_widths(cells, occupied.shape))
     if cells > 0:
-        block_by_others(around, radius, disc_offsets(cells, occupied.shape)[0], ledges, blocked)
-        _block_by_holes(around, cells, blocked)
-    return blocked[around.rows, around.cols]
+        offsets = disc_offsets(cells, occupied.shape)[0]
+        block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+        _block_by_holes(storeys, cells, blocked)
+    return blocked[inside]
 
 
 def find_blocked_by_others(
@@ -92,46 +75,48 @@ def find_blocked_by_others(
     That is what `find_blocked` finds without them, and wherever another level's cells count.
     """
     cells = radius / grid.levels[number].lattice.cell_size
-    around = find_surroundings(grid, number, math.ceil(cells) + 1)
-    storeys = around.storeys
+    storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
     blocked: Bool = np.zeros(storeys.occupied.shape[1:], dtype=np.bool_)
-    _block_by_holes(around, cells, blocked)
+    _block_by_holes(storeys, cells, blocked)
     # as if only other levels were occupied, and these wherever they have a floor
     others = np.ones_like(storeys.occupied)
     others[storeys.level] = 0
-    offsets = disc_offsets(cells, blocked.shape)[0]
-    elsewhere = replace(around, storeys=storeys._replace(occupied=others))
-    block_by_others(elsewhere, radius, offsets, ledges, blocked)
-    return blocked[around.rows, around.cols]
+    offsets, elsewhere = disc_offsets(cells, blocked.shape)[0], storeys._replace(occupied=others)
+    block_by_others(grid, number, elsewhere, radius, offsets, ledges, blocked)
+    return blocked[inside]
 
 
 def block_by_others(
-    around: Surroundings, radius: float, offsets: Int, ledges: str, blocked: Bool
+    grid: NavGrid,
+    number: int,
+    storeys: Storeys,
+    radius: float,
+    offsets: Int,
+    ledges: str,
+    blocked: Bool,
 ) -> None:
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
     `blocked` holds what the level's own occupied cells block, `offsets` the steps from an agent's
     cell to those that it meets; the radius [m] is the agent's, or of a circle around it.
     """
-    from navbake.runtime.kernels.inflation import block_by_floors
+    level = grid.levels[number]
+    # of the disc that is part of `occupied`; 0 where the squares alone are in a layer `solid`
+    has_solid = bool(level.navbake) and "solid" in level.attributes
+    counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
+    kernels.block_by_floors(storeys, offsets, counts_higher, ledges == "avoid", blocked)
 
-    counts_higher = radius > around.baked_radius
-    block_by_floors(around.storeys, offsets, counts_higher, ledges == "avoid", blocked)
 
-
-def _block_by_holes(around: Surroundings, cells: float, blocked: Bool) -> None:
+def _block_by_holes(storeys: Storeys, cells: float, blocked: Bool) -> None:
     """Block cells round which holes that are not occupied leave too little floor."""
-    from navbake.runtime.kernels.inflation import block_near_holes, dilate
-
-    storeys = around.storeys
     has_floor = ~np.isnan(storeys.floor[storeys.level])
     holes = ~has_floor & (storeys.occupied[storeys.level] == 0)
     if not holes.any():
         return
     table = half_widths(cells, holes.shape, of_squares=False)
-    todo = dilate(holes.view(np.uint8), table) & has_floor
+    todo = kernels.dilate(holes.view(np.uint8), table) & has_floor
     offsets, squares = disc_offsets(cells, holes.shape, of_squares=False)
-    block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
+    kernels.block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
 
 
 def half_widths(radius: float, shape: tuple[int, int], *, of_squares: bool = True) -> Int32:
@@ -174,65 +159,58 @@ def _squares(steps: Int, of_squares: bool) -> Int:
     return np.maximum(half_cells - 1, 0) ** 2 if of_squares else half_cells**2
 
 
-def find_surroundings(grid: NavGrid, number: int, reach: int) -> Surroundings:
+def find_surroundings(
+    grid: NavGrid, number: int, reach: int
+) -> tuple[Storeys, tuple[slice, slice]]:
     """Collect the cells that an agent on a level may meet, which reaches some cells from its own.
 
     A single level is its own surroundings: nothing was baked beyond it. Several levels are pasted
-    into one window, in which cells beyond a level count as occupied; levels on other lattices are
-    left out.
+    into one window of the lattice, in which cells beyond a level count as occupied; levels on other
+    lattices are left out. Also gives the level's own rectangle in the window.
     """
-    from navbake.runtime.kernels.inflation import Storeys
-
-    level = grid.levels[number]
-    has_solid = bool(level.navbake) and "solid" in level.attributes
-    baked_radius = 0.0 if has_solid else grid.agent_radius
-    agent = step_limit(grid) * grid.unit, grid.agent_height
+    level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
+    shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}
+    placed = {k: shift for k, shift in shifts.items() if shift is not None}
+    top = left = 0
     if len(grid.levels) == 1:
-        inside = slice(0, level.height), slice(0, level.width)
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
-        slopes = _find_slopes(grid, [(0, 0)], floor, agent[0])
-        return Surroundings(*inside, Storeys(floor, occupied, slopes, 0, *agent), baked_radius)
-    shifts = [_shift(level.lattice, other.lattice) for other in grid.levels]
-    together = [i for i, shift in enumerate(shifts) if shift is not None]
-    placed = [(grid.levels[i], *(shifts[i] or (0, 0))) for i in together]
-    top = max(-reach, min(row for _, row, _ in placed)) - 1
-    left = max(-reach, min(col for _, _, col in placed)) - 1
-    bottom = min(level.height + reach, max(row + part.height for part, row, _ in placed)) + 1
-    right = min(level.width + reach, max(col + part.width for part, _, col in placed)) + 1
-    shape = (len(placed), bottom - top, right - left)
-    floor = np.full(shape, np.nan, dtype=np.float32)
-    occupied = np.ones(shape, dtype=np.uint8)
-    for i, (part, row, col) in enumerate(placed):
-        _paste(floor[i], _floor(part), row - top, col - left)
-        _paste(occupied[i], part.solid, row - top, col - left)
-    rows, cols = slice(-top, level.height - top), slice(-left, level.width - left)
-    at = dict(zip(together, ((row - top, col - left) for _, row, col in placed), strict=True))
-    slopes = _find_slopes(grid, [at.get(i) for i in range(len(grid.levels))], floor, agent[0])
-    storeys = Storeys(floor, occupied, slopes, together.index(number), *agent)
-    return Surroundings(rows, cols, storeys, baked_radius)
+    else:
+        ends = np.array(
+            [
+                [row, col, *np.add((row, col), grid.levels[k].shape)]
+                for k, (row, col) in placed.items()
+            ]
+        )
+        top, left = (max(-reach, int(least)) - 1 for least in ends[:, :2].min(axis=0))
+        most = ends[:, 2:].max(axis=0)
+        bottom, right = (min(n + reach, int(m)) + 1 for n, m in zip(level.shape, most, strict=True))
+        shape = (len(placed), bottom - top, right - left)
+        floor = np.full(shape, np.nan, dtype=np.float32)
+        occupied = np.ones(shape, dtype=np.uint8)
+        for i, (k, (row, col)) in enumerate(placed.items()):
+            part = grid.levels[k]
+            _paste(floor[i], _floor(part), row - top, col - left)
+            _paste(occupied[i], part.solid, row - top, col - left)
+    at = {k: (i, row - top, col - left) for i, (k, (row, col)) in enumerate(placed.items())}
+    slopes = _find_slopes(grid, at, floor, agent[0])
+    storeys = kernels.Storeys(floor, occupied, slopes, at[number][0], *agent)
+    return storeys, (slice(-top, level.height - top), slice(-left, level.width - left))
 
 
 def _find_slopes(
-    grid: NavGrid, at: list[tuple[int, int] | None], floor: NDArray[np.float32], step: float
+    grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
-    """The `slopes` of Storeys; `at` has each level's row and column there, None for left out.
-
-    The levels that are not left out are those of `floor`, in their order.
-    """
-    from navbake.runtime.kernels.arrays import EAST, NORTH, SOUTH, WEST
-
+    """The `slopes` of Storeys; `at` has the index, row and column there of each of its levels."""
     links, none = grid.link_array, np.zeros((0, 0, 0), dtype=np.uint8)
-    links = links[np.array([place is not None for place in at])[links[:, ::2]].all(axis=1)]
+    links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
     if not len(links):
         return none
-    index = np.cumsum([place is not None for place in at]) - 1
-    corner = np.array([place or (0, 0) for place in at])
+    place = np.array([at.get(k, (0, 0, 0)) for k in range(len(grid.levels))])
     width = np.array([level.width for level in grid.levels])
-    ends = []
-    for level, cell in (links[:, :2].T, links[:, 2:].T):
-        row, col = np.divmod(cell, width[level])
-        ends.append((index[level], row + corner[level, 0], col + corner[level, 1]))
-    one, other = np.array(ends[0]), np.array(ends[1])
+    one, other = (
+        (place[level] + np.stack([0 * cell, *np.divmod(cell, width[level])], axis=1)).T
+        for level, cell in (links[:, :2].T, links[:, 2:].T)
+    )
     size = np.array(floor.shape)[:, None]
     inside = ((one >= 0) & (one < size) & (other >= 0) & (other < size)).all(axis=0)
     one, other = one[:, inside], other[:, inside]
@@ -243,10 +221,10 @@ def _find_slopes(
         return none
     slopes = np.zeros(floor.shape, dtype=np.uint8)
     for way, there, back in (
-        (across == 1, EAST, WEST),
-        (across == -1, WEST, EAST),
-        (down == 1, SOUTH, NORTH),
-        (down == -1, NORTH, SOUTH),
+        (across == 1, arrays.EAST, arrays.WEST),
+        (across == -1, arrays.WEST, arrays.EAST),
+        (down == 1, arrays.SOUTH, arrays.NORTH),
+        (down == -1, arrays.NORTH, arrays.SOUTH),
     ):
         np.bitwise_or.at(slopes, tuple(one[:, way & is_slope]), np.uint8(there))
         np.bitwise_or.at(slopes, tuple(other[:, way & is_slope]), np.uint8(back))

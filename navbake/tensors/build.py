@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.islands import clearance
 from navbake.runtime.flat_grid import check_distance
-from navbake.runtime.grid_cache import GridCache
-from navbake.runtime.paths import Planner
+from navbake.runtime.paths import find_field
 from navbake.runtime.places import MAX_DROP
+from navbake.runtime.search import Search
 from navbake.tensors.grid_tensors import GridTensors, Shape, register_pytree
 from navbake.types import Bool, Float
 
@@ -162,10 +162,9 @@ class _Scene:
 
     def __init__(self, grid: NavGrid, goals: list[Goal], cut_corners: bool) -> None:
         self.grid = grid
-        self.cache = GridCache(grid, cut_corners=cut_corners)
+        self.cache = Search(grid, cut_corners=cut_corners)
         self.flat: FlatGrid = self.cache.flat
-        planner = Planner(self.cache)
-        self.fields = [planner.field(goal, None, weighted=True) for goal in goals]
+        self.fields = [find_field(self.cache, goal, None) for goal in goals]
 
     def pad(self, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
         """Values by flat id as an array (levels, rows, cols) with room for all scenes."""
@@ -270,7 +269,7 @@ def _goal_fields(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[st
         ids = scene.padded_ids(number, shape)
         for goal, field in enumerate(scene.fields):
             cost[goal, number] = scene.pad(field, shape, np.inf)
-            onward[goal, number] = scene.pad(ids[scene.cache.search.onward(field)], shape, -1)
+            onward[goal, number] = scene.pad(ids[scene.cache.onward(field)], shape, -1)
     return {"cost": cost.ravel(), "onward": onward.ravel()}
 
 

@@ -90,7 +90,7 @@ def test_inflated_grids_follow_too(seed):
     grid = level.inflate(0.15)
     finder = PathFinder(grid)
     search = finder.search
-    masks = (search.free_diagonally, search.free_off_center, search.graph.moves)
+    masks = (search.free_diagonally, search.off_center.anywhere, search.graph.moves)
     room = [mask.copy() for mask in masks]
     x, y = rng.uniform(0.5, 2.0), rng.uniform(-2.0, -0.5)
     block = grid.block(disc=((x, y), 0.2))
@@ -99,7 +99,7 @@ def test_inflated_grids_follow_too(seed):
     assert not finder.search.flat.free[gap < 0.35 - 1e-9].any()
     near = gap < 0.2 + np.hypot(0.15, 0.1 / np.sqrt(2)) - 1e-9
     assert not finder.search.free_diagonally[near].any()
-    assert not finder.search.free_off_center[gap < 0.35 + 0.1 / np.sqrt(2) - 1e-9].any()
+    assert not finder.search.off_center.anywhere[gap < 0.35 + 0.1 / np.sqrt(2) - 1e-9].any()
     block.free()
     for now, then in zip(masks, room, strict=True):
         # room for a diagonal step only matters where cells are free

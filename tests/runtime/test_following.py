@@ -47,8 +47,8 @@ class Base:
         turned = self.heading + command.turn * TICK / 2
         self.position[:2] += command.forward * TICK * np.array([np.cos(turned), np.sin(turned)])
         self.heading += command.turn * TICK
-        cell = self.finder.search.flat.cell_at(self.position + ABOVE)
-        if cell is not None:
+        cell = self.finder.search.flat.cells_at(self.position + ABOVE)
+        if cell >= 0:
             self.position[2] = self.finder.search.flat.positions(cell)[2]
         self.track.append(self.position.copy())
 

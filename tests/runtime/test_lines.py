@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from navbake.runtime.kernels import lines
-from navbake.runtime.kernels.arrays import EAST, SOUTH, Rect
-from navbake.runtime.kernels.routes import Footing, find_moves
+from navbake.runtime.kernels.arrays import EAST, SOUTH, Floors, Graph, Layout, Links
+from navbake.runtime.kernels.routes import find_moves
 
 # parts of kernels as functions that Python can call
 crossed_cells, disc_passes, is_walkable, line_cost = (
@@ -17,7 +17,16 @@ crossed_cells, disc_passes, is_walkable, line_cost = (
 )
 
 WIDTH, HEIGHT = 9, 7
-RECT = Rect(first=0, width=WIDTH, height=HEIGHT)
+
+
+def layout_of(cols, rows, first=0):
+    """One level with cells of 1 m, whose corner is the origin of the lines' own units."""
+    start = np.array([first, first + cols * rows])
+    width, height = np.array([cols]), np.array([rows])
+    return Layout(start, width, height, np.zeros(1), np.zeros(1), np.ones(1))
+
+
+LAYOUT = layout_of(WIDTH, HEIGHT)
 
 
 def touches(line, row, col):
@@ -52,8 +61,8 @@ def test_walkable_lines_touch_only_cells_that_hang_together(seed):
     floor = rng.choice([0.0, 0.2, 0.4], free.size, p=[0.8, 0.1, 0.1])
     moves = np.zeros(free.size, np.uint8)
     no_slopes = np.zeros(0, dtype=np.uint8)
-    footing = Footing(free, free, floor, 0.25, False, no_slopes)
-    find_moves(footing, RECT, (0, HEIGHT, 0, WIDTH), moves)
+    floors, window = Floors(floor, np.zeros(1), 0.25), (0, HEIGHT, 0, WIDTH)
+    find_moves(free, free, floors, no_slopes, False, LAYOUT, 0, window, moves)
     answers = []
     for _ in range(40):
         line = random_line(rng)
@@ -71,7 +80,7 @@ def test_walkable_lines_touch_only_cells_that_hang_together(seed):
             for other, way in (((row, col + 1), EAST), ((row + 1, col), SOUTH)):
                 if other in touched and free[here]:
                     expected &= bool(moves[here] & way)
-        found = is_walkable(line[:2], line[2:], RECT, moves, anywhere)
+        found = is_walkable(line[:2], line[2:], LAYOUT, 0, moves, anywhere)
         assert found == expected, line
         answers.append(found)
     assert seed > 0 or True in answers
@@ -89,7 +98,9 @@ def test_costs_of_lines_are_those_of_their_parts(seed):
     u, v = u0 + t * (u1 - u0), v0 + t * (v1 - v0)
     parts = weight[np.floor(v).astype(int) * WIDTH + np.floor(u).astype(int)]
     expected = parts.mean() * np.hypot(u1 - u0, v1 - v0)
-    found = line_cost((u0, v0), (u1, v1), RECT, weight)
+    no_links = Links(*np.zeros((3, 0), dtype=np.int64), np.zeros(0))
+    graph = Graph(LAYOUT, no_links, np.zeros(0, np.uint8), weight, 0.0, 1.0, 1.0, 4)
+    found = line_cost((u0, -v0), (u1, -v1), 0, graph)  # rows run against y
     assert found == pytest.approx(expected, abs=5e-3)
 
 
@@ -99,7 +110,7 @@ def test_crossed_cells_follow_one_another(seed):
     ends = rng.uniform(0.01, [WIDTH - 0.01, HEIGHT - 0.01], (2, 2))
     if seed % 2:
         ends = np.floor(ends) + 0.5
-    cells, enter = crossed_cells(tuple(ends[0]), tuple(ends[1]), RECT)
+    cells, enter = crossed_cells(tuple(ends[0]), tuple(ends[1]), LAYOUT, 0)
     rows, cols = np.divmod(cells, WIDTH)
     assert (rows[0], cols[0]) == tuple(np.floor(ends[0][::-1]))
     assert (rows[-1], cols[-1]) == tuple(np.floor(ends[1][::-1]))
@@ -150,7 +161,7 @@ def test_a_disc_passes_where_no_square_is_nearer_than_its_radius(seed):
     solid = rng.random((ROWS, COLS)) < 0.06
     first = int(rng.integers(0, 5))  # cells of a level before it
     before = np.append(0, np.cumsum(np.append(np.ones(first), solid))).astype(np.int32)
-    rect = Rect(first, COLS, ROWS)
+    layout = layout_of(COLS, ROWS, first)
     for _ in range(60):
         step = rng.choice([0.0, 0.5])  # centres, edges and corners, where discs just touch
         ends = rng.uniform(0, (COLS, ROWS), (2, 2))
@@ -160,8 +171,8 @@ def test_a_disc_passes_where_no_square_is_nearer_than_its_radius(seed):
         near = min((distance(a, b, *cell) for cell in np.argwhere(solid)), default=math.inf)
         expected = near >= radius * (1 - 1e-9)
         if abs(near - radius) < 1e-12 or abs(near - radius) > 1e-6:
-            assert disc_passes(a, b, rect, before, radius, False) == expected
+            assert disc_passes(a, b, layout, 0, before, radius, False) == expected
         reach = np.array([min(a[0], b[0]), min(a[1], b[1])]) - radius
         far = np.array([max(a[0], b[0]) - COLS, max(a[1], b[1]) - ROWS]) + radius
         inside = bool((reach >= -1e-9).all() and (far <= 1e-9).all())
-        assert disc_passes(a, b, rect, before, radius, True) == (expected and inside)
+        assert disc_passes(a, b, layout, 0, before, radius, True) == (expected and inside)

@@ -99,7 +99,7 @@ def test_it_equals_bisection_over_inflate(seed):
     assert found.radius == pytest.approx(expected, abs=2 * FINE)
     assert passes(found.radius) and not passes(found.radius * (1 + 1e-6) + 1e-9)
     # a larger agent can't stand at the bottleneck, and this one can
-    cell = finder.search.flat.cell_at(found.position)
+    cell = int(finder.search.flat.cells_at(found.position))
     inflated = [
         np.concatenate([v.free.ravel() for v in grid.inflate(radius, ledges=ledges).levels])
         for radius in (found.radius, found.radius * (1 + 1e-6) + 1e-9)

@@ -25,7 +25,7 @@ def step_by_step(finder, start, spacing, radius):
         key = (*at, finder.cell_at(here).level)
         if key in found:
             continue
-        center = flat.positions(flat.cell_at(here))
+        center = flat.positions(flat.cells_at(here))
         off = np.abs(here - center)[:2].max()
         clear = off < 1e-6 or finder.clearance(here, max_distance=1.0 + 2 * radius) >= radius - 1e-9
         if at != (0, 0) and not clear:

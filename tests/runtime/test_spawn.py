@@ -11,9 +11,8 @@ from scipy.stats import chisquare
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.runtime.crowd import Spacing, most_that_fit
+from navbake.runtime.crowd import along_hilbert, most_that_fit
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.spawns import along_hilbert
 from project_paths import GOLDEN
 
 OPEN = "\n".join(["." * 20] * 20)  # 2 m by 2 m
@@ -186,20 +185,20 @@ def test_no_more_fit_than_the_bound_says(seed):
     finder = PathFinder(level_from("\n".join("".join(".#"[not v] for v in row) for row in free)))
     flat = finder.search.flat
     cells = np.flatnonzero(flat.free)
-    spacing = Spacing(0.0, float(rng.uniform(0.05, 0.4)), 1.14)
+    apart = float(rng.uniform(0.05, 0.4))
     p = flat.positions(cells)[:, :2]
-    near = np.linalg.norm(p[:, None] - p, axis=-1) < spacing.min_distance - 1e-9
+    near = np.linalg.norm(p[:, None] - p, axis=-1) < apart - 1e-9
     most = largest_crowd(near)
-    assert most_that_fit(flat, cells, spacing) >= most
+    assert most_that_fit(flat, cells, (apart, 1.14)) >= most
     # a crowd that fits is found; the largest of all may not be, and that is said
     for n in range(1, most):
         try:
-            positions, _ = finder.spawn(rng, n, min_distance=spacing.min_distance)
+            positions, _ = finder.spawn(rng, n, min_distance=apart)
         except QueryError as error:
             said = str(error)
             break
         assert len(positions) == n
-        assert nearest_pair(positions) >= spacing.min_distance - 1e-9
+        assert nearest_pair(positions) >= apart - 1e-9
     else:
         return
     assert "were found" in said and n >= 0.7 * most
@@ -223,8 +222,8 @@ def largest_crowd(near):
 def test_the_bound_counts_storeys_by_themselves():
     house = house_from([level_from("."), level_from(".", ground=3.0)])
     flat = PathFinder(house).search.flat
-    assert most_that_fit(flat, np.arange(2), Spacing(0.2, 1.0, 1.14)) == 2
-    assert most_that_fit(flat, np.arange(2), Spacing(0.2, 1.0, 4.0)) == 1
+    assert most_that_fit(flat, np.arange(2), (1.0, 1.14)) == 2
+    assert most_that_fit(flat, np.arange(2), (1.0, 4.0)) == 1
 
 
 def test_a_row_that_is_just_long_enough_is_packed():

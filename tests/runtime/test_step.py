@@ -106,13 +106,13 @@ def test_steps_on_random_houses(seed):
         straight = finder.try_step(start, end, slide=False)
         slid = finder.try_step(start, end)
         for found in (straight, slid):
-            there = flat.cell_at(found)
+            there = flat.cells_at(found)
             assert flat.free[there]
             assert found[2] == pytest.approx(flat.positions(np.array(there))[2])
             assert math.dist(found[:2], start[:2]) <= math.dist(end, start[:2]) + 1e-6
         assert math.dist(slid[:2], end) <= math.dist(straight[:2], end) + 1e-6
         np.testing.assert_allclose(straight[:2], plain_straight(flat, cell, start, end), atol=2e-4)
-        assert way_between(flat, int(cell), flat.cell_at(slid), math.dist(end, start[:2]))
+        assert way_between(flat, int(cell), int(flat.cells_at(slid)), math.dist(end, start[:2]))
 
 
 def plain_straight(flat, cell, start, end, samples=20000):
@@ -171,7 +171,7 @@ def plain_slide(flat, start, stopped, end):
     """How near to the end a short walk on from where the straight one stopped can get."""
     left = math.dist(stopped[:2], end)
     limit = 1.09 * left + 0.15
-    home = flat.cell_at(stopped)
+    home = int(flat.cells_at(stopped))
     length, queue, nearest = {home: 0.0}, [(0.0, home)], math.inf
     while queue:
         here, cell = heapq.heappop(queue)

@@ -4,7 +4,7 @@ The cells of all levels stand in one row: the flat id of a cell is ``start[level
 width[level] + col``. "By cell" means: one entry for each flat id.
 
 Looking an array up in a tuple counts a reference, which costs more than a step of a search. So
-kernels with a hot loop take the arrays out of their tuples first and hand them on one by one.
+kernels with a hot loop take the arrays out of their tuples first.
 """
 
 import math
@@ -27,149 +27,72 @@ COL_STEP = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 class Layout(NamedTuple):
-    """Where the cells of each level lie; rows run towards smaller y.
+    """Where the cells of each level lie; rows run towards smaller y."""
 
-    Attributes:
-        start: first flat id of each level, and one past the last, shape (num_levels + 1,).
-        width, height: number of columns and of rows, by level.
-        x_min, y_max: outer corner of cell (0, 0), by level, world [m].
-        cell_size: edge of a cell, by level [m]; levels of other programs' files may differ.
-    """
-
-    start: Int
-    width: Int
-    height: Int
-    x_min: Float
+    start: Int  # first flat id of each level, and one past the last
+    width: Int  # number of columns, by level
+    height: Int  # number of rows, by level
+    x_min: Float  # outer corner of cell (0, 0), by level, world [m]
     y_max: Float
-    cell_size: Float
+    cell_size: Float  # by level [m]; levels of other programs' files may differ
 
 
 class Links(NamedTuple):
     """Steps between cells that are not neighbours on one level; each is listed both ways.
 
-    Attributes:
-        cell: flat ids of the cells that links lead from, shape (m,), ascending, each once.
-        start: shape (m + 1,): from ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``.
-        target: flat ids, ascending for each cell.
-        length: of each link [m], as `target`.
+    From ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``.
     """
 
-    cell: Int
+    cell: Int  # flat ids of the cells that links lead from, ascending, each once
     start: Int
-    target: Int
-    length: Float
+    target: Int  # flat ids, ascending for each cell
+    length: Float  # of each link [m], as `target`
 
 
 class Floors(NamedTuple):
-    """The heights of floors, world z [m].
+    """The heights of floors, world z [m]. Any step to or from a cell without floor is flat."""
 
-    Attributes:
-        z: by cell, NaN where there is no floor; the ground on a level whose file has no heights.
-        ground: by level: the floor of free cells that have none of their own.
-        max_step: by how much the floors of neighbours may differ, slack included; see
-            `navbake.navgrid.islands.step_limit`. Any step to or from a cell without floor is flat.
-    """
-
-    z: Float
-    ground: Float
-    max_step: float
-
-
-class Space(NamedTuple):
-    """What a straight line may run through.
-
-    Attributes:
-        floors: with a `max_step` of infinity, heights are not compared.
-        passable: by cell.
-    """
-
-    layout: Layout
-    links: Links
-    floors: Floors
-    passable: Bool
+    z: Float  # by cell, NaN for no floor; the ground on a level whose file has no heights
+    ground: Float  # by level: the floor of free cells that have none of their own
+    max_step: float  # between neighbours, see `navbake.navgrid.islands.step_limit`
 
 
 class Graph(NamedTuple):
-    """The steps of an agent and what they cost: the length [m] times the target's weight.
-
-    Attributes:
-        moves: by cell, a bit for each direction, see `navbake.runtime.kernels.routes`.
-        weight: by cell, inf where it isn't free.
-        same_weight: the weight of all free cells, 0 where they differ.
-        least_weight: the smallest weight of a free cell, >= 0.
-        bucket, num_buckets: of the queue, see `navbake.runtime.kernels.routes`.
-    """
+    """The steps of an agent and what they cost: the length [m] times the target's weight."""
 
     layout: Layout
     links: Links
-    moves: NDArray[np.uint8]
-    weight: Float
-    same_weight: float
-    least_weight: float
-    bucket: float
+    moves: NDArray[np.uint8]  # by cell, a bit for each direction
+    weight: Float  # by cell, inf where it isn't free
+    same_weight: float  # the weight of all free cells, 0 where they differ
+    least_weight: float  # the smallest weight of a free cell, >= 0
+    bucket: float  # width and number of the queue's buckets, see `navbake.runtime.kernels.routes`
     num_buckets: int
 
 
 class OffCenter(NamedTuple):
-    """Where an agent of a radius may be off the centres of cells.
+    """Where an agent of a radius may be off the centres of cells."""
 
-    Attributes:
-        anywhere: by cell: free, wherever in the cell the agent is.
-        by_squares: by cell: so, or free and in the way of nothing but solid squares of its own
-            level, so that a sweep of the disc decides.
-        solid_before: see `navbake.runtime.kernels.lines.disc_passes`.
-        radius: of the agent [m]; 0 if only free cells count.
-        is_closed: whether all beyond a level's cells is solid.
-    """
-
-    anywhere: Bool
+    anywhere: Bool  # by cell: free, wherever in the cell the agent is
+    # by cell: so, or free and in the way of nothing but solid squares of its own level, so that a
+    # sweep of the disc decides
     by_squares: Bool
-    solid_before: Int32
-    radius: float
-    is_closed: bool
-
-
-class Entries(NamedTuple):
-    """Memory for the entries of a queue, see `navbake.runtime.kernels.routes`; of one length."""
-
-    cell: Int32
-    next: Int32
+    solid_before: Int32  # how many solid cells there are before each flat id, (n + 1,)
+    radius: float  # of the agent [m]; 0 if only free cells count
+    is_closed: bool  # whether all beyond a level's cells is solid
 
 
 class Visits(NamedTuple):
-    """How a search reached the cells; kept from search to search, so that none has to clear it.
+    """How a search reached the cells, and memory for its queue.
 
-    Attributes:
-        mark: by cell, see `navbake.runtime.kernels.routes`.
-        cost: by cell, valid where `mark` is of this search.
-        link_from: by index in ``links.cell``: where the link that was taken leads from.
+    It is kept from search to search, so that none has to clear it.
     """
 
-    mark: Int32
-    cost: Float
-    link_from: Int
-
-
-class Line(NamedTuple):
-    """A line over cells, seen from above.
-
-    Attributes:
-        points: world x, y [m], shape (n, 2), each in a cell of its level.
-        levels: of the points, shape (n,).
-        is_link: whether a link leads from a point to the next, shape (n - 1,).
-    """
-
-    points: Float
-    levels: Int
-    is_link: Bool
-
-
-class Rect(NamedTuple):
-    """The cells of one level: the first one's flat id, and how many columns and rows there are."""
-
-    first: int
-    width: int
-    height: int
+    mark: Int32  # by cell, see `navbake.runtime.kernels.routes`
+    cost: Float  # by cell, valid where `mark` is of this search
+    link_from: Int  # by index in ``links.cell``: where the link that was taken leads from
+    entry_cell: Int32  # of the queue's entries
+    entry_next: Int32
 
 
 @part
@@ -179,12 +102,6 @@ def level_of(start, cell):
     while cell >= start[level + 1]:  # levels are few, so that no search is faster
         level += 1
     return level
-
-
-@part
-def rect_of(layout, level):
-    """The cells of a level."""
-    return Rect(layout.start[level], layout.width[level], layout.height[level])
 
 
 @part

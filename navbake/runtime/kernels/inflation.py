@@ -1,9 +1,8 @@
 """Finds cells where an agent can't stand because of what is near. All distances in cells.
 
-Distances are found in two passes, as in the exact transforms of Saito and Toriwaki (1994) and
-Meijster, Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of
-their parabolas, the second pass of `dilate` unites intervals and that of `squared_distances`
-searches no farther than the best so far, which is quicker for the few cells that a radius spans.
+`dilate` has two passes, as the exact distance transforms of Saito and Toriwaki (1994) and Meijster,
+Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of their
+parabolas, the second pass unites intervals.
 
 Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
 a conflict possible: one step of a min-max pyramid.
@@ -25,24 +24,16 @@ SLAB = 0.3  # [m] how thick the floor of a level above may be
 
 
 class Storeys(NamedTuple):
-    """The cells of one level and of those around it, in a window of the scene's lattice.
+    """The cells of one level and of those around it, in a window of the scene's lattice."""
 
-    Attributes:
-        floor: world z of the floor [m], NaN for none, shape (levels, rows, cols).
-        occupied: `SceneGrid2D.solid`, and 1 beyond a level's rectangle, of the same shape.
-        slopes: which neighbours, on any level, links join that are more than a step apart: bits
-            EAST, NORTH, WEST and SOUTH; of the same shape, (0, 0, 0) where there are none.
-        level: the one level's index in the arrays.
-        step: by how much floors of neighbours may differ [m].
-        height: of the agent [m].
-    """
-
-    floor: NDArray[np.float32]
-    occupied: NDArray[np.uint8]
+    floor: NDArray[np.float32]  # world z of the floor [m], NaN for none, (levels, rows, cols)
+    occupied: NDArray[np.uint8]  # `SceneGrid2D.solid`, and 1 beyond a level's rectangle; as `floor`
+    # which neighbours, on any level, links join that are more than a step apart: bits EAST, NORTH,
+    # WEST and SOUTH; as `floor`, or (0, 0, 0) where there are none
     slopes: NDArray[np.uint8]
-    level: int
-    step: float
-    height: float
+    level: int  # the one level's index in the arrays
+    step: float  # by how much floors of neighbours may differ [m]
+    height: float  # of the agent [m]
 
 
 @kernel
@@ -57,7 +48,15 @@ def dilate(occupied, half_width):
     number of rows between, int32; -1 for none, as in its last entry.
     """
     rows, cols = occupied.shape
-    column = _column_distances(occupied, half_width.shape[0] - 1)
+    far = half_width.shape[0] - 1
+    column = np.empty((rows, cols), dtype=np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            before = column[row - 1, col] if row > 0 else far
+            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
     near = np.empty((rows, cols), dtype=np.bool_)
     width = np.empty(cols, dtype=np.int32)
     for row in range(rows):
@@ -78,44 +77,6 @@ def dilate(occupied, half_width):
     return near
 
 
-@part
-def _column_distances(occupied, far):
-    """Distance of each cell to the nearest occupied one of its column, at most `far`, int32."""
-    rows, cols = occupied.shape
-    column = np.empty((rows, cols), dtype=np.int32)
-    for row in range(rows):
-        for col in range(cols):
-            before = column[row - 1, col] if row > 0 else far
-            column[row, col] = 0 if occupied[row, col] else min(before + 1, far)
-    for row in range(rows - 2, -1, -1):
-        for col in range(cols):
-            column[row, col] = min(column[row, col], column[row + 1, col] + 1)
-    return column
-
-
-@kernel
-def squared_distances(occupied, reach):
-    """Squared distance from each cell's centre to that of the nearest occupied one, int64.
-
-    Where all are farther than `reach` cells, >= 1, it is some value over reach².
-    """
-    rows, cols = occupied.shape
-    column = _column_distances(occupied, reach + 1)
-    squares = np.empty((rows, cols), dtype=np.int64)
-    for row in range(rows):
-        for col in range(cols):
-            best = np.int64(column[row, col]) ** 2
-            step = 1  # sideways; once its square is the best or more, no column can be nearer
-            while step <= reach and step * step < best:
-                if col >= step:
-                    best = min(best, step * step + np.int64(column[row, col - step]) ** 2)
-                if col + step < cols:
-                    best = min(best, step * step + np.int64(column[row, col + step]) ** 2)
-                step += 1
-            squares[row, col] = best
-    return squares
-
-
 @kernel
 def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     """Weigh each cell by the cells of a window around it, as the original client does.
@@ -128,25 +89,22 @@ def refine_window(occupied, has_floor, radius, far, reach, least, weights):
     inner, outer = radius * radius, far * far
     for row in range(rows):
         for col in range(cols):
-            weights[row, col] = _weigh(occupied, has_floor, row, col, inner, outer, reach, least)
-
-
-@part
-def _weigh(occupied, has_floor, row, col, inner, outer, reach, least):
-    rows, cols = occupied.shape
-    weight = 1.0
-    within, with_floor = 0, 0
-    for r in range(max(row - reach, 0), min(row + reach, rows)):
-        for c in range(max(col - reach, 0), min(col + reach, cols)):
-            square = float((r - row) * (r - row) + (c - col) * (c - col))
-            if square < inner:
-                if occupied[r, c]:
-                    return np.inf
-                within += 1
-                with_floor += has_floor[r, c]
-            elif square < outer and occupied[r, c]:
-                weight = 10.0
-    return np.inf if within > 0 and with_floor / within < least else weight
+            weight, within, with_floor = 1.0, 0, 0
+            for r in range(max(row - reach, 0), min(row + reach, rows)):
+                for c in range(max(col - reach, 0), min(col + reach, cols)):
+                    square = float((r - row) * (r - row) + (c - col) * (c - col))
+                    if square < inner:
+                        if occupied[r, c]:
+                            weight = np.inf
+                            break
+                        within += 1
+                        with_floor += has_floor[r, c]
+                    elif square < outer and occupied[r, c]:
+                        weight = 10.0
+                if weight == np.inf:
+                    break
+            too_few = within > 0 and with_floor / within < least
+            weights[row, col] = np.inf if too_few else weight
 
 
 @kernel
@@ -180,42 +138,25 @@ def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
     `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
-    if `counts_higher`, lower ones if `counts_lower`.
+    if `counts_higher`, but for those of another level that are higher than an agent and a slab;
+    lower ones count if `counts_lower`. A floor that a slope leads to is neither.
     """
-    ranges, reach = _tile_ranges(storeys.floor), 0
+    floor, occupied, slopes, level, step, height = storeys
+    levels, rows, cols = floor.shape
+    low, high = _tile_ranges(floor)
+    overlap, over = height - step, height + SLAB
+    reach = 0
     for k in range(offsets.shape[0]):
         reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
     tiles = (reach + TILE - 1) // TILE
-    if storeys.floor.shape[0] > 1:
-        _block_across(storeys, ranges, offsets, tiles, blocked)
-    if counts_higher:
-        _block_below_floors(storeys, ranges, offsets, tiles, blocked)
-    if counts_lower:
-        _block_above_drops(storeys, ranges, offsets, reach, blocked)
-
-
-@part
-def _block_across(storeys, ranges, offsets, tiles, blocked):
-    """Decide again for the cells of a level near which another one has floors as high as theirs.
-
-    Cells that are occupied themselves stay as they are.
-    """
-    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
-    #   own level's only, or none   the own level
-    #   own and others'             the own level and these others
-    #   only others'                these others
-    floor, occupied, level = storeys.floor, storeys.occupied, storeys.level
-    (low, high), overlap = ranges, storeys.height - storeys.step
-    levels, rows, cols = floor.shape
-    for tile_row in range(low.shape[1]):
+    for tile_row in range(low.shape[1] if levels > 1 else 0):
         for tile_col in range(low.shape[2]):
-            bottom = low[level, tile_row, tile_col] - overlap
-            top = high[level, tile_row, tile_col] + overlap
-            may_meet = False
+            bottom, top = low[level, tile_row, tile_col], high[level, tile_row, tile_col]
+            meets = False
             for other in range(levels):
                 lowest, highest = _range_near(low[other], high[other], tile_row, tile_col, tiles)
-                may_meet |= other != level and lowest < top and highest > bottom
-            if not may_meet:
+                meets |= other != level and lowest < top + overlap and highest > bottom - overlap
+            if not meets:
                 continue
             for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
                 for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
@@ -223,82 +164,33 @@ def _block_across(storeys, ranges, offsets, tiles, blocked):
                         blocked[row, col] = _meets_any(
                             floor, occupied, level, row, col, offsets, overlap
                         )
-
-
-@part
-def _meets_any(floor, occupied, level, row, col, offsets, overlap):
-    levels, rows, cols = floor.shape
-    height = floor[level, row, col]
-    for k in range(offsets.shape[0]):
-        r, c = row + offsets[k, 0], col + offsets[k, 1]
-        if r < 0 or r >= rows or c < 0 or c >= cols:
-            continue
-        is_covered = False
-        for other in range(levels):
-            if other != level and abs(floor[other, r, c] - height) < overlap:
-                is_covered = True
-                if occupied[other, r, c]:
-                    return True
-        own_counts = not is_covered or abs(floor[level, r, c] - height) < overlap
-        if own_counts and occupied[level, r, c]:
-            return True
-    return False
-
-
-@part
-def _block_below_floors(storeys, ranges, offsets, tiles, blocked):
-    """Block cells of a level from which a floor that they meet is more than a step higher.
-
-    The floor of another level that is higher than an agent and a slab is not in the way, nor is
-    one that a slope leads up to.
-    """
-    floor, slopes, level, step = storeys.floor, storeys.slopes, storeys.level, storeys.step
-    low, high = ranges
-    levels, rows, cols = floor.shape
-    for upper in range(levels):
-        limit = np.inf if upper == level else storeys.height + SLAB
-        for tile_row in range(low.shape[1]):
-            for tile_col in range(low.shape[2]):
-                lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+    for tile_row in range(low.shape[1]):
+        for tile_col in range(low.shape[2]):
+            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+            row0, row1 = tile_row * TILE, min((tile_row + 1) * TILE, rows)
+            col0, col1 = tile_col * TILE, min((tile_col + 1) * TILE, cols)
+            for other in range(levels if counts_higher else 0):
                 # written so that a tile without floor, inf to -inf, is skipped
-                if not high[upper, tile_row, tile_col] - lowest > step:
+                if not high[other, tile_row, tile_col] - lowest > step:
                     continue
-                if not low[upper, tile_row, tile_col] - highest < limit:
+                if other != level and not low[other, tile_row, tile_col] - highest < over:
                     continue
-                for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
-                    for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
-                        height = floor[upper, row, col]
-                        if not (height - lowest > step and height - highest < limit):
+                for row in range(row0, row1):
+                    for col in range(col0, col1):
+                        if not floor[other, row, col] - lowest > step:
                             continue
                         for k in range(offsets.shape[0]):  # block the cells round it
                             r, c = row - offsets[k, 0], col - offsets[k, 1]
                             if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
                                 continue
-                            if step < height - floor[level, r, c] < limit:
+                            rise = floor[other, row, col] - floor[level, r, c]
+                            if step < rise and (other == level or rise < over):
                                 blocked[r, c] = slopes.shape[0] == 0 or not _is_slope(
-                                    floor, slopes, step, level, r, c, upper, row, col
+                                    floor, slopes, step, level, r, c, other, row, col
                                 )
-
-
-@part
-def _block_above_drops(storeys, ranges, offsets, reach, blocked):
-    """Block cells of a level that meet a column whose floor is more than a step lower.
-
-    A column is a drop for an agent where some level's floor lies more than a step below its own,
-    no level's within a step of it, and no slope leads down there.
-    """
-    floor, slopes, level, step = storeys.floor, storeys.slopes, storeys.level, storeys.step
-    low, high = ranges
-    levels, rows, cols = floor.shape
-    tiles = (reach + TILE - 1) // TILE
-    for tile_row in range(low.shape[1]):
-        for tile_col in range(low.shape[2]):
-            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
             limit = low[:, tile_row, tile_col].min() + step
-            if not limit < highest:
+            if not (counts_lower and limit < highest):
                 continue
-            row0, row1 = tile_row * TILE, min((tile_row + 1) * TILE, rows)
-            col0, col1 = tile_col * TILE, min((tile_col + 1) * TILE, cols)
             # Few cells round the tile that are high enough, or few columns in it that may be low
             # enough: the fewer are looked at one by one.
             top, left = max(row0 - reach, 0), max(col0 - reach, 0)
@@ -315,11 +207,8 @@ def _block_above_drops(storeys, ranges, offsets, reach, blocked):
                         for k in range(offsets.shape[0]):
                             r, c = row + offsets[k, 0], col + offsets[k, 1]
                             # columns of other tiles have their own turn
-                            if (
-                                row0 <= r < row1
-                                and col0 <= c < col1
-                                and _is_drop(floor, slopes, step, level, row, col, r, c)
-                            ):
+                            is_here = row0 <= r < row1 and col0 <= c < col1
+                            if is_here and _is_drop(floor, slopes, step, level, row, col, r, c):
                                 blocked[row, col] = True
                                 break
                 continue
@@ -340,10 +229,46 @@ def _block_above_drops(storeys, ranges, offsets, reach, blocked):
 
 
 @part
+def _range_near(low, high, row, col, tiles):
+    """The lowest and the highest floor of a level in the tiles around one."""
+    lowest, highest = np.inf, -np.inf
+    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
+        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
+            lowest, highest = min(lowest, low[r, c]), max(highest, high[r, c])
+    return lowest, highest
+
+
+@part
+def _meets_any(floor, occupied, level, row, col, offsets, overlap):
+    """Whether an agent in a cell meets what is occupied, another level's floors included."""
+    # What counts in a column that an agent meets, by whose floors are as high as the agent's:
+    #   own level's only, or none   the own level
+    #   own and others'             the own level and these others
+    #   only others'                these others
+    levels, rows, cols = floor.shape
+    height = floor[level, row, col]
+    for k in range(offsets.shape[0]):
+        r, c = row + offsets[k, 0], col + offsets[k, 1]
+        if r < 0 or r >= rows or c < 0 or c >= cols:
+            continue
+        is_covered = False
+        for other in range(levels):
+            if other != level and abs(floor[other, r, c] - height) < overlap:
+                is_covered = True
+                if occupied[other, r, c]:
+                    return True
+        own_counts = not is_covered or abs(floor[level, r, c] - height) < overlap
+        if own_counts and occupied[level, r, c]:
+            return True
+    return False
+
+
+@part
 def _is_drop(floor, slopes, step, level, row, col, to_row, to_col):
     """Whether a column is a drop from a cell of a level.
 
-    A slope has to lead to the highest of the column's floors that are below the cell's.
+    It is where some level's floor lies more than a step below the cell's, no level's within a step
+    of it, and no slope leads to the highest of the floors below.
     """
     height, highest, below, is_below = floor[level, row, col], -np.inf, -1, False
     for other in range(floor.shape[0]):
@@ -373,13 +298,14 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
         # halves are rounded away from the start, so that turning a grid turns the lines
         next_r = row + np.sign(down) * ((2 * abs(down) * k + count) // (2 * count))
         next_c = col + np.sign(across) * ((2 * abs(across) * k + count) // (2 * count))
-        if next_r != r and next_c != c:
-            first = _walk_corner(floor, slopes, step, level, r, c, next_r, c, next_r, next_c)
-            second = _walk_corner(floor, slopes, step, level, r, c, r, next_c, next_r, next_c)
-            is_second = second[0] >= 0 and (first[0] < 0 or second[1] > first[1])
-            reached, is_slope = second if is_second else first
-        else:
-            reached, is_slope = _walk_edge(floor, slopes, step, level, r, c, next_r, next_c)
+        reached, is_slope = np.int64(-1), -1
+        for turn in range(2):  # over a corner, there are two ways, of which one on a slope counts
+            by_r, by_c = (next_r, c) if turn == 0 else (r, next_c)
+            between, one = _walk_edge(floor, slopes, step, level, r, c, by_r, by_c)
+            if between >= 0:
+                end, two = _walk_edge(floor, slopes, step, between, by_r, by_c, next_r, next_c)
+                if end >= 0 and max(one, two) > is_slope:
+                    reached, is_slope = end, max(one, two)
         if reached < 0:
             return False
         num_slopes += is_slope
@@ -388,18 +314,10 @@ def _is_slope(floor, slopes, step, level, row, col, other, to_row, to_col):
 
 
 @part
-def _walk_corner(floor, slopes, step, level, row, col, by_row, by_col, to_row, to_col):
-    """As `_walk_edge`, over a cell on the way."""
-    between, first = _walk_edge(floor, slopes, step, level, row, col, by_row, by_col)
-    if between < 0:
-        return between, 0
-    reached, second = _walk_edge(floor, slopes, step, between, by_row, by_col, to_row, to_col)
-    return reached, max(first, second)
-
-
-@part
 def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     """The level on which a step or a slope leads to a neighbour, -1 for none; 1 if by a slope."""
+    if to_row == row and to_col == col:
+        return level, 0
     if to_row == row:
         there, back = (EAST, WEST) if to_col > col else (WEST, EAST)
     else:
@@ -439,17 +357,6 @@ def _tile_ranges(floor):
                 low[level, tile_row, tile_col] = min(low[level, tile_row, tile_col], lowest[col])
                 high[level, tile_row, tile_col] = max(high[level, tile_row, tile_col], highest[col])
     return low, high
-
-
-@part
-def _range_near(low, high, row, col, tiles):
-    """The lowest and the highest floor of a level in the tiles around one."""
-    lowest, highest = np.inf, -np.inf
-    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
-        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
-            lowest = min(lowest, low[r, c])
-            highest = max(highest, high[r, c])
-    return lowest, highest
 
 
 @kernel

@@ -23,16 +23,7 @@ import math
 import numpy as np
 
 from navbake.compiled import kernel, part
-from navbake.runtime.kernels.arrays import (
-    EAST,
-    SOUTH,
-    Line,
-    center,
-    floor_at,
-    in_cells,
-    level_of,
-    rect_of,
-)
+from navbake.runtime.kernels.arrays import EAST, SOUTH, center, floor_at, in_cells, level_of
 
 TOUCH = 1e-9  # of a cell: what is this near a line is touched; of a radius: what a disc is over
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
@@ -43,49 +34,43 @@ GAIN = 1e-9  # share of its cost by which rounding may make a straight line dear
 
 
 @part
-def _cut_to_band(a, b, low, high):
-    """The part of a line with v from `low` to `high`: its smallest and largest u."""
-    (u0, v0), (u1, v1) = a, b
-    if v0 == v1:
-        return min(u0, u1), max(u0, u1)
-    enter, leave = (low - v0) / (v1 - v0), (high - v0) / (v1 - v0)
-    enter, leave = min(max(min(enter, leave), 0.0), 1.0), max(min(max(enter, leave), 1.0), 0.0)
-    ua, ub = u0 + enter * (u1 - u0), u0 + leave * (u1 - u0)
-    return min(ua, ub), max(ua, ub)
-
-
-@part
-def is_walkable(a, b, rect, moves, anywhere):
+def is_walkable(a, b, layout, level, moves, anywhere):
     """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
     `anywhere` marks the free cells in which an agent may also be off the centre.
     """
-    (_, v0), (_, v1) = a, b
+    (u0, v0), (u1, v1) = a, b
+    first, width = layout.start[level], layout.width[level]
     top, bottom = math.floor(min(v0, v1) - TOUCH), math.floor(max(v0, v1) + TOUCH)
-    if top < 0 or bottom >= rect.height:
+    if top < 0 or bottom >= layout.height[level]:
         return False
     above0, above1 = 0, -1  # columns touched in the row before
     for row in range(top, bottom + 1):
-        low, high = _cut_to_band(a, b, row - TOUCH, row + 1 + TOUCH)
+        low, high = min(u0, u1), max(u0, u1)
+        if v0 != v1:  # the part of the line in the row
+            one, other = (row - TOUCH - v0) / (v1 - v0), (row + 1 + TOUCH - v0) / (v1 - v0)
+            enter, leave = min(max(min(one, other), 0.0), 1.0), max(min(max(one, other), 1.0), 0.0)
+            ua, ub = u0 + enter * (u1 - u0), u0 + leave * (u1 - u0)
+            low, high = min(ua, ub), max(ua, ub)
         col0, col1 = math.floor(low - TOUCH), math.floor(high + TOUCH)
-        if col0 < 0 or col1 >= rect.width:
+        if col0 < 0 or col1 >= width:
             return False
         for col in range(col0, col1 + 1):
-            cell = rect.first + row * rect.width + col
+            cell = first + row * width + col
             if not anywhere[cell]:
                 return False
             # each edge between two touched cells is one that the line may run along or cross
             if col < col1 and not moves[cell] & EAST:
                 return False
-            if above0 <= col <= above1 and not moves[cell - rect.width] & SOUTH:
+            if above0 <= col <= above1 and not moves[cell - width] & SOUTH:
                 return False
         above0, above1 = col0, col1
     return True
 
 
 @part
-def crossed_cells(a, b, rect):
+def crossed_cells(a, b, layout, level):
     """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
 
     So there is one share more. Cells that the line only touches at a corner are left out.
@@ -107,36 +92,35 @@ def crossed_cells(a, b, rect):
         if cuts[i + 1] - cuts[i] <= 1e-12 and num > 1:  # two edges at once: a corner
             continue
         middle = (cuts[i] + cuts[i + 1]) / 2.0  # inside of the cell, so rounding does no harm
-        row = min(max(math.floor(v0 + middle * dv), 0), rect.height - 1)
-        col = min(max(math.floor(u0 + middle * du), 0), rect.width - 1)
-        cells[count], enter[count] = rect.first + row * rect.width + col, cuts[i]
+        row = min(max(math.floor(v0 + middle * dv), 0), layout.height[level] - 1)
+        col = min(max(math.floor(u0 + middle * du), 0), layout.width[level] - 1)
+        cells[count] = layout.start[level] + row * layout.width[level] + col
+        enter[count] = cuts[i]
         count += 1
     enter[count] = 1.0
     return cells[:count], enter[: count + 1]
 
 
 @part
-def line_cost(a, b, rect, weight):
-    """The length of a line in cells, each part times the weight of the cell that it is in."""
-    cells, enter = crossed_cells(a, b, rect)
+def line_cost(a, b, level, graph):
+    """The length in cells of a line between points x, y, each part times its cell's weight."""
+    start = in_cells(graph.layout, level, a[0], a[1])
+    end = in_cells(graph.layout, level, b[0], b[1])
+    cells, enter = crossed_cells(start, end, graph.layout, level)
     total = 0.0
     for i in range(cells.shape[0]):
-        total += (enter[i + 1] - enter[i]) * weight[cells[i]]
-    return total * math.hypot(b[0] - a[0], b[1] - a[1])
+        total += (enter[i + 1] - enter[i]) * graph.weight[cells[i]]
+    return total * math.hypot(end[0] - start[0], end[1] - start[1])
 
 
 @part
-def disc_passes(a, b, rect, solid_before, radius, is_closed):
-    """Whether an open disc meets no solid square of a level while it moves along a line.
+def disc_passes(a, b, layout, level, solid_before, radius, is_closed):
+    """Whether an open disc, radius in cells, meets no solid square on its way along a line.
 
-    Args:
-        a, b: ends of the line.
-        rect: the cells of the level.
-        solid_before: how many solid cells there are before each flat id, (n + 1,) int32.
-        radius: in cells.
-        is_closed: whether all beyond the level's cells is solid.
+    `solid_before` and `is_closed`: see `navbake.runtime.kernels.arrays.OffCenter`.
     """
     (u0, v0), (u1, v1) = a, b
+    rows, cols = layout.height[level], layout.width[level]
     reach = radius * (1.0 - TOUCH)
     first_v, last_v = min(v0, v1) - reach, max(v0, v1) + reach
     for row in range(math.floor(first_v), math.ceil(last_v)):
@@ -144,14 +128,14 @@ def disc_passes(a, b, rect, solid_before, radius, is_closed):
         left = -_farthest(-u0, v0, -u1, v1, low, high, reach)
         right = _farthest(u0, v0, u1, v1, low, high, reach)
         col0, col1 = math.floor(left), math.ceil(right)
-        if row < 0 or row >= rect.height or col0 < 0 or col1 > rect.width:
-            if is_closed:
-                return False
-            if row < 0 or row >= rect.height:
-                continue
-        col0, col1 = max(col0, 0), min(col1, rect.width)
-        here = rect.first + row * rect.width
-        if col0 < col1 and solid_before[here + col1] > solid_before[here + col0]:
+        is_beside = row < 0 or row >= rows
+        if is_closed and (is_beside or col0 < 0 or col1 > cols):
+            return False
+        col0, col1 = max(col0, 0), min(col1, cols)
+        if is_beside or col0 >= col1:
+            continue
+        here = layout.start[level] + row * cols
+        if solid_before[here + col1] > solid_before[here + col0]:
             return False
     return True
 
@@ -184,18 +168,17 @@ def can_pass(a, b, level, graph, off_center):
     It can where it may be anywhere in all cells that the line touches, or where these are free,
     nothing but squares is near, and its disc meets none of them; see `is_walkable`.
     """
-    start = in_cells(graph.layout, level, a[0], a[1])
-    end = in_cells(graph.layout, level, b[0], b[1])
-    rect, moves = rect_of(graph.layout, level), graph.moves
-    if is_walkable(start, end, rect, moves, off_center.anywhere):
+    layout, moves = graph.layout, graph.moves
+    start, end = in_cells(layout, level, a[0], a[1]), in_cells(layout, level, b[0], b[1])
+    if is_walkable(start, end, layout, level, moves, off_center.anywhere):
         return True
     if off_center.radius == 0.0:
         return False
-    if not is_walkable(start, end, rect, moves, off_center.by_squares):
+    if not is_walkable(start, end, layout, level, moves, off_center.by_squares):
         return False
-    radius = off_center.radius / graph.layout.cell_size[level]
+    radius = off_center.radius / layout.cell_size[level]
     before, is_closed = off_center.solid_before, off_center.is_closed
-    return disc_passes(start, end, rect, before, radius, is_closed)
+    return disc_passes(start, end, layout, level, before, radius, is_closed)
 
 
 @kernel
@@ -210,7 +193,7 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     """
     layout, num = graph.layout, route.shape[0]
     points, levels = np.empty((num + 2, 2)), np.empty(num + 2, np.int64)
-    is_link = np.zeros(num + 1, np.bool_)
+    is_link = np.zeros(num + 1, np.bool_)  # whether a link leads from a point to the next
     for i in range(num):
         levels[i + 1] = level_of(layout.start, route[i])
         points[i + 1, 0], points[i + 1, 1] = center(layout, route[i])
@@ -219,50 +202,42 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
             r, c = divmod(route[i - 1] - layout.start[levels[i]], layout.width[levels[i]])
             is_link[i] = levels[i] != levels[i + 1] or abs(row - r) > 1 or abs(col - c) > 1
     levels[0], levels[num + 1] = levels[1], levels[num]
-    for axis in range(2):
-        points[0, axis], points[num + 1, axis] = start[axis], end[axis]
-    first, last = 1, num + 1
-    if _is_apart(points[0], points[1]) and can_pass(
-        points[0], points[1], levels[0], graph, off_center
-    ):
-        first = 0
-    if _is_apart(points[num], points[num + 1]) and can_pass(
-        points[num], points[num + 1], levels[num], graph, off_center
-    ):
-        last = num + 2
-    line = Line(points[first:last], levels[first:last], is_link[first : last - 1])
+    kept = np.ones(num + 2, np.bool_)
+    for at, beside, given in ((0, 1, start), (num + 1, num, end)):
+        points[at, 0], points[at, 1] = given[0], given[1]
+        # False for NaN
+        is_apart = max(abs(given[0] - points[beside, 0]), abs(given[1] - points[beside, 1])) > SAME
+        kept[at] = is_apart and can_pass(
+            points[min(at, beside)], points[max(at, beside)], levels[at], graph, off_center
+        )
+    first, last = 1 - kept[0], num + 1 + kept[num + 1]
+    points, levels, is_link = points[first:last], levels[first:last], is_link[first : last - 1]
     if is_smooth:
-        kept = np.flatnonzero(_pull_string(line, graph, off_center))
-        line = Line(line.points[kept], line.levels[kept], line.is_link[kept[:-1]])
-    return _lay_on_floor(line, layout, floors, BEND)
+        some = np.flatnonzero(_pull_string(points, levels, is_link, graph, off_center))
+        points, levels, is_link = points[some], levels[some], is_link[some[:-1]]
+    return _lay_on_floor(points, levels, is_link, layout, floors, BEND)
 
 
 @part
-def _is_apart(a, b):
-    """Whether two points are not the same; False for NaN."""
-    return max(abs(a[0] - b[0]), abs(a[1] - b[1])) > SAME
-
-
-@part
-def _pull_string(line, graph, off_center):
+def _pull_string(points, levels, is_link, graph, off_center):
     """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
     A straight line never costs more than what it replaces, each part counted by the weight of its
     cell, and never runs over a link.
     """
-    num = line.points.shape[0]
+    num = points.shape[0]
     spent = np.zeros(num)  # cost of the route up to each point
     if graph.same_weight <= 0.0:
         for i in range(1, num):
             spent[i] = spent[i - 1]
-            if not line.is_link[i - 1]:
-                spent[i] += _cost(line.points[i - 1], line.points[i], line.levels[i], graph)
+            if not is_link[i - 1]:
+                spent[i] += line_cost(points[i - 1], points[i], levels[i], graph)
     here = 0
     kept = np.zeros(num, np.bool_)
     kept[0] = True
     while here < num - 1:
         last = here + 1  # before the next link
-        while last < num - 1 and not line.is_link[here] and not line.is_link[last]:
+        while last < num - 1 and not is_link[here] and not is_link[last]:
             last += 1
         # `good` can be reached, `bad` can't: doubling until a line fails moves them apart, halving
         # brings them together. Sight is not monotonous, so the point found need not be the very
@@ -270,10 +245,10 @@ def _pull_string(line, graph, off_center):
         good, bad, reach = here + 1, last + 1, 2
         while bad - good > 1:
             there = min(here + reach, last) if bad > last else (good + bad) // 2
-            a, b, level = line.points[here], line.points[there], line.levels[here]
+            a, b, level = points[here], points[there], levels[here]
             if can_pass(a, b, level, graph, off_center) and (
                 graph.same_weight > 0.0
-                or _cost(a, b, level, graph) <= (spent[there] - spent[here]) * (1.0 + GAIN)
+                or line_cost(a, b, level, graph) <= (spent[there] - spent[here]) * (1.0 + GAIN)
             ):
                 good = there
             else:
@@ -281,14 +256,7 @@ def _pull_string(line, graph, off_center):
             reach *= 2
         here = good
         kept[here] = True
-    _merge_in_line(line, kept)
-    return kept
-
-
-@part
-def _merge_in_line(line, kept):
-    """Unmark points on the straight line between those before and after, but for ends of links."""
-    points, num = line.points, line.points.shape[0]
+    # points on the straight line between those before and after go, but for ends of links
     before, here = 0, -1
     for after in range(1, num):
         if not kept[after]:
@@ -298,24 +266,17 @@ def _merge_in_line(line, kept):
             length = math.hypot(way[0], way[1])
             off = abs(way[0] * part[1] - way[1] * part[0])
             share = way[0] * part[0] + way[1] * part[1]
-            is_end = line.is_link[here - 1] or line.is_link[here]
+            is_end = is_link[here - 1] or is_link[here]
             if is_end or off > IN_LINE * length or not 0.0 <= share <= length * length:
                 before = here
             else:
                 kept[here] = False
         here = after
+    return kept
 
 
 @part
-def _cost(a, b, level, graph):
-    """What a straight line between two points of a level costs, its length in cells."""
-    start = in_cells(graph.layout, level, a[0], a[1])
-    end = in_cells(graph.layout, level, b[0], b[1])
-    return line_cost(start, end, rect_of(graph.layout, level), graph.weight)
-
-
-@part
-def _lay_on_floor(line, layout, floors, tolerance):
+def _lay_on_floor(points, levels, is_link, layout, floors, tolerance):
     """Lay lines between points on the floor: with points in between where its height bends.
 
     The line runs through the middle of its part in each cell that it crosses, at the cell's
@@ -323,13 +284,13 @@ def _lay_on_floor(line, layout, floors, tolerance):
     straight up or down at their edge, or halfway over a link. Points within `tolerance` [m] of
     the line through the remaining ones are dropped. Returns world x, y, z [m], and the levels.
     """
-    points, num = line.points, line.points.shape[0]
+    num = points.shape[0]
     out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
     for i in range(num):
-        level = line.levels[i]
+        level = levels[i]
         start = in_cells(layout, level, points[i, 0], points[i, 1])
         end, way = start, np.zeros(2)
-        if i + 1 < num and not line.is_link[i]:
+        if i + 1 < num and not is_link[i]:
             end = in_cells(layout, level, points[i + 1, 0], points[i + 1, 1])
             way = points[i + 1] - points[i]
         profile = _profile(start, end, level, layout, floors)
@@ -342,10 +303,10 @@ def _lay_on_floor(line, layout, floors, tolerance):
             out[count, 2], on[count] = profile[here, 1], level
             count += 1
             here = _next_bend(profile, here, tolerance)
-        if i + 1 < num and line.is_link[i]:
-            after = line.levels[i + 1]
-            u, v = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
-            z = floor_at(floors, after, _cell_of(u, v, rect_of(layout, after)))
+        if i + 1 < num and is_link[i]:
+            after = levels[i + 1]
+            there = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
+            z = floor_at(floors, after, _cell_of(layout, after, there))
             if abs(z - out[count - 1, 2]) > layout.cell_size[level] * STEEP:
                 for axis in range(2):
                     middle = (points[i, axis] + points[i + 1, axis]) / 2.0
@@ -359,11 +320,10 @@ def _lay_on_floor(line, layout, floors, tolerance):
 @part
 def _profile(a, b, level, layout, floors):
     """The floor under a line, its ends in cells: shares of it and heights there, (n, 2)."""
-    rect = rect_of(layout, level)
-    cells, enter = crossed_cells(a, b, rect)
+    cells, enter = crossed_cells(a, b, layout, level)
     last = cells.shape[0] - 1
-    cells[last] = _cell_of(b[0], b[1], rect)  # ends on edges are in the cells they were found in
-    cells[0] = _cell_of(a[0], a[1], rect)
+    # ends on edges are in the cells they were found in
+    cells[last], cells[0] = _cell_of(layout, level, b), _cell_of(layout, level, a)
     line = np.empty((3 * last + 4, 2))
     count, before = 0, 0.0
     for k in range(last + 1):
@@ -382,8 +342,8 @@ def _profile(a, b, level, layout, floors):
 
 
 @part
-def _cell_of(u, v, rect):
-    return rect.first + math.floor(v) * rect.width + math.floor(u)
+def _cell_of(layout, level, point):
+    return layout.start[level] + math.floor(point[1]) * layout.width[level] + math.floor(point[0])
 
 
 @part

@@ -11,38 +11,18 @@ outdates nothing.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from navbake.compiled import kernel, part
-from navbake.runtime.kernels.arrays import Layout, center, floor_at, in_cells, level_of
-from navbake.types import Bool, Float
+from navbake.runtime.kernels.arrays import center, floor_at, in_cells, level_of
 
 BLOCK = 512  # positions; what a block needs stays in the processor's first cache
 MAX_DROP = 0.5  # metres that a position may be above the floor of an agent that stands there
-TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2  # what is measured
+# What is measured: on the map to a cell's centre; in space to the centre, on the floor; on the map
+# to the square, except of cells over or under which another level goes on at the point's height.
+TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2
 FAR_OFF = 64.0  # cells: farther from a level than this, all its rows are scanned, not rings
-
-
-class Wanted(NamedTuple):
-    """Cells that are looked for, and how their distance is measured.
-
-    Attributes:
-        mask: by cell: the cells that count.
-        floor: by cell [m], NaN where there is none.
-        measure: TO_CENTER on the map; IN_SPACE to the centre, on the floor; TO_OBSTACLE to the
-            square on the map, except of cells over or under which another level continues at the
-            point's height.
-        height: for TO_OBSTACLE, floors less than this apart are at one height; for IN_SPACE,
-            where cells without floor are taken to be [m].
-    """
-
-    layout: Layout
-    mask: Bool
-    floor: Float
-    measure: int
-    height: float
 
 
 @kernel
@@ -125,21 +105,12 @@ def _locate_on(layout, level, positions, cells):
 
 @kernel
 def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
-    """Find the allowed places nearest to positions, see `PathFinder.snap`.
+    """Find the places in allowed cells (by cell) nearest to positions, see `PathFinder.snap`.
 
-    Args:
-        layout, floors: of the grid.
-        allowed: by cell.
-        level: of all positions, -1 for that of the floor below each.
-        same_level: whether to stay on the level of a position that has one.
-        farthest: from a position [m].
-        positions: shape (n, 3).
-
-    Returns:
-        World x, y, z [m], shape (n, 3), NaN for none; and flat ids, -1 for none.
+    All positions, shape (n, 3), are on a `level`; for -1, each on that of the floor below it.
+    Returns world x, y, z [m], shape (n, 3), NaN for none; and flat ids, -1 for none.
     """
     cells, found = locate(layout, floors, level, positions), np.full((len(positions), 3), np.nan)
-    on_map = Wanted(layout, allowed, floors.z, TO_CENTER, 0.0)
     for i in range(len(positions)):
         home, point = cells[i], (positions[i, 0], positions[i, 1], positions[i, 2])
         on = level_of(layout.start, home) if home >= 0 else level
@@ -149,14 +120,14 @@ def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
                 found[i, 0], found[i, 1], found[i, 2] = point[0], point[1], z
                 continue
         best, nearest = farthest, np.int64(-1)
-        if same_level and on >= 0:
-            nearest, best = nearest_cell(on_map, on, point, best)
-        else:
-            for other in range(len(layout.width)):
-                wanted = Wanted(layout, allowed, floors.z, IN_SPACE, floors.ground[other])
-                cell, distance = nearest_cell(wanted, other, point, best)
-                if cell >= 0 and (nearest < 0 or distance < best):
-                    nearest, best = cell, distance
+        is_here = same_level and on >= 0
+        for other in range(on, on + 1) if is_here else range(len(layout.width)):
+            measure, ground = (TO_CENTER, 0.0) if is_here else (IN_SPACE, floors.ground[other])
+            cell, distance = nearest_cell(
+                layout, allowed, floors.z, measure, ground, other, point, best
+            )
+            if cell >= 0 and (nearest < 0 or distance < best):
+                nearest, best = cell, distance
         cells[i] = nearest
         if nearest >= 0:
             found[i, 0], found[i, 1] = center(layout, nearest)
@@ -168,33 +139,29 @@ def snap_each(layout, floors, allowed, level, same_level, farthest, positions):
 def find_obstacles(layout, floors, occupied, overlap, level, farthest, positions):
     """Find the squares of occupied cells nearest to positions, see `PathFinder.nearest_obstacle`.
 
-    Args:
-        layout, floors: of the grid.
-        occupied: by cell.
-        overlap: floors less than this apart are at one height [m].
-        level, farthest, positions: see `snap_each`.
-
-    Returns:
-        The positions' own cells, and the obstacles', by flat id, -1 for none; and distances [m].
+    Floors less than `overlap` [m] apart are at one height. Returns the positions' own cells, and
+    the obstacles', by flat id, -1 for none; and distances [m].
     """
     homes = locate(layout, floors, level, positions)
     cells, distances = np.full(len(homes), -1, dtype=np.int64), np.empty(len(homes))
-    wanted = Wanted(layout, occupied, floors.z, TO_OBSTACLE, overlap)
     for i in range(len(homes)):
         if homes[i] >= 0:
             on = level_of(layout.start, homes[i])
             point = (positions[i, 0], positions[i, 1], floor_at(floors, on, homes[i]))
-            cells[i], distances[i] = nearest_cell(wanted, on, point, farthest)
+            cells[i], distances[i] = nearest_cell(
+                layout, occupied, floors.z, TO_OBSTACLE, overlap, on, point, farthest
+            )
     return homes, cells, distances
 
 
 @part
-def nearest_cell(wanted, level, point, farthest):
-    """The cell of a level nearest to x, y, z within `farthest`, -1 for none, and its distance [m].
+def nearest_cell(layout, mask, floor, measure, height, level, point, farthest):
+    """The cell of a level in a mask nearest to x, y, z within `farthest`, and its distance [m].
 
-    Of equally near ones, the lowest id. For TO_OBSTACLE, z is the floor's at the point.
+    -1 for none; of equally near ones, the lowest id. For TO_OBSTACLE, z is the floor's at the
+    point, and floors less than `height` apart are at one height; for IN_SPACE, cells without floor
+    are taken to be at `height`.
     """
-    layout = wanted.layout
     rows, cols, size = layout.height[level], layout.width[level], layout.cell_size[level]
     u, v = in_cells(layout, level, point[0], point[1])
     u, v = np.floor(u), np.floor(v)
@@ -202,13 +169,14 @@ def nearest_cell(wanted, level, point, farthest):
     beside = max(0.0, -v, v - rows + 1, -u, u - cols + 1)
     if beside > FAR_OFF:
         for row in range(rows):
-            best = _look(wanted, level, point, (row, 0, cols - 1, 1), best)
+            span = (row, 0, cols - 1, 1)
+            best = _look(layout, mask, floor, measure, height, level, point, span, best)
         return best[1], math.sqrt(best[0])
     row0, col0, ring = int(v), int(u), int(beside)
     last = max(row0, rows - 1 - row0, col0, cols - 1 - col0)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
-    inside = 1.0 if wanted.measure == TO_OBSTACLE else 0.5
+    inside = 1.0 if measure == TO_OBSTACLE else 0.5
     while ring <= last and (max(0.0, ring - inside) * size) ** 2 <= best[0]:
         first, step = max(0, row0 - ring), 1
         if col0 - ring < 0 and col0 + ring >= cols:  # only its top and bottom rows are left
@@ -219,17 +187,17 @@ def nearest_cell(wanted, level, point, farthest):
                 left, stride = max(0, left), 1
             elif left < 0:
                 left = right
-            best = _look(wanted, level, point, (row, left, min(cols - 1, right), stride), best)
+            span = (row, left, min(cols - 1, right), stride)
+            best = _look(layout, mask, floor, measure, height, level, point, span, best)
         ring += 1
     return best[1], math.sqrt(best[0])
 
 
 @part
-def _look(wanted, level, point, span, best):
+def _look(layout, mask, floor, measure, height, level, point, span, best):
     """The better of the best so far and every `stride`-th cell of a row: squared distance, id."""
     row, first, last, stride = span
     d2_best, found = best
-    layout, mask, floor, measure, height = wanted
     size, x_min, y_max = layout.cell_size[level], layout.x_min[level], layout.y_max[level]
     begin = layout.start[level] + row * layout.width[level]
     for col in range(first, last + 1, stride):
@@ -245,17 +213,18 @@ def _look(wanted, level, point, span, best):
             z = height if math.isnan(floor[cell]) else floor[cell]
             d2 += (z - point[2]) ** 2
         if d2 < d2_best or (d2 == d2_best and (found < 0 or cell < found)):
-            if measure == TO_OBSTACLE and _is_elsewhere(wanted, level, cell, point[2]):
+            if measure == TO_OBSTACLE and _is_elsewhere(
+                layout, mask, floor, height, level, cell, point[2]
+            ):
                 continue
             d2_best, found = d2, cell
     return d2_best, found
 
 
 @part
-def _is_elsewhere(wanted, level, cell, z):
+def _is_elsewhere(layout, mask, floor, height, level, cell, z):
     """Whether another level, but not this one, has a clear floor near a height in the column."""
-    layout, floor = wanted.layout, wanted.floor
-    if abs(floor[cell] - z) < wanted.height:  # False for NaN
+    if abs(floor[cell] - z) < height:  # False for NaN
         return False
     x, y = center(layout, cell)
     for other in range(len(layout.width)):
@@ -263,6 +232,6 @@ def _is_elsewhere(wanted, level, cell, z):
         col, row = in_cells(layout, other, x, y)
         if other != level and 0 <= row < layout.height[other] and 0 <= col < width:
             there = layout.start[other] + np.int64(row) * width + np.int64(col)
-            if not wanted.mask[there] and abs(floor[there] - z) < wanted.height:
+            if not mask[there] and abs(floor[there] - z) < height:
                 return True
     return False

@@ -3,26 +3,24 @@
 `find_moves` finds once for all searches which of its eight neighbours each cell has a step to:
 eight bits a cell make the graph, and cost a search one test of a bit.
 
-`find_route` is A* (Hart, Nilsson and Raphael 1968), `find_field` Dijkstra's algorithm (1959) from
-all goals at once, backwards. A step costs its length [m] times the weight of the cell that it
-leads to. What is left to the goals is estimated by the octile distance to the box round them times
-the smallest weight, which is never too much, so the answer is the cheapest route. On another level
-the same estimate holds along x and y, since a link costs at least what it covers there.
+`find_route` is A* (Hart, Nilsson and Raphael 1968), and without a goal Dijkstra's algorithm (1959).
+A step costs its length [m] times the weight of the cell that it leads to. What is left to the goals
+is estimated by the octile distance to the box round them times the smallest weight, which is never
+too much, so the answer is the cheapest route. On another level the same estimate holds along x and
+y, since a link costs at least what it covers there.
 
-Both have a bucket queue (Dial 1969), each bucket as wide as a share of the cheapest step. Dial's
-algorithm has one bucket for each whole cost. Here costs are real numbers, so a bucket holds a
-range of them and its cells come out in any order: the "untidy" priority queue of Yatziv,
-Bartesaghi and Sapiro (2006). Unlike there, the answer stays exact, because a cell that gets
-cheaper after it was taken out is put in again (label correcting). The buckets are used in a
-circle, which is long enough for the dearest step. Each is a linked stack; freed entries are
-reused, so the queue stays small, and in the processor's cache.
+The queue has buckets (Dial 1969), each as wide as a share of the cheapest step. Dial's algorithm
+has one bucket for each whole cost. Here costs are real numbers, so a bucket holds a range of them
+and its cells come out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro
+(2006). Unlike there, the answer stays exact, because a cell that gets cheaper after it was taken
+out is put in again (label correcting). The buckets are used in a circle, which is long enough for
+the dearest step. Each is a linked stack; freed entries are reused, so the queue stays small, and in
+the processor's cache.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import (
@@ -38,7 +36,6 @@ from navbake.runtime.kernels.arrays import (
     in_cells,
     level_of,
 )
-from navbake.types import Bool, Float
 
 BESIDE = np.array([0, 0, 0, 0, EAST | NORTH, NORTH | WEST, WEST | SOUTH, SOUTH | EAST])  # a corner
 SHARE = 0.5  # of the cheapest step that a bucket is wide: up to 1, few cells are expanded twice
@@ -52,45 +49,28 @@ SPARE, USED, OPEN = 0, 1, 2  # first entry to use again, entries ever used, entr
 #   6 on     the number of the search that wrote it, so that nothing is cleared between searches
 WAY, GOAL, CLOSED, SEARCH = 15, 16, 32, 64
 START, LINK, NONE = 8, 9, 15
-FOUND, NO_ROUTE, NO_ROOM = 0, 1, 2  # what comes of a search
-
-
-class Footing(NamedTuple):
-    """What steps depend on.
-
-    Attributes:
-        free: by cell.
-        free_diagonally: by cell: with enough clearance for a diagonal step.
-        floor, max_step: see `navbake.runtime.kernels.arrays.Floors`.
-        cut_corners: whether a diagonal step needs nothing but its target.
-        slopes: see `navbake.runtime.flat_grid.FlatGrid`.
-    """
-
-    free: Bool
-    free_diagonally: Bool
-    floor: Float
-    max_step: float
-    cut_corners: bool
-    slopes: NDArray[np.uint8]
+DONE, NO_ROOM = 0, 1  # what comes of a search
 
 
 @kernel
-def find_moves(footing, rect, window, moves):
+def find_moves(free, diagonal, floors, slopes, cut, layout, level, window, moves):
     """Write the moves of a window of a level: rows and columns, the last ones excluded.
 
-    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope.
-    A diagonal one also needs both cells beside it, and steps over either of them, and clearance
-    at both its ends, unless corners may be cut.
+    A move leads to a free neighbour whose floor differs by at most `max_step`, or more on a slope,
+    see `navbake.runtime.flat_grid.FlatGrid`. A diagonal one also needs both cells beside it, and
+    steps over either of them, and clearance (`diagonal`, by cell) at both its ends, unless corners
+    may be `cut`.
     """
-    free, diagonal, floor, max_step, cut, slopes = footing
+    floor, max_step = floors.z, floors.max_step
+    first, width, height = layout.start[level], layout.width[level], layout.height[level]
     row0, row1, col0, col1 = window
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            cell = rect.first + row * rect.width + col
+    for row in range(max(row0, 0), min(row1, height)):
+        for col in range(max(col0, 0), min(col1, width)):
+            cell = first + row * width + col
             found = 0
             for way in range(8 if free[cell] else 0):
-                down, across = ROW_STEP[way] * rect.width, COL_STEP[way]
-                if not (0 <= row + ROW_STEP[way] < rect.height and 0 <= col + across < rect.width):
+                down, across = ROW_STEP[way] * width, COL_STEP[way]
+                if not (0 <= row + ROW_STEP[way] < height and 0 <= col + across < width):
                     continue
                 one, other, target = cell + across, cell + down, cell + down + across
                 is_steep = False
@@ -168,20 +148,6 @@ def _push(head, state, entry_cell, entry_next, bucket, cell):
 
 
 @part
-def _pop(head, state, entry_cell, entry_next, bucket):
-    """Take a cell out of a bucket; -1 if it is empty."""
-    slot = bucket & (head.shape[0] - 1)
-    entry = head[slot]
-    if entry < 0:
-        return np.int64(-1)
-    head[slot] = entry_next[entry]
-    entry_next[entry] = state[SPARE]
-    state[SPARE] = entry
-    state[OPEN] -= 1
-    return np.int64(entry_cell[entry])
-
-
-@part
 def _lower_bound(row, col, box, scale):
     """What a route from a cell to the goals' box costs at least: the octile distance."""
     a = max(box[0] - row, row - box[1], 0.0)
@@ -190,33 +156,30 @@ def _lower_bound(row, col, box, scale):
 
 
 @kernel
-def find_route(graph, origin, goals, number, visits, entries):
-    """Find the cheapest route from a free cell to the cheapest of several free goals.
+def find_route(graph, sources, goals, number, visits):
+    """Find the cheapest route from a source to a goal; all are free cells, no source is a goal.
 
-    The search's number must be larger than any that wrote into ``visits.mark``.
+    Without goals all cells are reached, and a step is taken backwards: then ``visits.cost`` is
+    what the route from a cell to the nearest source costs. The search's number must be larger than
+    any that wrote into ``visits.mark``.
 
-    Returns:
-        FOUND, NO_ROUTE, or NO_ROOM if there are too few entries for the open cells; and the
-        route's flat ids, from the origin to the goal.
+    Returns DONE, or NO_ROOM if there are too few entries for the open cells; and the route's flat
+    ids from source to goal, none where there is no route.
     """
     layout, route = graph.layout, np.empty(256, np.int64)
     start, width, cell_size = layout.start, layout.width, layout.cell_size
     link_cell, link_start, link_target, link_length = graph.links
     moves, weight = graph.moves, graph.weight
     same_weight, least_weight, bucket = graph.same_weight, graph.least_weight, graph.bucket
-    mark, cost, link_from = visits
-    entry_cell, entry_next = entries
+    mark, cost, link_from, entry_cell, entry_next = visits
     head, state = np.full(graph.num_buckets, -1, np.int32), np.array([-1, 0, 0])
+    last_slot = head.shape[0] - 1
     per_bucket, slack = 1.0 / bucket, 1e-9 * bucket  # a smaller gain is rounding
-    mine = number * SEARCH
+    mine, has_goals = number * SEARCH, goals.shape[0] > 0
     best, reached = np.inf, np.int64(-1)
     x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
     for goal in goals:
-        mark[goal] = mine | GOAL | NONE
-        cost[goal] = np.inf
-        if goal == origin:
-            route[0] = goal
-            return FOUND, route[:1].copy()
+        mark[goal], cost[goal] = mine | GOAL | NONE, np.inf
         x, y = center(layout, goal)
         x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
     # the box round the goals by level: first and last row, first and last column
@@ -226,21 +189,33 @@ def find_route(graph, origin, goals, number, visits, entries):
         right, bottom = in_cells(layout, level, x1, y0)
         box[level, 0], box[level, 1] = top - 0.5, bottom - 0.5
         box[level, 2], box[level, 3] = left - 0.5, right - 0.5
-    mark[origin], cost[origin] = mine | START, 0.0
-    level = level_of(start, origin)
-    first, columns, size = start[level], width[level], cell_size[level]
-    row, col = divmod(origin - first, columns)
-    at = np.int64(_lower_bound(row, col, box[level], size * least_weight) * per_bucket)
-    _push(head, state, entry_cell, entry_next, at, origin)
+    at = np.int64(0)
+    for source in sources:
+        if state[USED] == entry_cell.shape[0]:
+            return NO_ROOM, route[:0]
+        if mark[source] < mine:  # a source may be given twice
+            mark[source], cost[source] = mine | START, 0.0
+            if has_goals:
+                level = level_of(start, source)
+                row, col = divmod(source - start[level], width[level])
+                bound = _lower_bound(row, col, box[level], cell_size[level] * least_weight)
+                at = np.int64(bound * per_bucket)
+            _push(head, state, entry_cell, entry_next, at, source)
+    level = 0
+    first, columns, size = start[0], width[0], cell_size[0]
     while state[OPEN] > 0:
-        cell = _pop(head, state, entry_cell, entry_next, at)
-        if cell < 0:
+        entry = head[at & last_slot]
+        if entry < 0:
             at += 1
             # All that is still open costs as much as this bucket at least. A goal counts only
             # now, as a cheaper way to it may have been in the bucket that it was found in.
             if at * bucket >= best:
                 break
             continue
+        head[at & last_slot] = entry_next[entry]
+        entry_next[entry], state[SPARE] = state[SPARE], entry
+        state[OPEN] -= 1
+        cell = np.int64(entry_cell[entry])
         if mark[cell] & (CLOSED | GOAL):  # over a goal, no other is cheaper
             continue
         mark[cell] |= CLOSED
@@ -248,16 +223,17 @@ def find_route(graph, origin, goals, number, visits, entries):
         if cell < first or cell >= start[level + 1]:
             level = level_of(start, cell)
             first, columns, size = start[level], width[level], cell_size[level]
-        row, col = divmod(cell - first, columns)
         slot = find_slot(link_cell, cell)
         num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
         if state[USED] + 8 + num_links > entry_cell.shape[0]:
-            return NO_ROOM, route
+            return NO_ROOM, route[:0]
+        row, col = divmod(cell - first, columns) if has_goals else (np.int64(0), np.int64(0))
         for way in range(8 + num_links):
+            r, c, on = row, col, level
             if way < 8:
                 if not (ways >> way) & 1:
                     continue
-                r, c, on = row + ROW_STEP[way], col + COL_STEP[way], level
+                r, c = row + ROW_STEP[way], col + COL_STEP[way]
                 target = cell + ROW_STEP[way] * columns + COL_STEP[way]
                 length = size if way < 4 else size * DIAGONAL
             else:
@@ -265,10 +241,13 @@ def find_route(graph, origin, goals, number, visits, entries):
                 target, length = link_target[link], link_length[link]
                 if not math.isfinite(weight[target]):
                     continue
-                on = level_of(start, target)
-                r, c = divmod(target - start[on], width[on])
-            price = same_weight if same_weight > 0.0 else weight[target]
-            there = here + length * price
+                if has_goals:
+                    on = level_of(start, target)
+                    r, c = divmod(target - start[on], width[on])
+            # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
+            # moves out of a cell are those into it.
+            price = same_weight if same_weight > 0.0 else weight[target if has_goals else cell]
+            total = there = here + length * price
             goal = 0
             if mark[target] >= mine:  # no search has a larger number
                 if there >= cost[target] - slack:
@@ -280,83 +259,21 @@ def find_route(graph, origin, goals, number, visits, entries):
             mark[target], cost[target] = mine | goal | (way if way < 8 else LINK), there
             if goal and there < best:
                 best, reached = there, target
-            total = there + _lower_bound(r, c, box[on], cell_size[on] * least_weight)
+            if has_goals:
+                total += _lower_bound(r, c, box[on], cell_size[on] * least_weight)
             bucket_at = max(np.int64(total * per_bucket), at)
             _push(head, state, entry_cell, entry_next, bucket_at, target)
-    if reached < 0:
-        return NO_ROUTE, route
     count, cell = 0, reached
-    while True:  # back along the ways that the cells were reached by
+    while cell >= 0:  # back along the ways that the cells were reached by
         if count == route.shape[0]:
             route = np.append(route, np.empty_like(route))
         route[count] = cell
         count += 1
         way = mark[cell] & WAY
-        if way in (START, NONE):
+        if way == START:
             break
         if way == LINK:
             cell = link_from[find_slot(link_cell, cell)]
         else:
             cell -= ROW_STEP[way] * width[level_of(start, cell)] + COL_STEP[way]
-    return FOUND, route[:count][::-1].copy()
-
-
-@kernel
-def find_field(graph, goals, field, entries):
-    """Write the cost from every cell to the nearest of some free goals into `field`, inf before.
-
-    False if there are too few entries for the open cells.
-    """
-    start, width, cell_size = graph.layout.start, graph.layout.width, graph.layout.cell_size
-    link_cell, link_start, link_target, link_length = graph.links
-    moves, weight, same_weight = graph.moves, graph.weight, graph.same_weight
-    entry_cell, entry_next = entries
-    head, state = np.full(graph.num_buckets, -1, np.int32), np.array([-1, 0, 0])
-    per_bucket, slack, at = 1.0 / graph.bucket, 1e-9 * graph.bucket, np.int64(0)
-    done = np.zeros(moves.shape[0], np.bool_)
-    for goal in goals:
-        if field[goal] > 0.0:  # a goal may be given twice
-            if state[USED] == entry_cell.shape[0]:
-                return False
-            field[goal] = 0.0
-            _push(head, state, entry_cell, entry_next, at, goal)
-    level = 0
-    first, columns, size = start[0], width[0], cell_size[0]
-    while state[OPEN] > 0:
-        cell = _pop(head, state, entry_cell, entry_next, at)
-        if cell < 0:
-            at += 1
-            continue
-        if done[cell]:
-            continue
-        done[cell] = True
-        here, ways = field[cell], moves[cell]
-        if cell < first or cell >= start[level + 1]:
-            level = level_of(start, cell)
-            first, columns, size = start[level], width[level], cell_size[level]
-        slot = find_slot(link_cell, cell)
-        num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
-        if state[USED] + 8 + num_links > entry_cell.shape[0]:
-            return False
-        # Backwards, the step that is added leads into this cell, so its weight is this cell's.
-        # Steps lead both ways, so the moves out of a cell are those into it.
-        price = same_weight if same_weight > 0.0 else weight[cell]
-        for way in range(8 + num_links):
-            if way < 8:
-                if not (ways >> way) & 1:
-                    continue
-                target = cell + ROW_STEP[way] * columns + COL_STEP[way]
-                length = size if way < 4 else size * DIAGONAL
-            else:
-                link = link_start[slot] + way - 8
-                target, length = link_target[link], link_length[link]
-                if not math.isfinite(weight[target]):
-                    continue
-            there = here + length * price
-            if there >= field[target] - slack:
-                continue
-            field[target] = there
-            done[target] = False
-            bucket_at = max(np.int64(there * per_bucket), at)
-            _push(head, state, entry_cell, entry_next, bucket_at, target)
-    return True
+    return DONE, route[:count][::-1].copy()

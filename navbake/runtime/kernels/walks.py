@@ -31,61 +31,60 @@ ROUNDING = 1.09  # a walk over eight neighbours is at most so much longer than a
 
 
 @kernel
-def step_each(space, level, starts, ends, sliding):
+def step_each(layout, links, floors, passable, level, starts, ends, sliding):
     """Walk from starts straight to ends, x, y [m], and slide on; see `PathFinder.try_step`.
 
     Returns world x, y and floor z of where the ways end, shape (n, 3); and the index of the first
     start whose cell is not passable, -1 for none.
     """
-    layout, no_rooms = space.layout, np.empty(0, dtype=np.int32)
-    cells, found = locate(layout, space.floors, level, starts), np.empty((len(starts), 3))
+    no_rooms = np.empty(0, dtype=np.int32)
+    cells, found = locate(layout, floors, level, starts), np.empty((len(starts), 3))
     for i in range(len(starts)):
         cell = cells[i]
-        if cell < 0 or not space.passable[cell]:
+        if cell < 0 or not passable[cell]:
             return found, i
         x0, y0, x1, y1 = starts[i, 0], starts[i, 1], ends[i, 0], ends[i, 1]
         farthest = max(abs(x1 - x0), abs(y1 - y0))
         if farthest > FARTHEST:
             x1, y1 = x0 + (x1 - x0) * (FARTHEST / farthest), y0 + (y1 - y0) * (FARTHEST / farthest)
-        cell, share = walk_line(space, no_rooms, cell, x0, y0, x1, y1)
+        cell, share = walk_line(layout, links, floors, passable, no_rooms, cell, x0, y0, x1, y1)
         x, y = put_into(layout, cell, x0 + share * (x1 - x0), y0 + share * (y1 - y0))
         if share < 1.0 and sliding:
-            cell, x, y = _slide(space, cell, x, y, x1, y1)
+            cell, x, y = _slide(layout, links, floors, passable, cell, x, y, x1, y1)
         found[i, 0], found[i, 1] = x, y
-        found[i, 2] = floor_at(space.floors, level_of(layout.start, cell), cell)
+        found[i, 2] = floor_at(floors, level_of(layout.start, cell), cell)
     return found, -1
 
 
 @kernel
-def first_in_sight(space, room, cell, point, cells, points):
+def first_in_sight(layout, links, floors, passable, room, cell, point, cells, points):
     """The index of the first of some points in cells that is in sight of a point, -1 for none.
 
-    A straight line between them must meet passable cells only. Where `room` is not empty, the
-    line may start in something; see `walk_line`.
+    A straight line between them must meet passable cells only; heights count as far as `floors`
+    have a finite `max_step`. Where `room` is not empty, the line may start in something; see
+    `walk_line`.
     """
-    layout, clear, may_leave = space.layout, space.passable, len(room) > 0
-    if not may_leave and not clear[cell]:
+    if len(room) == 0 and not passable[cell]:
         return -1
     x0, y0 = put_into(layout, cell, point[0], point[1])
     for i in range(len(cells)):
         target = cells[i]
-        if clear[target]:
+        if passable[target]:
             x1, y1 = put_into(layout, target, points[i, 0], points[i, 1])
-            if walk_line(space, room, cell, x0, y0, x1, y1)[0] == target:
+            end, _ = walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1)
+            if end == target:
                 return i
     return -1
 
 
 @part
-def walk_line(space, room, cell, x0, y0, x1, y1):
+def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
     """Walk from a point in a cell straight to another: to which cell, and what share of the way.
 
     Through a corner of four cells, one of the two beside the line has to be passable. If `room`,
     by cell, is not empty, the line may start in cells that are not passable, and continue in them
     as long as they are of the first one's room, until it leaves them.
     """
-    layout, links, floors, passable = space
-    floor, max_step = floors.z, floors.max_step
     dx, dy = x1 - x0, y1 - y0
     across, down = 1 if dx > 0 else -1, 1 if dy < 0 else -1
     home, leaving = cell, len(room) > 0 and not passable[cell]
@@ -110,7 +109,7 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
             if following >= 0 or (turn == 1 and to_x != to_y):
                 break
             dr, dc = (0, across) if over_x else (down, 0)
-            following = _cross(layout, links, passable, floor, max_step, cell, dr, dc)
+            following = _cross(layout, links, passable, floors, cell, dr, dc)
             if following < 0 and leaving:
                 beside = _beside(layout, cell, dr, dc)
                 following = beside if beside >= 0 and room[beside] == room[home] else following
@@ -121,16 +120,17 @@ def walk_line(space, room, cell, x0, y0, x1, y1):
 
 
 @part
-def _cross(layout, links, passable, floor, max_step, cell, down, across):
+def _cross(layout, links, passable, floors, cell, down, across):
     """The passable cell over one edge of a cell, -1 for none; of `down`, `across` one is 0, one ±1.
 
     That is the neighbour on the same level, whose floor may differ by `max_step`, or the cell on
     another level that a link leads to at the neighbour's position.
     """
     other = _beside(layout, cell, down, across)
-    # written so that NaN, no floor, is no step
-    if other >= 0 and passable[other] and not abs(floor[cell] - floor[other]) > max_step:
-        return other
+    if other >= 0 and passable[other]:
+        rise = abs(floors.z[cell] - floors.z[other])
+        if math.isnan(rise) or rise <= floors.max_step:  # NaN, no floor, is no step
+            return other
     slot = find_slot(links.cell, cell)
     if slot < 0:
         return np.int64(-1)
@@ -158,14 +158,12 @@ def _beside(layout, cell, down, across):
 
 
 @part
-def _slide(space, cell, x0, y0, x1, y1):
+def _slide(layout, links, floors, passable, cell, x0, y0, x1, y1):
     """Continue from x0, y0 in a cell, where a straight walk to x1, y1 ended, to the nearest point.
 
     A cell counts if a walk over free neighbours to it is no longer than what is left of the way,
     and there only points at most as far away as that. Returns its flat id, and x, y in it.
     """
-    layout, links, floors, passable = space
-    floor, max_step = floors.z, floors.max_step
     left = math.hypot(x1 - x0, y1 - y0)
     size = layout.cell_size.min()
     limit = ROUNDING * left + 1.5 * size
@@ -204,15 +202,15 @@ def _slide(space, cell, x0, y0, x1, y1):
         for way in range(8):  # over edges, then over corners past both sides
             down, across = steps[way % 4]
             if way < 4:
-                other = _cross(layout, links, passable, floor, max_step, here, down, across)
+                other = _cross(layout, links, passable, floors, here, down, across)
                 around[way], there = other, length[at] + edge
             else:
                 one, other = around[way - 4], around[(way - 3) % 4]
                 if one < 0 or other < 0:
                     continue
                 dr, dc = steps[(way - 3) % 4]
-                one = _cross(layout, links, passable, floor, max_step, one, dr, dc)
-                other = _cross(layout, links, passable, floor, max_step, other, down, across)
+                one = _cross(layout, links, passable, floors, one, dr, dc)
+                other = _cross(layout, links, passable, floors, other, down, across)
                 if one != other:  # both ways round the corner end in the same cell
                     continue
                 there = length[at] + edge * DIAGONAL

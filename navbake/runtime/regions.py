@@ -1,22 +1,21 @@
-"""What a `PathFinder` works out of its grid once and keeps: searches, rooms, doors, islands."""
+"""Rooms, doors and islands of a grid by flat id."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.navgrid.cells import check_level
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room, measure_rooms
 from navbake.runtime.flat_grid import FlatGrid
-from navbake.runtime.search import Search
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Float, Int, Int32
 
-# Functions import kernels when they run: numba takes long to load.
+arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+connect = lazy("navbake.navgrid.kernels.connect")
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +148,14 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
     Where corners may be cut, the diagonal ones among the `moves` of each cell, see
     `navbake.runtime.kernels.routes`, join cells that nothing else does.
     """
-    from navbake.navgrid.kernels.connect import label_islands
-    from navbake.runtime.kernels.arrays import SOUTH_EAST, SOUTH_WEST
-
     layout, floors = flat.layout, flat.floors
     links = [np.stack(flat.link_ends(), axis=1)]
-    for bit, across in ((SOUTH_WEST, -1), (SOUTH_EAST, 1)):
-        cells = np.flatnonzero(moves & bit) if moves is not None else np.empty(0, dtype=np.int64)
-        links.append(np.stack([cells, cells + layout.width[flat.level_of(cells)] + across], axis=1))
-    number, sizes = label_islands(
+    if moves is not None:
+        for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
+            cells = np.flatnonzero(moves & bit)
+            others = cells + layout.width[flat.level_of(cells)] + across
+            links.append(np.stack([cells, others], axis=1))
+    number, sizes = connect.label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
     )
     # one size of cells on all levels is the rule; else each level's cells count by their own area
@@ -169,85 +167,3 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
             areas += np.bincount(of_level, minlength=len(sizes)) * size**2
         areas[0] = 0.0
     return IslandMap(number, areas)
-
-
-class GridCache:
-    """A grid with what follows from it, each worked out when it is first asked for.
-
-    What blocks change (the search, islands, occupied cells) is brought up to date when it is
-    asked for again; rooms and doors stay.
-    """
-
-    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
-        self.grid = grid
-        self._search = Search(grid, cut_corners=cut_corners)
-        self._occupied: tuple[int, Bool] | None = None  # each with the search's version then
-        self._islands: tuple[int, IslandMap] | None = None
-
-    @property
-    def search(self) -> Search:
-        """The cells and the steps between them, with what is blocked now."""
-        self._search.update()
-        return self._search
-
-    @property
-    def flat(self) -> FlatGrid:
-        """The cells, with what is blocked now."""
-        return self.search.flat
-
-    @cached_property
-    def rooms(self) -> RoomMap:
-        """The rooms of the grid and of each cell."""
-        return map_rooms(self.grid)
-
-    @cached_property
-    def doors(self) -> DoorMap:
-        """The doors that each cell is in."""
-        return map_doors(self.grid, self._search.flat)
-
-    @property
-    def islands(self) -> IslandMap:
-        """The connected parts of the cells that are free now."""
-        search = self.search
-        if self._islands is None or self._islands[0] != search.version:
-            moves = search.graph.moves if search.cut_corners else None
-            self._islands = (search.version, map_islands(search.flat, moves))
-        return self._islands[1]
-
-    @property
-    def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id, shape (n,), bool.
-
-        Something stands in a cell where it meets the cell's square, see `SceneGrid2D.solid`.
-        In a file without ``occupancy``, where weights are infinite. What a larger radius takes
-        from an agent is not occupied.
-        """
-        version = self.search.version
-        if self._occupied is None or self._occupied[0] != version:
-            occupied = np.concatenate([v.solid.ravel() != 0 for v in self.grid.levels])
-            self._occupied = (version, occupied)
-        return self._occupied[1]
-
-    def allowed(
-        self, *, level: int | None = None, room: str | None = None, island: int | None = None
-    ) -> Bool:
-        """The free cells that are on a level, in a room and on an island, by flat id."""
-        flat = self.flat
-        allowed = flat.free
-        if level is not None:
-            check_level(level, flat.num_levels)
-            on_level = np.zeros_like(allowed)
-            on_level[flat.cells_of(level)] = True
-            allowed = allowed & on_level
-        if room is not None:
-            allowed = allowed & (self.rooms.number == self.rooms.find(room))
-        if island is not None:
-            allowed = allowed & (self.islands.number == self.islands.check(island))
-        return allowed
-
-    def home_island(self, position: ArrayLike, island: int | None) -> int:
-        """The island of a free position; raises QueryError where another `island` is asked for."""
-        home = int(self.islands.number[self.flat.free_cell_at(position)[1]])
-        if island not in (None, home):
-            raise QueryError(f"island {island} can't be reached: the position is on {home}")
-        return home
