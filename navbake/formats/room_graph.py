@@ -19,7 +19,6 @@ from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room
-from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.regions import map_rooms
 from navbake.runtime.search import Search
 from navbake.types import Float, Int, Vector3
@@ -110,13 +109,9 @@ class _Opening(NamedTuple):
 
     rooms: tuple[int, int]  # by number, ascending
     kind: str
-    cells: Int  # flat ids, on both sides; of a link, on its first level
+    cells: Int  # flat ids, on both sides
     width: float
     position: Float
-
-
-_Way = tuple[tuple[int, int], _Opening, Door | None, bool]
-"""The rooms by number, 0 for the outside; where; the door; whether steps lead through."""
 
 
 def make_room_graph(grid: NavGrid) -> RoomGraph:
@@ -129,130 +124,112 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
     are in no room are no part of the graph.
     """
     search, room_map = Search(grid), map_rooms(grid)
-    flat, number = search.flat, room_map.number
-    openings = [*_find_openings(search, number), *_find_links(flat, number)]
-    number_of = {room.id: k for k, room in enumerate(room_map.rooms, 1)}
-    ways: list[_Way] = []
-    taken: set[int] = set()
+    flat, rooms = search.flat, room_map.rooms
+    openings = dict(enumerate(_find_openings(search, room_map.number)))
+    number_of: dict[str | None, int] = {room.id: k for k, room in enumerate(rooms, 1)}
+    ways: list[tuple[tuple[int, int], RoomWay]] = []
+
+    def add(
+        ends: tuple[int, int], kind: str, width: float, position: Any,
+        door: Door | None = None, passable: bool = True,
+    ) -> None:  # fmt: skip
+        x, y, z = (round(float(v), 6) + 0.0 for v in position)
+        one, other = (rooms[end - 1].id if end else OUTSIDE for end in ends)
+        length = sum(math.dist(rooms[end - 1].centroid, (x, y, z)) for end in ends if end)
+        way = RoomWay(
+            rooms=(one, other), kind=kind, door=door.id if door else None,
+            state=door.state if door else None, passable=passable, width=round(width, 6),
+            position=(x, y, z), length=round(length, 6),
+        )  # fmt: skip
+        ways.append((ends, way))
+
     for door in grid.doors:
-        ways += _door_ways(grid, flat, (door, number_of), openings, taken)
-    for k, opening in enumerate(openings):
-        if k not in taken:
-            ways.append((opening.rooms, opening, None, True))
-    rooms = room_map.rooms
-    described = [_describe(rooms, *way) for way in ways]
-    order = sorted(
-        range(len(ways)), key=lambda k: (ways[k][0], described[k].kind, described[k].position)
-    )
-    return RoomGraph(rooms, [described[k] for k in order], grid.level_names)
+        joined = sorted(number_of.get(room, 0) for room in door.rooms)
+        lines = ((k, find_ends(grid, door, k)) for k in door.levels)
+        level, line = next(
+            ((k, np.array(ends)) for k, ends in lines if ends is not None), (0, None)
+        )
+        if line is None or len(joined) != 2 or joined[0] == joined[1]:
+            continue  # the file says of no two rooms that it joins them
+        closes = [
+            k
+            for k, opening in openings.items()
+            if opening.kind == "open" and opening.rooms == (joined[0], joined[1])
+            and int(flat.level_of(opening.cells[0])) == level
+            and _distance(line, flat.positions(opening.cells)[:, :2]) <= DOOR_REACH
+        ]  # fmt: skip
+        for k in closes:
+            del openings[k]
+        middle = line.mean(axis=0)
+        cell = grid.cell_at(middle, level)
+        z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
+        width = float(np.linalg.norm(line[1] - line[0]))
+        add((joined[0], joined[1]), "door", width, (*middle, z), door, bool(closes))
+    for opening in openings.values():
+        add(opening.rooms, opening.kind, opening.width, opening.position)
+    ways.sort(key=lambda each: (each[0], each[1].kind, each[1].position))
+    return RoomGraph(rooms, [way for _, way in ways], grid.level_names)
 
 
 def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
-    """Where steps lead between neighbouring cells of two rooms."""
+    """Where steps lead between two rooms: over sides of cells, level by level, and over links."""
     from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
 
     flat, moves = search.flat, search.graph.moves
+    # the cells at both ends, (2, n), and corners of cells there as row, col, (k, 2, n)
+    found: list[tuple[str, Int, Int]] = []
     for level in range(flat.num_levels):
-        own = flat.cells_of(level)
-        width, size = int(flat.layout.width[level]), float(flat.layout.cell_size[level])
-        sides = []
-        for bit, step in ((EAST, 1), (SOUTH, width)):
+        own, width = flat.cells_of(level), int(flat.layout.width[level])
+        both: list[Int] = []
+        corners: list[Int] = []
+        for bit, step, first in ((EAST, 1, (0, 1)), (SOUTH, width, (1, 0))):
             one = own.start + np.flatnonzero(moves[own] & bit)
             a, b = number[one], number[one + step]
             one = one[(a != b) & (a > 0) & (b > 0)]
             row, col = np.divmod(one - own.start, width)
-            # both ends of the side between the cells, as corners of cells
-            first = (row, col + 1) if step == 1 else (row + 1, col)
-            ends = [r * (width + 1) + c for r, c in (first, (row + 1, col + 1))]
-            sides.append(np.stack([one, one + step, *ends]))
-        found = np.concatenate(sides, axis=1)
-        pairs = np.sort(number[found[:2]], axis=0).astype(np.int64)
-        for group in _connected(pairs, found[2:]):
-            corners = np.divmod(found[2:, group], width + 1)
-            extent = [np.ptp(v) * size for v in corners]
-            cells = found[:2, group]
-            middle = flat.positions(cells).mean(axis=(0, 1))
-            low, high = pairs[:, group[0]].tolist()
-            yield _Opening((low, high), "open", np.unique(cells), math.hypot(*extent), middle)
-
-
-def _find_links(flat: FlatGrid, number: Any) -> Iterator[_Opening]:
-    """Where links lead between two rooms."""
-    one, other = flat.link_ends()
-    level, row, col = flat.split(np.stack([one, other]))
-    beside = (level[0] == level[1]) & (np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1)
-    a, b = number[one].astype(np.int64), number[other].astype(np.int64)
+            both.append(np.stack([one, one + step]))
+            corners.append(np.array([[row + i, col + j] for i, j in (first, (1, 1))]))
+        found.append(("open", np.concatenate(both, axis=-1), np.concatenate(corners, axis=-1)))
+    ends = np.stack(flat.link_ends())
+    storey, row, col = flat.split(ends)
+    beside = (storey[0] == storey[1]) & (np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1)
+    a, b = number[ends]
     # each link is there both ways
-    is_way = flat.free[one] & flat.free[other] & (a > 0) & (b > 0) & (a < b) & ~beside
-    one, other = one[is_way], other[is_way]
-    level, row, col = (values[0, is_way] for values in (level, row, col))
-    if not len(one):
-        return
-    pairs = np.stack([a[is_way], b[is_way]])
-    width = int(flat.layout.width.max()) + 1
-    base = level * (int(flat.layout.height.max()) + 1)
-    corners = np.stack([(base + row + i) * width + col + j for i in (0, 1) for j in (0, 1)])
-    for group in _connected(pairs, corners):
-        size = float(flat.layout.cell_size[level[group[0]]])
-        extent = max(np.ptp(row[group]), np.ptp(col[group])) + 1
-        ends = np.stack([one[group], other[group]])
-        middle = flat.positions(ends).mean(axis=(0, 1))
-        low, high = pairs[:, group[0]].tolist()
-        yield _Opening((low, high), "link", np.unique(one[group]), float(extent * size), middle)
+    is_way = flat.free[ends].all(axis=0) & (a > 0) & (a < b) & ~beside
+    row = (row + storey * (int(flat.layout.height.max()) + 1))[0, is_way]  # on one lattice for all
+    around = [[row + i, col[0, is_way] + j] for i in (0, 1) for j in (0, 1)]
+    found.append(("link", ends[:, is_way], np.array(around)))
+    for kind, ends, points in found:
+        pairs = np.sort(number[ends], axis=0).astype(np.int64)
+        for group in _connected(pairs, points):
+            rows, cols = np.ptp(points[:, :, group], axis=(0, 2)).tolist()
+            size = float(flat.layout.cell_size[flat.level_of(ends[0, group[0]])])
+            extent = (
+                math.hypot(rows * size, cols * size) if kind == "open" else max(rows, cols) * size
+            )
+            middle = flat.positions(ends[:, group]).mean(axis=(0, 1))
+            low, high = pairs[:, group[0]].tolist()
+            yield _Opening((low, high), kind, np.unique(ends[:, group]), extent, middle)
 
 
-def _connected(pairs: Int, corners: Int) -> Iterator[Int]:
+def _connected(pairs: Int, points: Int) -> Iterator[Int]:
     """Groups of items of one pair of rooms that share corners, by union-find over both.
 
-    `pairs` has shape (2, n), `corners` (k, n); of each group the ascending indices of its items.
+    `pairs` has shape (2, n), `points` (k, 2, n); of each group the ascending indices of its items.
     """
     count = pairs.shape[1]
     if not count:
         return
-    keys = np.stack([np.broadcast_to(row, corners.shape) for row in (*pairs,)] + [corners])
-    _, corner = np.unique(keys.reshape(3, -1), axis=1, return_inverse=True)
-    item = np.broadcast_to(np.arange(count), corners.shape).ravel()
+    keys = np.concatenate([np.broadcast_to(pairs, points.shape), points], axis=1)
+    keys = keys.swapaxes(0, 1).reshape(4, -1)
+    _, corner = np.unique(keys, axis=1, return_inverse=True)
+    item = np.tile(np.arange(count), len(points))
     size = count + int(corner.max()) + 1
-    graph = sparse.coo_array(
-        (np.ones(len(item), dtype=np.int8), (item, count + corner.ravel())), shape=(size, size)
-    )
+    ones = np.ones(len(item), dtype=np.int8)
+    graph = sparse.coo_array((ones, (item, count + corner.ravel())), shape=(size, size))
     part = csgraph.connected_components(graph, directed=False)[1][:count]
     order = np.argsort(part, kind="stable")
     yield from np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
-
-
-def _door_ways(
-    grid: NavGrid,
-    flat: FlatGrid,
-    named: tuple[Door, dict[str, int]],
-    openings: list[_Opening],
-    taken: set[int],
-) -> Iterator[_Way]:
-    """The way through a door: the openings that it closes are added to those that are taken."""
-    door, number_of = named
-    ends = [number_of.get(room, 0) if room is not None else 0 for room in door.rooms]
-    if len(ends) != 2 or ends[0] == ends[1]:
-        return  # the file says of no two rooms that it joins them
-    rooms = min(ends), max(ends)
-    lines = [(k, find_ends(grid, door, k)) for k in door.levels]
-    placed = [(k, np.array(ends)) for k, ends in lines if ends is not None]
-    if not placed:
-        return
-    level, line = placed[0]
-    closes = [
-        k
-        for k, opening in enumerate(openings)
-        if opening.kind == "open" and opening.rooms == rooms and k not in taken
-        and int(flat.level_of(opening.cells[0])) == level
-        and _distance(line, flat.positions(opening.cells)[:, :2]) <= DOOR_REACH
-    ]  # fmt: skip
-    taken.update(closes)
-    middle = line.mean(axis=0)
-    cell = grid.cell_at(middle, level)
-    z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
-    width = float(np.linalg.norm(line[1] - line[0]))
-    opening = _Opening(rooms, "door", np.empty(0, dtype=np.int64), width, np.array([*middle, z]))
-    yield rooms, opening, door, bool(closes)
 
 
 def _distance(line: Float, points: Float) -> float:
@@ -260,25 +237,6 @@ def _distance(line: Float, points: Float) -> float:
     start, along = line[0], line[1] - line[0]
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
     return float(np.linalg.norm(points - start - share[:, None] * along, axis=1).min())
-
-
-def _describe(
-    rooms: list[Room], ends: tuple[int, int], opening: _Opening, door: Door | None, passable: bool
-) -> RoomWay:
-    position = opening.position
-    x, y, z = (round(float(v), 6) + 0.0 for v in position)
-    length = sum(math.dist(rooms[end - 1].centroid, (x, y, z)) for end in ends if end)
-    names = tuple(rooms[end - 1].id if end else OUTSIDE for end in ends)
-    return RoomWay(
-        rooms=(names[0], names[1]),
-        kind=opening.kind,
-        door=door.id if door else None,
-        state=door.state if door else None,
-        passable=passable,
-        width=round(opening.width, 6),
-        position=(x, y, z),
-        length=round(length, 6),
-    )
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
@@ -289,20 +247,20 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """
     networkx = import_networkx()
     graph = make_room_graph(grid).to_networkx()
-    named = networkx.relabel_nodes(graph, {node: _allowed(node) for node in graph})
-    for _, entry in named.nodes(data=True):
-        entry.update({key: _allowed(v) for key, v in entry.items() if isinstance(v, str)})
-    for *_, entry in named.edges(data=True):
-        entry.update({key: _allowed(v) for key, v in entry.items() if isinstance(v, str)})
+
+    def allowed(text: Any) -> Any:
+        """What XML 1.0 can't hold, control characters, become replacement characters."""
+        if not isinstance(text, str):
+            return text
+        return "".join(c if c >= " " and c not in "\ufffe\uffff" else "\ufffd" for c in text)
+
+    named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
+    for entry in (*dict(named.nodes(data=True)).values(), *(e for *_, e in named.edges(data=True))):
+        entry.update({key: allowed(value) for key, value in entry.items()})
     file = io.BytesIO()
     # this one of its writers needs the standard library alone, so all machines write the same
     networkx.write_graphml_xml(named, file)
     return {path: file.getvalue() + b"\n"}
-
-
-def _allowed(text: str) -> str:
-    """A name without what XML 1.0 can't hold: control characters become replacement characters."""
-    return "".join(c if c >= " " and c not in "\ufffe\uffff" else "\ufffd" for c in text)
 
 
 def make_graph(
