@@ -163,3 +163,33 @@ def write_as(
         The files that were written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
+
+
+def chosen_levels(
+    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
+) -> list[int]:
+    """The numbers of the levels that are asked for, all unless one is.
+
+    Raises:
+        FormatError: the name has none of the endings, or there is no such level.
+    """
+    if path.suffix.lower() not in endings:
+        raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
+    count = len(grid.levels)
+    if level is not None and not 0 <= level < count:
+        raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
+    return list(range(count)) if level is None else [level]
+
+
+def level_paths(
+    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
+) -> dict[int, Path]:
+    """The path of the map of each level, by the level's number; raises as `chosen_levels` does.
+
+    A single level has the path itself. Of several, the number follows the stem: ``map_0.yaml``,
+    ``map_1.yaml``.
+    """
+    chosen = chosen_levels(grid, path, level, endings)
+    if len(chosen) == 1:
+        return {chosen[0]: path}
+    return {k: path.with_name(f"{path.stem}_{k}{path.suffix}") for k in chosen}

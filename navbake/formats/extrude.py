@@ -21,14 +21,13 @@ import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.formats.convert import chosen_levels
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
@@ -41,14 +40,14 @@ OVER_FLOORS = 0.01  # where the uppermost level ends, over its highest floor [m]
 MAX_BOXES = 200_000
 HIGHEST = 1e4  # of walls [m]
 DIGITS = 9  # of lengths in the settings, after the point [m]
-FLOOR, WALL = "0.82 0.8 0.76 1", "0.45 0.5 0.58 1"  # colours
-
-
-class Boxes(NamedTuple):
-    """Boxes along the world's axes: lower and upper corners, each of shape (n, 3) [m]."""
-
-    low: Float
-    high: Float
+HEAD = """\
+  <default>
+    <default class="floor"><geom type="box" rgba="0.82 0.8 0.76 1"/></default>
+    <default class="wall"><geom type="box" rgba="0.45 0.5 0.58 1"/></default>
+  </default>
+  <worldbody>
+    <light directional="true" dir="-0.4 -0.2 -1" diffuse="0.8 0.8 0.8"/>
+"""
 
 
 def encode_mjcf(
@@ -73,137 +72,81 @@ def encode_mjcf(
         FormatError: there is no such level or no free cell, the walls are too low, levels don't
             lie over each other, or it takes more than 200,000 boxes.
     """
-    if path.suffix.lower() != ".xml":
-        raise FormatError(f"expected a name that ends in .xml, got {path}")
-    count = len(grid.levels)
-    if level is not None and not 0 <= level < count:
-        raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
-    height = _check_height(grid, height)
-    levels = grid.levels if level is None else [grid.levels[level]]
-    floors = [_floor_of(one, bool(flat)) for one in levels]
-    if not any(
-        (one.free & ~np.isnan(floor)).any() for one, floor in zip(levels, floors, strict=True)
-    ):
-        raise FormatError("the grid has no free cell to make a scene of")
-    lattice = _common_lattice(levels)
-    stacked = _stack(levels, floors, lattice)
-    parts = _make_boxes(levels, stacked, lattice, float(np.nanmax(stacked)) + height)
-    settings = _settings(grid, path, lattice, levels, stacked)
-    settings_path = path.with_suffix(".yaml")
-    lines = _write_scene(grid.scene_id or path.stem, parts, settings, settings_path)
-    text = yaml.safe_dump(settings, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
-    return {path: "".join(lines).encode(), settings_path: (head + text).encode()}
-
-
-def _check_height(grid: NavGrid, height: float | None) -> float:
+    levels = [grid.levels[k] for k in chosen_levels(grid, path, level, (".xml",))]
     least = grid.agent_height
     height = max(WALL_HEIGHT, least + 1.0) if height is None else height
     if not least < height <= HIGHEST:
         raise FormatError(f"expected walls higher than the agent ({least:g} m), got {height:g} m")
-    return height
-
-
-def _make_boxes(
-    levels: list[SceneGrid2D], stacked: Float, lattice: Lattice, top: float
-) -> list[tuple[str, Boxes]]:
-    """Floors and walls of each level, each under the first part of its boxes' names."""
-    parts: list[tuple[str, Boxes]] = []
-    for k, level in enumerate(levels):
-        rows, cols = _window(level.lattice, lattice)
-        floor = stacked[k, rows, cols]
-        ceiling = _ceiling(floor, stacked[:, rows, cols], top)
-        parts.append((f"floor_{k}", _slabs(level.lattice, floor)))
-        parts.append((f"wall_{k}", _walls(level.lattice, floor, ~level.free, ceiling)))
-    num_boxes = sum(len(boxes.low) for _, boxes in parts)
+    floors = [_floor_of(own, bool(flat)) for own in levels]
+    if not any((own.free & ~np.isnan(z)).any() for own, z in zip(levels, floors, strict=True)):
+        raise FormatError("the grid has no free cell to make a scene of")
+    lattice, windows = _place_levels(levels)
+    stacked = np.full((len(levels), *lattice.shape), np.nan)
+    for k, window in enumerate(windows):
+        stacked[(k, *window)] = floors[k]
+    top, parts = float(np.nanmax(stacked)) + height, list[tuple[str, Float]]()
+    for k, (own, window, floor) in enumerate(zip(levels, windows, floors, strict=True)):
+        # walls end under the next floor above, else at the top
+        with np.errstate(invalid="ignore"):
+            others = stacked[(slice(None), *window)]
+            above = np.where(others > floor, others, np.inf).min(axis=0)
+        ceiling = np.where(np.isinf(above), top, above - SLAB)
+        has_floor = ~np.isnan(floor)
+        parts.append((f"floor_{k}", _boxes(own.lattice, has_floor, floor - SLAB, floor)))
+        stands = has_floor & ~own.free & (ceiling > np.nan_to_num(floor, nan=np.inf))
+        parts.append((f"wall_{k}", _boxes(own.lattice, stands, floor, ceiling)))
+    num_boxes = sum(len(boxes) for _, boxes in parts)
     if num_boxes > MAX_BOXES:
         raise FormatError(
             f"the scene takes {num_boxes:,} boxes, expected {MAX_BOXES:,} at most: extrude one "
             "level at a time, or with flat floors"
         )
-    return parts
+    settings = _settings(grid, path, lattice, levels, stacked)
+    settings_path = path.with_suffix(".yaml")
+    text = yaml.safe_dump(settings, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
+    lines = _scene_lines(grid.scene_id or path.stem, parts, settings, settings_path.name)
+    return {path: "".join(lines).encode(), settings_path: (head + text).encode()}
 
 
 def _floor_of(level: SceneGrid2D, is_flat: bool) -> Float:
-    """World z of each cell's floor, NaN for none [m].
-
-    Where a grid states no floors, it has one everywhere at its ground.
-    """
-    floor = level.floor
+    """World z of each cell's floor, NaN for none [m]; the ground where a grid states no floors."""
     if "floorHeight" not in level.attributes:
         return np.full(level.shape, level.ground)
-    return np.where(np.isnan(floor), np.nan, level.ground) if is_flat else floor
+    return np.where(np.isnan(level.floor), np.nan, level.ground) if is_flat else level.floor
 
 
-def _common_lattice(levels: list[SceneGrid2D]) -> Lattice:
-    """The lattice of all levels together; each is a rectangle of its cells."""
+def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice, slice]]]:
+    """The lattice of all levels together, and the rectangle of its cells that each is."""
     cell = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
     (x0, y0), (x1, y1) = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
-    lattice = Lattice(float(x0), float(y1), cell, round((x1 - x0) / cell), round((y1 - y0) / cell))
+    whole = Lattice(float(x0), float(y1), cell, round((x1 - x0) / cell), round((y1 - y0) / cell))
+    windows = []
     for level in levels:
-        offset = (np.array(level.lattice.bounds) - lattice.bounds) / cell
-        if (
-            abs(level.lattice.cell_size - cell) > 1e-9
-            or np.abs(offset - np.rint(offset)).max() > 1e-3
-        ):
+        own = level.lattice
+        offset = (np.array(own.bounds) - whole.bounds) / cell
+        if abs(own.cell_size - cell) > 1e-9 or np.abs(offset - np.rint(offset)).max() > 1e-3:
             raise FormatError("expected levels on one lattice: extrude one (level) at a time")
-    return lattice
+        row, col = round((whole.y_max - own.y_max) / cell), round((own.x_min - whole.x_min) / cell)
+        windows.append((slice(row, row + own.height), slice(col, col + own.width)))
+    return whole, windows
 
 
-def _window(own: Lattice, whole: Lattice) -> tuple[slice, slice]:
-    row = round((whole.y_max - own.y_max) / whole.cell_size)
-    col = round((own.x_min - whole.x_min) / whole.cell_size)
-    return slice(row, row + own.height), slice(col, col + own.width)
-
-
-def _stack(levels: list[SceneGrid2D], floors: list[Float], lattice: Lattice) -> Float:
-    """The floors of all levels on one lattice, shape (num_levels, height, width)."""
-    stacked = np.full((len(levels), *lattice.shape), np.nan)
-    for k, (level, floor) in enumerate(zip(levels, floors, strict=True)):
-        stacked[(k, *_window(level.lattice, lattice))] = floor
-    return stacked
-
-
-def _ceiling(floor: Float, others: Float, top: float) -> Float:
-    """Where walls on these floors end: under the next floor above, else at the top."""
-    with np.errstate(invalid="ignore"):
-        above = np.where(others > floor, others, np.inf).min(axis=0)
-    return np.where(np.isinf(above), top, above - SLAB)
-
-
-def _slabs(lattice: Lattice, floor: Float) -> Boxes:
-    has_floor = ~np.isnan(floor)
-    heights, labels = np.unique(floor[has_floor], return_inverse=True)
-    bounds, labels = _cover(has_floor, labels)
-    return _boxes(lattice, bounds, heights[labels] - SLAB, heights[labels])
-
-
-def _walls(lattice: Lattice, floor: Float, blocked: Bool, ceiling: Float) -> Boxes:
-    stands = blocked & ~np.isnan(floor)
-    stands[stands] = ceiling[stands] > floor[stands]
-    spans = np.stack([floor[stands], ceiling[stands]], axis=1)
-    heights, labels = np.unique(spans, axis=0, return_inverse=True)
-    bounds, labels = _cover(stands, labels)
-    return _boxes(lattice, bounds, *heights[labels].T)
-
-
-def _cover(mask: Bool, labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rectangles of cells of one label, and which label each has."""
+def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
+    """Boxes over cells, one for a rectangle of the same heights: (n, 2, 3), both corners [m]."""
     from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
 
+    spans = np.stack([low[mask], high[mask]], axis=1)
+    heights, labels = np.unique(spans, axis=0, return_inverse=True)
     cells = np.zeros(mask.shape, dtype=np.int32)
     cells[mask] = labels.ravel() + 1
     bounds, _ = cover_planes(cells, np.zeros(mask.shape), 0.0, 0.0)
-    return bounds, cells[bounds[:, 0], bounds[:, 1]].astype(np.int64) - 1
-
-
-def _boxes(lattice: Lattice, bounds: NDArray[np.int64], low: Float, high: Float) -> Boxes:
+    z = heights[cells[bounds[:, 0], bounds[:, 1]].astype(np.int64) - 1]
     row, col, end_row, end_col = bounds.T.astype(np.float64)
-    cell = lattice.cell_size
-    x = lattice.x_min + cell * np.stack([col + INSET, end_col - INSET])
-    y = lattice.y_max - cell * np.stack([end_row - INSET, row + INSET])
-    return Boxes(np.stack([x[0], y[0], low], axis=1), np.stack([x[1], y[1], high], axis=1))
+    x = lattice.x_min + lattice.cell_size * np.stack([col + INSET, end_col - INSET], axis=1)
+    y = lattice.y_max - lattice.cell_size * np.stack([end_row - INSET, row + INSET], axis=1)
+    return np.stack([x, y, z], axis=-1)
 
 
 def _settings(
@@ -219,11 +162,7 @@ def _settings(
     step = min(grid.max_step, 0.99 * grid.agent_height)
     return {
         "scene": {"path": path.name},
-        "agent": {
-            "height": grid.agent_height,
-            "radius": 0.0,
-            "traversable_floor_height": step,
-        },
+        "agent": {"height": grid.agent_height, "radius": 0.0, "traversable_floor_height": step},
         "grid": {
             "cell_size": lattice.cell_size,
             "bounds": [round(value, DIGITS) + 0.0 for value in lattice.bounds],
@@ -234,27 +173,19 @@ def _settings(
     }
 
 
-def _write_scene(
-    name: str, parts: list[tuple[str, Boxes]], settings: Json, settings_path: Path
+def _scene_lines(
+    name: str, parts: list[tuple[str, Float]], settings: Json, settings_name: str
 ) -> Iterator[str]:
-    printable = "".join(letter for letter in name if letter.isprintable())
     cells = settings["grid"]
-    told = (
-        f"{_plain(settings_path.name)}: cells of {cells['cell_size']!r} m, bounds {cells['bounds']}"
-    )
-    yield f"<mujoco model={quoteattr(printable)}>\n"
-    yield f"  <!-- It bakes to the cells that it was made of with the settings in {told} -->\n"
-    yield (
-        "  <default>\n"
-        f'    <default class="floor"><geom type="box" rgba="{FLOOR}"/></default>\n'
-        f'    <default class="wall"><geom type="box" rgba="{WALL}"/></default>\n'
-        "  </default>\n  <worldbody>\n"
-        '    <light directional="true" dir="-0.4 -0.2 -1" diffuse="0.8 0.8 0.8"/>\n'
-    )
+    stated = f"cells of {cells['cell_size']!r} m, bounds {cells['bounds']}"
+    where = f"with the settings in {_plain(settings_name)}: {stated}"
+    yield f"<mujoco model={quoteattr(''.join(filter(str.isprintable, name)))}>\n"
+    yield f"  <!-- It bakes to the cells that it was made of {where} -->\n{HEAD}"
     for prefix, boxes in parts:
         kind = prefix.split("_")[0]
-        middle, half = (boxes.low + boxes.high) / 2, (boxes.high - boxes.low) / 2
-        for k, (at, size) in enumerate(zip(middle.tolist(), half.tolist(), strict=True)):
+        low, high = boxes[:, 0], boxes[:, 1]
+        both = zip(((low + high) / 2).tolist(), ((high - low) / 2).tolist(), strict=True)
+        for k, (at, size) in enumerate(both):
             pos, extent = (" ".join(map(repr, values)) for values in (at, size))
             yield f'    <geom name="{prefix}_{k}" class="{kind}" pos="{pos}" size="{extent}"/>\n'
     yield "  </worldbody>\n</mujoco>\n"
@@ -262,4 +193,4 @@ def _write_scene(
 
 def _plain(text: str) -> str:
     """Text that an XML comment may hold: no two hyphens in a row."""
-    return re.sub("-(?=-)", "- ", "".join(c for c in text if c.isprintable()))
+    return re.sub("-(?=-)", "- ", "".join(filter(str.isprintable, text)))

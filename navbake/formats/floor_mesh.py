@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.navgrid.colors import FREE, color_rooms, rgb_of
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import FARTHEST
-from navbake.navgrid.rooms import Room
 from navbake.types import Float, Int
 
 TOLERANCE = 0.001  # [m]
@@ -108,43 +107,27 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
     if not is_length:
         raise QueryError(f"expected a tolerance of 0 m or more, got {tolerance!r}")
-    levels = zip(grid.level_names, grid.levels, strict=True)
     # rooms by number, each name once in the whole grid, so that names tell rooms apart
-    names = name_rooms(grid.rooms)
-    steepest = _steepest(grid)
-    return FloorMesh(
-        [
-            _mesh_level(level, name, number, names, (float(tolerance), steepest))
-            for number, (name, level) in enumerate(levels)
-        ]
-    )
-
-
-def name_rooms(rooms: tuple[Room, ...]) -> dict[tuple[int, int], str]:
-    """A name for each room by level and index: its name, or its id where that is not its alone."""
-    count = Counter(room.name for room in rooms)
-    return {(r.level, r.index): r.name if r.name and count[r.name] == 1 else r.id for r in rooms}
-
-
-def _steepest(grid: NavGrid) -> float:
+    count = Counter(room.name for room in grid.rooms)
+    names = {
+        (room.level, room.index): room.name if room.name and count[room.name] == 1 else room.id
+        for room in grid.rooms
+    }
     stated: Any = grid.navbake.get("maxSlope")
     is_angle = type(stated) in (int, float) and 0 <= stated < 90
-    return math.tan(math.radians(stated if is_angle else MAX_SLOPE)) * (1 + SLACK)
+    steepest = math.tan(math.radians(stated if is_angle else MAX_SLOPE)) * (1 + SLACK)
+    numbers = range(len(grid.levels))
+    return FloorMesh([_mesh_level(grid, k, names, float(tolerance), steepest) for k in numbers])
 
 
 def _mesh_level(
-    level: SceneGrid2D,
-    name: str,
-    number: int,
-    names: dict[tuple[int, int], str],
-    limits: tuple[float, float],
+    grid: NavGrid, number: int, names: dict[tuple[int, int], str], tolerance: float, steepest: float
 ) -> LevelMesh:
     from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
 
-    tolerance, steepest = limits
+    level = grid.levels[number]
     lattice, size = level.lattice, level.lattice.cell_size
-    floor = level.floor
-    z = np.where(np.isnan(floor), level.ground, floor)
+    z = np.where(np.isnan(level.floor), level.ground, level.floor)
     index = level.room_index.astype(np.int32)
     labels = np.where(level.free, index + 1, 0)
     bounds, planes = cover_planes(labels, z, tolerance, steepest * size)
@@ -156,22 +139,19 @@ def _mesh_level(
     rows = np.stack([row1, row1, row0, row0], axis=1)
     cols = np.stack([col0, col1, col1, col0], axis=1)
     down, right = rows - row0[:, None] - 0.5, cols - col0[:, None] - 0.5  # from the first centre
-    vertices = np.stack(
-        [
-            lattice.x_min + cols * size,
-            lattice.y_max - rows * size,
-            planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:],
-        ],
-        axis=-1,
-    )
+    heights = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
+    corners = [lattice.x_min + cols * size, lattice.y_max - rows * size, heights]
     found, room = np.unique(room, return_inverse=True)
     indices = [i for i in found.tolist() if i]
-    rooms = [names.get((number, i), f"{number}:{i}") for i in indices]
-    # 0 is no room, also where all cells are in one
-    room = room.astype(np.int64) + (len(rooms) == len(found))
-    origin = (lattice.x_min, lattice.y_max, level.ground)
-    vertices = vertices.reshape(-1, 3)
-    return LevelMesh(name, origin, vertices, room, [NO_ROOM, *rooms], [0, *indices])
+    return LevelMesh(
+        name=grid.level_names[number],
+        origin=(lattice.x_min, lattice.y_max, level.ground),
+        vertices=np.stack(corners, axis=-1).reshape(-1, 3),
+        # 0 is no room, also where all cells are in one
+        room=room.astype(np.int64) + (len(indices) == len(found)),
+        rooms=[NO_ROOM, *(names.get((number, i), f"{number}:{i}") for i in indices)],
+        indices=[0, *indices],
+    )
 
 
 def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:

@@ -6,7 +6,6 @@ import io
 import warnings
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from PIL import Image, PngImagePlugin
 from navbake.errors import FormatError
 from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
-from navbake.navgrid.grid import NavGrid
 
 # Bytes of pixels that a byte of a file stands for at most, by Pillow's name of how they are coded:
 # deflate repeats 258 bytes by two bits. Runs of a BMP stand for any number.
@@ -104,26 +102,3 @@ def encode_png(pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(file, "PNG", pnginfo=notes)
     return file.getvalue()
-
-
-def level_paths(
-    grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
-) -> dict[int, Path]:
-    """The path of the map of each level, by the level's number.
-
-    A grid of one level has the path itself, and so has the level that is asked for. Of several
-    levels, the number follows the stem: ``map_0.yaml``, ``map_1.yaml``.
-
-    Raises:
-        FormatError: the name has none of the endings, or there is no such level.
-    """
-    if path.suffix.lower() not in endings:
-        raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
-    count = len(grid.levels)
-    if level is not None:
-        if not 0 <= level < count:
-            raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
-        return {level: path}
-    if count == 1:
-        return {0: path}
-    return {k: path.with_name(f"{path.stem}_{k}{path.suffix}") for k in range(count)}

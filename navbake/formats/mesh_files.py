@@ -8,9 +8,9 @@ Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.errors import QueryError
-from navbake.formats.floor_mesh import TOLERANCE, FloorMesh, LevelMesh, color_mesh, make_floor_mesh
+from navbake.formats.floor_mesh import TOLERANCE, color_mesh, make_floor_mesh
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
@@ -49,23 +49,21 @@ class Buffer:
 
     def add_indices(self, faces: NDArray[np.uint32]) -> int:
         """Append indices into vertices, any shape, and return the number of their accessor."""
-        return self._add(np.ravel(faces), "SCALAR", INDICES, {})
+        return self._add(np.ravel(faces), "SCALAR", INDICES)
 
     def add_vectors(self, values: NDArray[Any], **more: Any) -> int:
-        """Append a vector for each vertex, shape (n, 2), (n, 3) or (n, 4); likewise.
+        """Append a vector for each vertex, (n, 2), (n, 3) or (n, 4), float32 or uint16; likewise.
 
-        Args:
-            values: float32 or uint16.
-            more: further entries of the accessor.
+        `more` are further entries of the accessor.
         """
-        return self._add(values, f"VEC{values.shape[1]}", VERTICES, more)
+        return self._add(values, f"VEC{values.shape[1]}", VERTICES, **more)
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
         """Append vertices, shape (n, 3), n > 0; glTF demands the bounds of these."""
         low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
         return self.add_vectors(vertices, min=low, max=high)
 
-    def _add(self, values: NDArray[Any], shape: str, target: int, more: Json) -> int:
+    def _add(self, values: NDArray[Any], shape: str, target: int, **more: Any) -> int:
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         view = self.add_bytes(values.tobytes(), target)
         component = COMPONENTS[values.dtype]
@@ -74,11 +72,7 @@ class Buffer:
         return len(self._accessors) - 1
 
     def pack(self, document: Json) -> bytes:
-        """Return the content of a GLB file.
-
-        Args:
-            document: the rest of the JSON object; what is empty is left out, as glTF demands.
-        """
+        """The content of a GLB file; what is empty in its document is left out, as glTF demands."""
         tables = {"accessors": self._accessors, "bufferViews": self._views}
         if self._data:
             tables["buffers"] = [{"byteLength": len(self._data)}]
@@ -109,35 +103,30 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
     for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
         x, y, z = level.origin
         node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
-        if len(level.room):
-            node["mesh"] = len(document["meshes"])
-            document["meshes"].append(_glb_mesh(level, colors, buffer, document["materials"]))
         document["nodes"].append(node)
+        if not len(level.room):
+            continue
+        node["mesh"], primitives = len(document["meshes"]), list[Json]()
+        document["meshes"].append({"name": level.name, "primitives": primitives})
+        east, north, up = (level.vertices - level.origin).T
+        turned = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
+        for room in np.unique(level.room).tolist():
+            # its quads in a row
+            first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
+            faces = level.faces[: 2 * (end - first)].astype(np.uint32)
+            name, materials = level.rooms[room], document["materials"]
+            primitives.append(
+                {
+                    "attributes": {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])},
+                    "indices": buffer.add_indices(faces),
+                    "material": len(materials),
+                    "extras": {"room": name},
+                }
+            )
+            color = [*(_linear(c) for c in colors[room].tolist()), 1.0]
+            looks = {"baseColorFactor": color, "metallicFactor": 0.0}
+            materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
     return {path: buffer.pack(document)}
-
-
-def _glb_mesh(
-    level: LevelMesh, colors: NDArray[np.uint8], buffer: Buffer, materials: list[Json]
-) -> Json:
-    local = level.vertices - level.origin
-    turned = np.stack([local[:, 0], local[:, 2], 0.0 - local[:, 1]], axis=1).astype(np.float32)
-    primitives = []
-    for room in np.unique(level.room).tolist():
-        first, end = np.searchsorted(level.room, [room, room + 1]).tolist()  # its quads in a row
-        faces = level.faces[: 2 * (end - first)].astype(np.uint32)
-        primitives.append(
-            {
-                "attributes": {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])},
-                "indices": buffer.add_indices(faces),
-                "material": len(materials),
-                "extras": {"room": level.rooms[room]},
-            }
-        )
-        color = [*(_linear(c) for c in colors[room].tolist()), 1.0]
-        looks = {"baseColorFactor": color, "metallicFactor": 0.0}
-        name = level.rooms[room]
-        materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
-    return {"name": level.name, "primitives": primitives}
 
 
 def _linear(value: int) -> float:
@@ -165,34 +154,29 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
     if up not in UPS:
         raise QueryError(f"expected y or z as up, got {up!r}")
     mesh = make_floor_mesh(grid, tolerance)
-    return {path: list(_obj_lines(mesh, color_mesh(grid, mesh), up))}
-
-
-def _obj_lines(mesh: FloorMesh, colors: list[NDArray[np.uint8]], up: str) -> Iterator[bytes]:
-    yield f"# the walkable floor of a navbake grid, in metres, {up} up\n".encode()
+    lines = [f"# the walkable floor of a navbake grid, in metres, {up} up\n"]
     done, levels, groups = 0, set[str](), set[str]()
-    for level, of_level in zip(mesh.levels, colors, strict=True):
-        yield f"o {_own_name(level.name, levels)}\n".encode()
+    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+        lines.append(f"o {_own_name(level.name, levels)}\n")
         x, y, z = level.vertices.T
         z = np.round(z, 6)  # drops the noise of float32
         points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
-        shades = of_level[np.repeat(level.room, 4)] / 255
+        shades = colors[np.repeat(level.room, 4)] / 255
         values = np.hstack([points, shades]).ravel().tolist()
-        yield ((VERTEX * len(points)) % tuple(values)).encode()
+        lines.append((VERTEX * len(points)) % tuple(values))
         faces = level.faces + done + 1  # counted from 1 through the file
         for room in np.unique(level.room).tolist():
             own = faces[np.repeat(level.room == room, 2)].ravel().tolist()
-            yield f"g {_own_name(level.rooms[room], groups)}\n".encode()
-            yield ((FACE * (len(own) // 6)) % tuple(own)).encode()
+            lines.append(f"g {_own_name(level.rooms[room], groups)}\n")
+            lines.append((FACE * (len(own) // 6)) % tuple(own))
         done += len(points)
+    return {path: "".join(lines).encode()}
 
 
 def _own_name(name: str, used: set[str]) -> str:
     """A name as OBJ takes it; what would be a second one gets a number."""
     plain = re.sub(r"[^\w.\-]", "_", name) or "_"
-    found, number = plain, 1
-    while found in used:
-        number += 1
-        found = f"{plain}_{number}"
+    numbered = (plain if k == 1 else f"{plain}_{k}" for k in itertools.count(1))
+    found = next(name for name in numbered if name not in used)
     used.add(found)
     return found

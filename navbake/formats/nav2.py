@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
+from navbake.formats.convert import level_paths
 from navbake.formats.geojson import read_room_outlines
-from navbake.formats.images import Pixels, encode_pgm, encode_png, level_paths, read_pixels
+from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import (
     FREE,

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.formats.allowance import shown
-from navbake.formats.images import encode_png, level_paths, open_image
+from navbake.formats.convert import level_paths
+from navbake.formats.images import encode_png, open_image
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice

@@ -55,18 +55,12 @@ def cover_planes(labels, z, tolerance, steepest):
                     best_rows, best_cols, best_x, best_y = rows, cols, x, y
             is_open[row : row + best_rows, col : col + best_cols] = False
             if num == bounds.shape[0]:
-                bounds, planes = _doubled(bounds), _doubled(planes)
+                bounds = np.concatenate((bounds, np.empty_like(bounds)))
+                planes = np.concatenate((planes, np.empty_like(planes)))
             bounds[num] = row, col, row + best_rows, col + best_cols
             planes[num] = z[row, col], best_x, best_y
             num += 1
     return bounds[:num].copy(), planes[:num].copy()
-
-
-@part
-def _doubled(values):
-    more = np.empty((2 * values.shape[0], values.shape[1]), values.dtype)
-    more[: values.shape[0]] = values
-    return more
 
 
 @part
