@@ -15,11 +15,11 @@ import orjson
 
 from navbake.errors import FormatError
 from navbake.formats.allowance import shown
-from navbake.formats.shapes import DECIMALS, KINDS, ROOM, Shape, find_shapes, import_shapely
+from navbake.formats.shapes import DECIMALS, KINDS, find_shapes, import_shapely
 from navbake.formats.source import Files, path_name, read_object
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.polygon import find_fault
-from navbake.types import Float, Json
+from navbake.types import Json
 
 COLUMNS = ("kind", "level", "levelName", "height", "id", "name", "area")
 
@@ -42,7 +42,17 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
     Raises:
         QueryError: a kind is unknown.
     """
-    features = [_feature(shape) for shape in find_shapes(grid, kinds)]
+    features = []
+    for shape in find_shapes(grid, kinds):
+        rings = [[[*ring.tolist(), ring[0].tolist()] for ring in part] for part in shape.parts]
+        form: tuple[str, Any] = ("MultiPolygon", rings)
+        if shape.line is not None:
+            form = "LineString", shape.line.tolist()
+        elif len(rings) == 1:
+            form = "Polygon", rings[0]
+        geometry = dict(zip(("type", "coordinates"), form, strict=True))
+        own = {"type": "Feature", "geometry": geometry, "properties": shape.properties}
+        features.append(own)
     about = {
         "sceneId": grid.scene_id,
         "frame": "world x, y in metres",
@@ -77,22 +87,6 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     return {path: text.getvalue().encode()}
 
 
-def _feature(shape: Shape) -> Json:
-    if shape.line is not None:
-        geometry: Json = {"type": "LineString", "coordinates": shape.line.tolist()}
-    else:
-        parts = [[_closed(ring) for ring in rings] for rings in shape.parts]
-        is_one = len(parts) == 1
-        kind = "Polygon" if is_one else "MultiPolygon"
-        geometry = {"type": kind, "coordinates": parts[0] if is_one else parts}
-    return {"type": "Feature", "geometry": geometry, "properties": shape.properties}
-
-
-def _closed(ring: Float) -> Ring:
-    points: Ring = ring.tolist()
-    return [*points, points[0]]
-
-
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
 
@@ -115,79 +109,67 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
         features = content.get("features")
     if not isinstance(features, list):
         raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
-    return [
-        _read_feature(feature, number, path)
-        for number, feature in enumerate(features)
-        if not _is_no_room(feature)
-    ]
+    found = (_read_feature(feature, f"feature {k} of {path}") for k, feature in enumerate(features))
+    return [outline for outline in found if outline is not None]
 
 
-def _is_no_room(feature: Any) -> bool:
-    """Whether a feature says that it is something else."""
+def _read_feature(feature: Any, where: str) -> Json | None:
+    """The outline of a feature; None where it says that it is something else than a room."""
+
+    def check(is_good: bool, expected: str, value: Any) -> None:
+        if not is_good:
+            raise FormatError(f"expected {expected}, got {_shown(value)} {where}")
+
     properties = feature.get("properties") if isinstance(feature, dict) else None
-    kind = properties.get("kind") if isinstance(properties, dict) else None
-    return kind in KINDS and kind != ROOM
-
-
-def _read_feature(feature: Any, number: int, path: str | os.PathLike[str]) -> Json:
-    where = f"feature {number} of {path}"
-    if not isinstance(feature, dict) or feature.get("type") != "Feature":
-        raise FormatError(f"expected a Feature, got {_shown(feature)} as {where}")
-    properties = feature.get("properties")
-    if properties is None:
-        properties = {}
+    properties = {} if properties is None else properties
+    if isinstance(properties, dict) and properties.get("kind") in KINDS[1:]:
+        return None
+    is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
+    number, where = where, f"as {where}"
+    check(is_feature, "a Feature", feature)
+    where = f"in {number}"
     if not isinstance(properties, dict):
-        raise FormatError(f"expected an object at `properties`, got {shown(properties)} in {where}")
+        raise FormatError(f"expected an object at `properties`, got {shown(properties)} {where}")
     name, level = properties.get("name"), properties.get("level", 0)
-    if name is not None and not (isinstance(name, str) and name):
-        raise FormatError(f"expected text at `properties.name`, got {_shown(name)} in {where}")
-    if isinstance(name, str):
-        where = f"feature {number} ({name!r}) of {path}"
-    if isinstance(level, float) and level.is_integer():
-        level = int(level)
+    check(name is None or (isinstance(name, str) and bool(name)), "text at `properties.name`", name)
+    if name is not None:
+        where = "in " + number.replace(" of ", f" ({name!r}) of ", 1)
+    level = int(level) if isinstance(level, float) and level.is_integer() else level
     is_number = isinstance(level, int) and not isinstance(level, bool) and level >= 0
-    if not is_number and not (isinstance(level, str) and level):
-        expected = "a level's number from 0, or its name, at `properties.level`"
-        raise FormatError(f"expected {expected}, got {_shown(level)} in {where}")
+    expected = "a level's number from 0, or its name, at `properties.level`"
+    check(is_number or (isinstance(level, str) and bool(level)), expected, level)
     outdoors = properties.get("outdoors")
-    if outdoors is not None and not isinstance(outdoors, bool):
-        expected = "true or false at `properties.outdoors`"
-        raise FormatError(f"expected {expected}, got {_shown(outdoors)} in {where}")
-    rings = [_read_ring(ring, where) for polygon in _polygons(feature, where) for ring in polygon]
+    expected = "true or false at `properties.outdoors`"
+    check(outdoors is None or isinstance(outdoors, bool), expected, outdoors)
+    geometry = feature.get("geometry")
+    geometry = geometry if isinstance(geometry, dict) else {}
+    kind, polygons = geometry.get("type"), geometry.get("coordinates")
+    check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind)
+    polygons = [polygons] if kind == "Polygon" else polygons
+    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
+        raise FormatError(f"expected lists of rings at `coordinates` {where}")
+    rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
     if not rings:
-        raise FormatError(f"expected an outline, got none in {where}")
+        raise FormatError(f"expected an outline, got none {where}")
     about = {"name": name, "level": level, "outdoors": bool(outdoors)}
     return {**about, "points": rings[0], "rings": rings[1:]}
 
 
-def _polygons(feature: Json, where: str) -> list[list[Any]]:
-    geometry = feature.get("geometry")
-    geometry = geometry if isinstance(geometry, dict) else {}
-    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
-    if kind not in ("Polygon", "MultiPolygon"):
-        raise FormatError(f"expected a Polygon or MultiPolygon, got {_shown(kind)} in {where}")
-    polygons = [coordinates] if kind == "Polygon" else coordinates
-    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
-        raise FormatError(f"expected lists of rings at `coordinates` in {where}")
-    return polygons
-
-
 def _read_ring(ring: Any, where: str) -> Ring:
-    if not isinstance(ring, list) or not all(map(_is_position, ring)):
-        raise FormatError(f"expected a ring of positions [x, y] in {where}")
+    def is_position(value: Any) -> bool:
+        is_list = isinstance(value, list) and len(value) >= 2
+        return is_list and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
+
+    if not isinstance(ring, list) or not all(map(is_position, ring)):
+        raise FormatError(f"expected a ring of positions [x, y] {where}")
     points = [[float(x), float(y)] for x, y, *_ in ring]
     if len(points) > 1 and points[0] == points[-1]:
         points.pop()
     if len(points) < 3:
-        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
+        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} {where}")
     if fault := find_fault(points):
-        raise FormatError(f"expected a simple outline, got {fault} in {where}")
+        raise FormatError(f"expected a simple outline, got {fault} {where}")
     return points
-
-
-def _is_position(value: Any) -> bool:
-    is_list = isinstance(value, list) and len(value) >= 2
-    return is_list and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
 
 
 def _shown(value: Any) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.door_lines import find_ends
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Float, Json
 
@@ -72,16 +72,9 @@ class Shape:
     @property
     def properties(self) -> Json:
         """All but the geometry, in values that JSON can hold."""
-        return {
-            "kind": self.kind,
-            "level": self.level,
-            "levelName": self.level_name,
-            "height": self.height,
-            "id": self.id,
-            "name": self.name,
-            "area": self.area,
-            **self.more,
-        }
+        named = {"levelName": self.level_name, "height": self.height, "id": self.id}
+        own = {"kind": self.kind, "level": self.level, **named}
+        return {**own, "name": self.name, "area": self.area, **self.more}
 
 
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
@@ -112,43 +105,26 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     shapes = []
     for number, level in enumerate(grid.levels):
         place = (number, grid.level_names[number], _rounded(level.ground))
+        square = level.lattice.cell_size**2
         if ROOM in kinds:
-            shapes += _find_rooms(grid, place, level)
+            known = {room.index: room for room in grid.rooms if room.level == number}
+            count = np.bincount(level.room_index.ravel())
+            for index, parts in trace_polygons(level.room_index, level.lattice).items():
+                room, area = known.get(index), _rounded(int(count[index]) * square)
+                name = (room and room.name) or None
+                room_id = room.id if room else f"{number}:{index}"
+                more: Json = {"outdoors": True} if room and room.outdoors else {}
+                shapes.append(Shape(ROOM, *place, room_id, name, area, parts, None, more))
         if WALKABLE in kinds and level.free.any():
             parts = trace_polygons(level.free, level.lattice)[1]
-            area = _area(level, int(np.count_nonzero(level.free)))
+            area = _rounded(int(np.count_nonzero(level.free)) * square)
             shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
-        if DOOR in kinds:
-            shapes += _find_doors(grid, place, level)
+        for door in grid.doors if DOOR in kinds else ():
+            ends = find_ends(grid, door, number)
+            if ends is not None:
+                more = {"state": door.state, "rooms": list(door.rooms)}
+                shapes.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
     return shapes
-
-
-def _find_rooms(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
-    parts = trace_polygons(level.room_index, level.lattice)
-    known = {room.index: room for room in grid.rooms if room.level == place[0]}
-    count = np.bincount(level.room_index.ravel())
-    found = []
-    for index, rings in parts.items():
-        room = known.get(index)
-        name, area = (room and room.name) or None, _area(level, int(count[index]))
-        room_id = room.id if room else f"{place[0]}:{index}"
-        more = {"outdoors": True} if room and room.outdoors else {}
-        found.append(Shape(ROOM, *place, room_id, name, area, rings, None, more))
-    return found
-
-
-def _find_doors(grid: NavGrid, place: tuple[int, str, float], level: SceneGrid2D) -> list[Shape]:
-    found = []
-    for door in grid.doors:
-        ends = find_ends(grid, door, place[0])
-        if ends is not None:
-            more = {"state": door.state, "rooms": list(door.rooms)}
-            found.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
-    return found
-
-
-def _area(level: SceneGrid2D, count: int) -> float:
-    return _rounded(count * level.lattice.cell_size**2)
 
 
 def _rounded(value: float) -> float:
@@ -185,17 +161,22 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
         outer one first, then the holes: world x, y [m], shape (n, 2), to a nanometre, the first
         corner not repeated. Outer rings run anticlockwise, holes clockwise (RFC 7946).
     """
-    from navbake.formats.kernels.outlines import (  # numba loads slowly
-        count_sides,
-        number_regions,
-        trace_rings,
-    )
+    from navbake.formats.kernels.outlines import trace_rings  # numba loads slowly
+    from navbake.navgrid.kernels.connect import number_parts  # as above
 
     own = np.ascontiguousarray(labels, dtype=np.int32)
-    numbers = np.pad(number_regions(own), 1)
-    corners, start, part = trace_rings(numbers, count_sides(numbers))
+    cell = np.arange(own.size).reshape(own.shape)
+    right, down = own[:, 1:] == own[:, :-1], own[1:] == own[:-1]
+    pairs = np.stack([np.append(cell[:, 1:][right], cell[1:][down]),
+                      np.append(cell[:, :-1][right], cell[:-1][down])])  # fmt: skip
+    numbers = np.where(own, number_parts(pairs, own.size).reshape(own.shape) + 1, 0)
+    numbers = np.pad(numbers.astype(np.int32), 1)
+    inner = numbers[1:-1, 1:-1]
+    beside = numbers[:-2, 1:-1], numbers[2:, 1:-1], numbers[1:-1, :-2], numbers[1:-1, 2:]
+    num_sides = sum(np.count_nonzero((inner != other) & (inner > 0)) for other in beside)
+    corners, start, part = trace_rings(numbers, num_sides)
     label_of = np.zeros(int(numbers.max()) + 1, dtype=np.int32)
-    label_of[numbers[1:-1, 1:-1]] = own
+    label_of[inner] = own
     # twice the areas of rings, by the shoelace formula; rows run against y
     row, col = corners.astype(np.int64).T
     after = np.arange(1, len(corners) + 1)
@@ -207,10 +188,8 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
     if lattice.cell_size > SMALLEST:
         points = np.round(points, DECIMALS)
     rings = np.split(points + 0.0, start[1:-1])  # no -0.0
-    parts: dict[tuple[int, int], list[Float]] = {}
+    found: dict[int, dict[int, list[Float]]] = {}
     for k in np.lexsort((is_hole, part, label_of[part])).tolist():
-        parts.setdefault((int(label_of[part[k]]), int(part[k])), []).append(rings[k])
-    found: dict[int, list[list[Float]]] = {}
-    for (label, _), of_part in parts.items():
-        found.setdefault(label, []).append(of_part)
-    return found
+        parts = found.setdefault(int(label_of[part[k]]), {})
+        parts.setdefault(int(part[k]), []).append(rings[k])
+    return {label: list(parts.values()) for label, parts in found.items()}

@@ -1,6 +1,6 @@
-"""Outlines of labelled cells, along the cells' edges: contour following with crack codes.
+"""Outlines of parts of cells, along the cells' edges: contour following with crack codes.
 
-Each side between a cell and a neighbour of another label is a step that has its cell on the left.
+Each side between a cell and a neighbour of another part is a step that has its cell on the left.
 A walk over these steps, which turns left wherever it can stay with its cell, closes round each
 connected part and each hole of it (Freeman 1961; crack codes: Rosenfeld and Kak, Digital Picture
 Processing, 1982). Where a part touches itself at a corner, the walk comes there twice, and is cut
@@ -10,7 +10,6 @@ in two: so no ring of corners has a corner twice.
 import numpy as np
 
 from navbake.compiled import kernel
-from navbake.navgrid.kernels.union_find import find_root, unite
 
 # Ways: east, north, west, south; a walk runs along the south, east, north, west side of its cell.
 # North is row - 1. A left turn is the next way.
@@ -23,54 +22,8 @@ WEST = 2
 
 
 @kernel
-def number_regions(labels):
-    """Number the parts of cells that share their label and edges; by union-find.
-
-    Of `labels`, shape (height, width), 0 is none. The parts count from 1, by their first cells in
-    reading order; int32, as `labels`.
-    """
-    height, width = labels.shape
-    parent = np.arange(height * width, dtype=np.int32)
-    for row in range(height):
-        for col in range(width):
-            label, cell = labels[row, col], row * width + col
-            if label == 0:
-                continue
-            if col > 0 and labels[row, col - 1] == label:
-                unite(parent, cell, cell - 1)
-            if row > 0 and labels[row - 1, col] == label:
-                unite(parent, cell, cell - width)
-    part, count = np.zeros((height, width), np.int32), 0
-    for row in range(height):
-        for col in range(width):
-            if labels[row, col] == 0:
-                continue
-            cell = row * width + col
-            root = find_root(parent, cell)  # the first cell of the part
-            if root == cell:
-                count += 1
-                part[row, col] = count
-            else:
-                part[row, col] = part[root // width, root % width]
-    return part
-
-
-@kernel
-def count_sides(parts):
-    """How many sides of cells lie between two parts; `parts` has a border of zeros."""
-    count = 0
-    for row in range(1, parts.shape[0] - 1):
-        for col in range(1, parts.shape[1] - 1):
-            part = parts[row, col]
-            if part != 0:
-                for way in range(4):
-                    count += parts[row + ROW_STEP[way], col + COL_STEP[way]] != part
-    return count
-
-
-@kernel
 def trace_rings(parts, num_sides):
-    """Trace the rings of all parts of `number_regions`, which has a border of zeros here.
+    """Trace the rings of parts of cells, numbered from 1, in a border of zeros.
 
     Returns:
         The corners of all rings, row and column of corners of cells (0, 0 is the upper left one of
