@@ -15,6 +15,7 @@ import typer
 import yaml
 
 import navbake
+from command_line import run_command
 from navbake.cli.main import app
 from navbake.config.settings import SECTIONS, parse_config
 from project_paths import ROOT
@@ -109,6 +110,17 @@ def test_commands_parse(page):
             command.make_context(words[0], words[1:])
         except UsageError as error:
             pytest.fail(f"{page.name}: navbake {shlex.join(words)}: {error.format_message()}")
+
+
+def test_the_commands_of_the_read_me_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    ran = [words for words in commands_of(ROOT / "README.md") if words[0] != "warm-up"]
+    for words in ran:
+        assert run_command(capsys, *words)[0] == 0, words
+    names = {words[0] for words in ran}
+    assert names >= {"samples", "init", "geoms", "bake", "info", "rooms", "why", "path", "plot"}
+    assert (tmp_path / "apartment.png").stat().st_size > 10_000
 
 
 def test_commands_that_are_wrong_do_not_parse():
