@@ -21,14 +21,9 @@ class Told:
     def __init__(self):
         self.rows = []
 
-    def begin(self, total, skipped):
-        pass
-
-    def note(self, event, scene, ended):
-        pass
-
-    def end_scene(self, row, worker):
-        self.rows.append(row)
+    def __call__(self, event, values):
+        if event == "scene":
+            self.rows.append(values)
 
 
 def run_sources(*sources, settings, out="out", means=ONE, products=(), **options):

@@ -8,7 +8,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from navbake.batch.index import Index, check_pyarrow, only_batch
 from navbake.batch.job import (
@@ -23,7 +23,7 @@ from navbake.batch.job import (
 )
 from navbake.batch.settings import Job, check_settings
 from navbake.batch.store import FullError, is_url, shown, sizes_below
-from navbake.batch.workers import DONE, Ended, JobLimits, do_jobs
+from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
 from navbake.errors import ConfigError
 from navbake.files import remove_leftovers
 from navbake.types import Json
@@ -52,17 +52,9 @@ class Means(NamedTuple):
     executor: Executor | None = None
 
 
-class Watch(Protocol):
-    """Is called as a batch goes on."""
-
-    def begin(self, total: int, skipped: int) -> None:
-        """Before the first scene is baked; not where there is none to bake."""
-
-    def note(self, event: str, scene: str, ended: Ended) -> None:
-        """When a scene begins or will be tried again, see `workers`."""
-
-    def end_scene(self, row: Json, worker: int) -> None:
-        """After each scene, with its row and the id of its process."""
+OnEvent: TypeAlias = Callable[[str, Json], None]
+"""Is called with what happens: ``begin`` with how many scenes there are and are `skipped`, unless
+there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene`` with its row."""
 
 
 @dataclass
@@ -84,7 +76,7 @@ class BatchResult:
         return sum(row["status"] == status for row in self.rows)
 
 
-def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, watch: Watch) -> BatchResult:
+def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, on_event: OnEvent) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
     A scene is done already if its folder has the grid and a record with its key, see
@@ -110,17 +102,25 @@ def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, watch: Watch) -> Ba
             )
     lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
     with lock, closing(Index(plan.folder)) as index:
-        return _run(plan, jobs, index, means, watch)
+        return _run(plan, jobs, index, means, on_event)
 
 
-def _run(plan: Plan, jobs: Sequence[Job], index: Index, means: Means, watch: Watch) -> BatchResult:
+def _run(
+    plan: Plan, jobs: Sequence[Job], index: Index, means: Means, on_event: OnEvent
+) -> BatchResult:
     rows = find_done(plan, jobs)
     left = [job for job in jobs if job.id not in rows]
     result = BatchResult(skipped=len(rows))
     num_failed = 0
+
+    def note(event: str, ended: Ended) -> None:
+        why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
+        why |= {"how": ended.how, "error": ended.value}
+        on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
+
     try:
         if left:
-            watch.begin(len(jobs), len(rows))
+            on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
         execute: Executor = means.executor or do_jobs
         ended = execute(
             left,
@@ -128,7 +128,7 @@ def _run(plan: Plan, jobs: Sequence[Job], index: Index, means: Means, watch: Wat
             means.workers or (None if means.executor else 1),
             limits=means.limits,
             prepare=partial(prepare, plan.products, plan.thumbnail),
-            on_event=lambda event, ended: watch.note(event, left[ended.number].id, ended),
+            on_event=note,
         )
         with closing(ended):
             for end in ended:
@@ -141,7 +141,7 @@ def _run(plan: Plan, jobs: Sequence[Job], index: Index, means: Means, watch: Wat
                     break
                 rows[job.id] = row
                 index.add(row)
-                watch.end_scene(row, end.worker)
+                on_event("scene", {**row, "worker": end.worker})
                 num_failed += row["status"] == FAILED
                 if means.max_failures is not None and num_failed > means.max_failures:
                     result.stopped = f"{num_failed} scenes failed, more than {means.max_failures}"

@@ -12,22 +12,24 @@ import pytest
 
 from navbake.batch.index import LineFile
 from navbake.batch.job import stamp
-from navbake.batch.log import Log
-from navbake.batch.workers import AGAIN, BEGUN, CRASHED, Ended
+from navbake.batch.log import line_of_event
+from navbake.batch.workers import AGAIN, BEGUN, CRASHED
 from navbake.errors import NavbakeError
 
 
 def test_lines_say_when_how_serious_and_what():
-    lines = []
-    log = Log([lines.append])
-    log.begin(3, 1)
-    log.note(BEGUN, "a", Ended(0, "", ""))
-    log.note(AGAIN, "b", Ended(1, CRASHED, "by SIGSEGV", 0.50049, 22))
     row = {"id": "a", "status": "ok", "warnings": [], "inputs": {"a.xml": 1}, "key": "0"}
-    log.end_scene({**row, "seconds": 1.5, "ended": stamp()}, 23)
-    log.end_scene({**row, "id": "b", "warnings": ["low"]}, 24)
-    log.end_scene({"id": "c", "status": "failed", "how": "error", "error": "none"}, 0)
-    log.end({"baked": 2, "failed": 0}, None, 1.23456)
+    retry = {"id": "b", "worker": 22, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
+    events = [
+        ("begin", {"scenes": 3, "skipped": 1}),
+        (BEGUN, {"id": "a"}),
+        (AGAIN, retry),
+        ("scene", {**row, "seconds": 1.5, "ended": stamp(), "worker": 23}),
+        ("scene", {**row, "id": "b", "warnings": ["low"]}),
+        ("scene", {"id": "c", "status": "failed", "how": "error", "error": "none"}),
+        ("end", {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}),
+    ]
+    lines = [line_of_event(*event) for event in events]
     times = [datetime.fromisoformat(line.pop("time").replace("Z", "+00:00")) for line in lines]
     assert times == sorted(times) and times[0].tzinfo == timezone.utc
     assert abs((datetime.now(timezone.utc) - times[-1]).total_seconds()) < 60
@@ -41,7 +43,6 @@ def test_lines_say_when_how_serious_and_what():
         ("info", "end"),
     ]
     assert lines[1] == {"id": "a"}
-    retry = {"id": "b", "worker": 22, "seconds": 0.5, "how": CRASHED, "error": "by SIGSEGV"}
     assert lines[2] == retry
     assert lines[3] == {"id": "a", "status": "ok", "warnings": [], "seconds": 1.5, "worker": 23}
     assert lines[6] == {"baked": 2, "failed": 0, "stopped": None, "seconds": 1.235}

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from navbake.batch.page import LivePage
     from navbake.batch.run import BatchResult
     from navbake.batch.store import Folder
-    from navbake.batch.workers import Ended
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -188,27 +187,41 @@ class _Watch:
 
     def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
         from navbake.batch.index import LineFile
-        from navbake.batch.log import Log
 
         self._stack, self._wholly, self._folder = stack, wholly, folder
-        takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
+        self._takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
         if wholly.log is not None:
             log = LineFile(wholly.log, f"the log {wholly.log}")
             stack.callback(log.close)
-            takers.append(log.add)
-        self._log = Log(takers)
+            self._takers.append(log.add)
         self._begin = time.perf_counter()
-        self._done, self._failed, self._total, self._skipped = 0, 0, 0, 0
+        self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
+        self._total = 0
         self._show: Callable[[int, int, int], None]
         self._page: LivePage | None = None
 
-    def begin(self, total: int, skipped: int) -> None:
-        """Compile what all workers need, once, and begin the bar."""
+    def __call__(self, event: str, values: Json) -> None:
+        """Note what happens."""
+        if event == "begin":
+            _warm_up()  # compiles what all workers need, once
+            self._counts["skipped"] = values["skipped"]
+            self._total = self._counts["left"] = values["scenes"] - values["skipped"]
+        self._log(event, values)
+        if event == "begin":
+            self._begin_bar()
+        elif event == "scene":
+            self._end_scene(values)
+
+    def _log(self, event: str, values: Json) -> None:
+        from navbake.batch.log import line_of_event
+
+        line = line_of_event(event, values)
+        for take in self._takers:
+            take(line)
+
+    def _begin_bar(self) -> None:
         from navbake.cli.progress import batch_progress
 
-        _warm_up()
-        self._total, self._skipped = total - skipped, skipped
-        self._log.begin(total, skipped)
         if self._wholly.page:
             from navbake.batch.page import LivePage  # not every batch has a page
 
@@ -218,33 +231,30 @@ class _Watch:
         self._show = self._stack.enter_context(batch_progress(hidden))
         self._show(0, 0, self._total)
 
-    def note(self, event: str, scene: str, ended: Ended) -> None:
-        """Note that a scene begins, or is tried again."""
-        self._log.note(event, scene, ended)
-
-    def end_scene(self, row: Json, worker: int) -> None:
-        """Print what became of a scene, if it failed or if all are asked for."""
+    def _end_scene(self, row: Json) -> None:
         is_failed = row["status"] == "failed"
-        self._done += 1
-        self._failed += is_failed
-        self._show(self._done, self._failed, self._total)
-        self._log.end_scene(row, worker)
+        self._counts["failed" if is_failed else "baked"] += 1
+        self._counts["left"] -= 1
+        done = self._total - self._counts["left"]
+        self._show(done, self._counts["failed"], self._total)
         if is_failed and not self._wholly.as_json:
             print_error(f"{row['id']}: {row['how']}: {row['error']}")
         if self._page is not None:
-            self._page.refresh(self._done)
+            self._page.refresh(done)
+
+    def _log_end(self, stopped: str | None) -> None:
+        seconds = round(time.perf_counter() - self._begin, 3)
+        self._log("end", {**self._counts, "stopped": stopped, "seconds": seconds})
 
     def interrupt(self, error: BaseException) -> None:
         """Note that the batch ended early, by a signal or because it can't go on."""
         from navbake.batch.page import write_page  # not every batch has a page
 
-        baked, left = self._done - self._failed, self._total - self._done
-        counts = _counts(baked, self._skipped, self._failed, left)
         why = str(error) if isinstance(error, Exception) else "interrupted"
         if self._total and not self._wholly.as_json and not isinstance(error, Exception):
-            say_unless_quiet(f"interrupted: {_in_words(counts)}; the same command goes on")
+            say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
-            self._log.end(counts, why, time.perf_counter() - self._begin)
+            self._log_end(why)
             if self._page is not None:
                 write_page(self._folder)
 
@@ -255,11 +265,15 @@ class _Watch:
         from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
-        baked, left = result.count("ok") - result.skipped, result.count("left")
-        counts = _counts(baked, result.skipped, result.count("failed"), left)
-        seconds, as_json = time.perf_counter() - self._begin, self._wholly.as_json
+        self._counts = {
+            "baked": result.count("ok") - result.skipped,
+            "skipped": result.skipped,
+            "failed": result.count("failed"),
+            "left": result.count("left"),
+        }
+        as_json, seconds = self._wholly.as_json, time.perf_counter() - self._begin
         try:
-            self._log.end(counts, result.stopped, seconds)
+            self._log_end(result.stopped)
         except NavbakeError as error:  # of the log; what the batch came to is said all the same
             if as_json:
                 print_error(str(error))
@@ -279,11 +293,7 @@ class _Watch:
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
         files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
-        say_unless_quiet(f"{_in_words(counts)}{notes} in {seconds:.1f} s: {files}")
-
-
-def _counts(baked: int, skipped: int, failed: int, left: int) -> Json:
-    return {"baked": baked, "skipped": skipped, "failed": failed, "left": left}
+        say_unless_quiet(f"{_in_words(self._counts)}{notes} in {seconds:.1f} s: {files}")
 
 
 def _in_words(counts: Json) -> str:
