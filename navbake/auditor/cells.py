@@ -1,4 +1,4 @@
-"""Checks of single layers: all free, all blocked, weights, inflation, stored layers."""
+"""Checks of layers and floors: free, blocked, weights, jumps, what is connected or cut off."""
 
 from __future__ import annotations
 
@@ -9,26 +9,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark, remark_on_cells
+from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free
 FEW = 0.01  # share of a level's cells under which hardly any are free
 LARGE = 1e-3  # metres that a clearance may be off
+FARTHEST = 10_000.0  # floors beyond are a wrong unit [m]
+MIN_AREA = 1.0  # of a floor that no step leads to, unless the settings of a bake say another [m²]
+MOST_ROUND = 0.75  # share of a patch's outline that is nearly all of it: a corner may touch a wall
+HALF_ROUND = 0.5  # share from which on nobody would take a patch for a storey beside another
+MOST_PATCHES = 10  # that are told one by one
+MIN_CUT_OFF = 1.0  # of both islands, if what lies between them is to matter [m²]
+MOST_CELLS = 3  # of a gap; what is longer is a thin wall
+MOST_GAPS = 10  # that are told, the widest islands first
 
 
-def check_all_free(facts: Facts) -> Iterator[Remark]:
+def check_all_free(facts: Facts) -> Iterator[Found]:
     """All cells are free: nothing stands there, not even a wall."""
     total = sum(free.size for free in facts.free)
     if total >= MANY and all(free.all() for free in facts.free):
         text = f"all {total} cells are free: nothing stands on the floor, and it ends nowhere"
-        yield Remark("all free", REMARK, None, None, text)
+        yield REMARK, None, None, text
 
 
-def check_empty_levels(facts: Facts) -> Iterator[Remark]:
+def check_empty_levels(facts: Facts) -> Iterator[Found]:
     """A level has no floor, or nowhere to stand; or so has the whole grid.
 
     An inflation may close a level, where the agent is too large for it.
@@ -37,22 +47,16 @@ def check_empty_levels(facts: Facts) -> Iterator[Remark]:
     severity = ERROR if reach is None else REMARK
     inflated = "" if reach is None else f", inflated by {reach:g} m"
     if not any(free.any() for free in facts.free):
-        yield Remark(
-            "all blocked", severity, None, None, f"no cell is free, on any level{inflated}"
-        )
+        yield severity, None, None, f"no cell is free, on any level{inflated}"
         return
     for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
-        if free.any():
-            continue
         has_floor = np.count_nonzero(~np.isnan(floor))
         text = f"none of its {has_floor} cells with a floor is free{inflated}"
-        if has_floor:
-            yield Remark("empty level", severity, number, None, text)
-        else:
-            yield Remark("empty level", ERROR, number, None, "no floor")
+        if not free.any():
+            yield (severity, number, None, text) if has_floor else (ERROR, number, None, "no floor")
 
 
-def check_free_share(facts: Facts) -> Iterator[Remark]:
+def check_free_share(facts: Facts) -> Iterator[Found]:
     """Hardly any cell is free: a map that is black but for a few specks."""
     for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
         num_free = int(np.count_nonzero(free))
@@ -60,41 +64,64 @@ def check_free_share(facts: Facts) -> Iterator[Remark]:
         total = num_floor if facts.levels[number].uses_cell_floors else free.size
         if total >= MANY and 0 < num_free < FEW * total:
             text = f"only {num_free} of {total} cells are free"
-            yield Remark("hardly free", REMARK, number, facts.first(number, free), text)
+            yield REMARK, number, facts.first(number, free), text
 
 
-def check_weights(facts: Facts) -> Iterator[Remark]:
+def check_weights(facts: Facts) -> Iterator[Found]:
     """Weights and occupancy contradict each other, or a weight is none."""
     reach = facts.inflation.reach
     for number, level in enumerate(facts.levels):
-        weights, occupied = level.weights, level.occupancy != 0
-        free, own = facts.free[number], "occupancy" in level.attributes
+        weights, occupied, free = level.weights, level.occupancy != 0, facts.free[number]
         broken = np.isnan(weights) | (weights < 0)
-        yield from remark_on_cells(facts, "weights", number, broken, "a weight that is no cost")
-        if not own:
+        yield from facts.on_cells(number, broken, "a weight that is no cost")
+        if "occupancy" not in level.attributes:
             continue
-        is_opened = level.solid == 0 if reach is not None else np.zeros_like(occupied)
+        is_opened = (reach is not None) & (level.solid == 0)
         on_occupied = free & occupied & ~is_opened
-        text = "free by weight, but occupied"
-        yield from remark_on_cells(facts, "weights", number, on_occupied, text)
+        yield from facts.on_cells(number, on_occupied, "free by weight, but occupied")
         blocked = ~free & ~broken & ~occupied
         text = "blocked by weight, but not occupied"
         if reach is not None and blocked.any():
             blocked &= ~find_reasons(facts.grid, number, reach)
             text += f", and nothing that an inflation avoids is within {reach:g} m"
-        yield from remark_on_cells(facts, "weights", number, blocked, text)
+        yield from facts.on_cells(number, blocked, text)
 
 
-def check_inflation(facts: Facts) -> Iterator[Remark]:
+def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
+    """The cells of a level that have something within reach [m] for which they may be closed.
+
+    That is a cell that is occupied or has no floor, a floor more than a step higher or lower, a
+    floor of another level less than the agent's height away, or the edge of the level. They are
+    looked for in a square, so that more cells have a reason than an inflation closes, never less.
+    """
+    level = grid.levels[number]
+    cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
+    floor, size, body = level.floor, 2 * cells + 1, grid.agent_height
+    blocks = (level.occupancy != 0) | np.isnan(floor)
+    known = floor[~np.isnan(floor)]
+    for other in grid.levels:
+        if other is not level and len(known):
+            near = (other.floor > known.min() - body) & (other.floor < known.max() + body)
+            at = other.lattice.positions(*np.nonzero(near))
+            rows, cols = level.lattice.rows_cols(at)
+            inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
+            blocks[rows[inside], cols[inside]] = True
+    found: Bool = maximum_filter(blocks, size, mode="constant", cval=True)
+    high = maximum_filter(np.where(np.isnan(floor), -np.inf, floor), size)
+    low = minimum_filter(np.where(np.isnan(floor), np.inf, floor), size)
+    with np.errstate(invalid="ignore"):  # where there is no floor
+        found |= (high - floor > grid.max_step) | (floor - low > grid.max_step)
+    return found
+
+
+def check_inflation(facts: Facts) -> Iterator[Found]:
     """The metadata don't tell for which radius a grid was inflated."""
-    broken = facts.inflation.broken
-    if broken is not None:
+    if facts.inflation.broken is not None:
         # in files of other programs it may mean anything
-        severity = ERROR if facts.grid.navbake else REMARK
-        yield Remark("inflation", severity, None, None, broken)
+        yield ERROR if facts.grid.navbake else REMARK, None, None, facts.inflation.broken
 
 
-def check_layers(facts: Facts) -> Iterator[Remark]:
+def check_layers(facts: Facts) -> Iterator[Found]:
     """Stored layers contradict what they follow from: islands and clearance."""
     if not facts.grid.navbake:
         return  # in files of other programs they may be anything
@@ -103,15 +130,14 @@ def check_layers(facts: Facts) -> Iterator[Remark]:
         if stored is not None:
             wrong = _otherwise_parted(stored, facts.islands[number])
             text = "a number in the layer `island` that isn't what is connected"
-            yield from remark_on_cells(facts, "layers", number, wrong, text)
+            yield from facts.on_cells(number, wrong, text)
         stored = level.attributes.get("clearance")
         if stored is not None:
-            cell = level.lattice.cell_size
             open_ = np.pad(level.free_for_point, 1)
-            away = (distance_transform_edt(open_)[1:-1, 1:-1] - 0.5) * cell
+            away = (distance_transform_edt(open_)[1:-1, 1:-1] - 0.5) * level.lattice.cell_size
             away = np.where(level.free, away, 0.0)
             wrong = np.abs(stored * level.unit - away) > LARGE
-            yield from remark_on_cells(facts, "layers", number, wrong, "a wrong `clearance`")
+            yield from facts.on_cells(number, wrong, "a wrong `clearance`")
 
 
 def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
@@ -124,43 +150,156 @@ def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
         np.stack([stored.ravel(), own.ravel()]), axis=1, return_inverse=True, return_counts=True
     )
     order = np.argsort(-count, kind="stable")
-    is_first = [np.zeros(len(count), dtype=np.bool_) for _ in pairs]
-    for side, first in zip(pairs, is_first, strict=True):
-        first[order[np.unique(side[order], return_index=True)[1]]] = True
-    is_same = is_first[0] & is_first[1]
+    is_same = np.ones(len(count), dtype=np.bool_)
+    for side in pairs:
+        is_first = np.zeros(len(count), dtype=np.bool_)
+        is_first[order[np.unique(side[order], return_index=True)[1]]] = True
+        is_same &= is_first
     return ~is_same[pair].reshape(own.shape)
 
 
-def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
-    """The cells of a level that have something within reach [m] for which they may be closed.
+def check_floors(facts: Facts) -> Iterator[Found]:
+    """Free cells have no floor, or one that is absurdly high or low."""
+    for number, level in enumerate(facts.levels):
+        if level.uses_cell_floors:
+            floor = facts.floors[number]
+            missing = facts.free[number] & np.isnan(floor)
+            yield from facts.on_cells(number, missing, "free without a floor")
+            far = np.abs(floor) > FARTHEST  # NaN isn't
+            yield from facts.on_cells(number, far, f"farther than {FARTHEST:g} m from 0")
 
-    That is a cell that is occupied or has no floor, a floor more than a step higher or lower, a
-    floor of another level less than the agent's height away, or the edge of the level. They are
-    looked for in a square, so that more cells have a reason than an inflation closes, never less.
+
+def check_jumps(facts: Facts) -> Iterator[Found]:
+    """A patch of floor lies more than a step above or below what is round it.
+
+    No step and no link leads there, so it is a spike, a pit, or the top of something. One that is
+    too small for a floor can't be meant; of a larger one, a person would ask.
     """
-    level = grid.levels[number]
-    cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
-    floor, size = level.floor, 2 * cells + 1
-    blocks = (level.occupancy != 0) | np.isnan(floor) | _near_levels(grid, number)
-    found: Bool = maximum_filter(blocks, size, mode="constant", cval=True)
-    high = maximum_filter(np.where(np.isnan(floor), -np.inf, floor), size)
-    low = minimum_filter(np.where(np.isnan(floor), np.inf, floor), size)
-    with np.errstate(invalid="ignore"):  # where there is no floor
-        found |= (high - floor > grid.max_step) | (floor - low > grid.max_step)
-    return found
+    if not any(len(cells) for steps in facts.steps for cells in steps):
+        return
+    settings = facts.settings.get("floors")
+    stated = settings.get("min_area") if isinstance(settings, dict) else None
+    min_area = float(stated) if isinstance(stated, int | float) else MIN_AREA
+    # of each island: cells, edges of its outline, how many of these drop or rise to another one,
+    # and by how much in all [m]
+    islands = facts.islands
+    count = max((int(island.max(initial=0)) for island in islands), default=0) + 1
+    cells, edges = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    jumps, total = np.zeros((2, count)), np.zeros((2, count))
+    for number, island in enumerate(islands):
+        cells += np.bincount(island.ravel(), minlength=count)
+        padded = np.pad(island, 1)  # beyond the rim is none
+        for here, there in (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]):
+            differ = padded[here] != padded[there]
+            for side in (here, there):
+                edges += np.bincount(padded[side][differ], minlength=count)
+        for own, down in _jumps(facts, number):
+            for num, rise, mask in zip(jumps, total, (down > 0, down < 0), strict=True):
+                num += np.bincount(own[mask], minlength=count)
+                rise += np.bincount(own[mask], np.abs(down[mask]), minlength=count)
+    cells[0], jumps[:, 0] = 0, 0
+    area = cells * facts.levels[0].lattice.cell_size ** 2
+    found = []
+    for way, num, rise in zip(("above", "below"), jumps, total, strict=True):
+        share = num / np.maximum(edges, 1)
+        for patch in np.flatnonzero(share >= HALF_ROUND).tolist():
+            is_most, by = share[patch] >= MOST_ROUND, rise[patch] / num[patch]
+            around = "all" if is_most else "most of what is"
+            size = f"{area[patch]:.3g} m² of floor ({count_of(int(cells[patch]), 'cell')})"
+            text = f"{size} lies {by:.2f} m {way} {around} round it, and no step leads there"
+            is_fault = is_most and area[patch] < min_area
+            found.append((not is_fault, -area[patch], patch, text))
+    found.sort()
+    for is_remark, _, patch, text in found[:MOST_PATCHES]:
+        # the level that has most of it, and a cell in its middle
+        on = [np.flatnonzero(island == patch) for island in islands]
+        number = max(range(len(on)), key=lambda k: len(on[k]))
+        row, col = divmod(int(on[number][len(on[number]) // 2]), facts.levels[number].width)
+        place = facts.place(number, row, col)
+        yield REMARK if is_remark else ERROR, number, place, text
+    if rest := found[MOST_PATCHES:]:
+        severity = REMARK if rest[0][0] else ERROR
+        yield severity, None, None, f"{len(rest)} more patches of floor jump"
 
 
-def _near_levels(grid: GridBase, number: int) -> Bool:
-    """The cells of a level where another one has a floor less than the agent's height away."""
-    level = grid.levels[number]
-    near, own = np.zeros(level.shape, dtype=np.bool_), level.floor
-    known = own[~np.isnan(own)]
-    for other in grid.levels:
-        if other is level or not len(known):
-            continue
-        floor, body = other.floor, grid.agent_height
-        at = np.argwhere((floor > known.min() - body) & (floor < known.max() + body))
-        rows, cols = level.lattice.rows_cols(other.lattice.positions(at[:, 0], at[:, 1]))
-        inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
-        near[rows[inside], cols[inside]] = True
-    return near
+def _jumps(facts: Facts, number: int) -> Iterator[tuple[Int32, Float]]:
+    """Islands beside another one, and how far that lies below [m]: above, below, left and right.
+
+    Free neighbours are on two islands only where they lie more than a step apart.
+    """
+    island, floor = facts.islands[number].ravel(), facts.floors[number].ravel()
+    steps, width = facts.steps[number], facts.levels[number].width
+    for cells, beside in ((steps.down, steps.down + width), (steps.right, steps.right + 1)):
+        apart = island[cells] != island[beside]
+        one, other = cells[apart], beside[apart]
+        down = floor[one] - floor[other]
+        yield island[other], -down
+        yield island[one], down
+
+
+def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
+    """Flat ids of cells whose value differs from that of a cell to the right, then below.
+
+    With how far that one is in the flat array: `gap` columns, then `gap` rows.
+    """
+    width = values.shape[1]
+    right, below = values[:, :-gap] != values[:, gap:], values[:-gap] != values[gap:]
+    for differ, step in ((right, gap), (below, gap * width)):
+        rows, cols = np.nonzero(differ)  # few do, so that the rest is asked of few
+        yield rows * width + cols, step
+
+
+def check_cut_off(facts: Facts) -> Iterator[Found]:
+    """One cell, or two or three side by side, cut off an island.
+
+    The islands are those of a grid whose doors are all open. Where more such cells part the same
+    two islands, they are a thin wall between them, and are meant; cells in it that nothing
+    occupies are a gap that was closed for a larger agent.
+    """
+    islands, cell_size = facts.open_islands, facts.levels[0].lattice.cell_size
+    largest = max((int(island.max(initial=0)) for island in islands), default=0)
+    counts = [np.bincount(island.ravel(), minlength=largest + 1) for island in islands]
+    area = np.sum(counts, axis=0) * cell_size**2
+    found = []
+    for number, island in enumerate(islands if largest >= 2 else ()):
+        occupied = facts.levels[number].occupancy.ravel() != 0
+        for pair, between in _gaps(facts, number, island).items():
+            cells = {cell for cell in between if not occupied[cell]} or between
+            smaller = min(area[list(pair)])
+            if len(cells) <= MOST_CELLS and smaller >= MIN_CUT_OFF:
+                found.append((smaller, number, cells))
+    for smaller, number, cells in sorted(found, key=lambda gap: -gap[0])[:MOST_GAPS]:
+        row, col = divmod(sorted(cells)[len(cells) // 2], facts.levels[number].width)
+        size = len(cells) * facts.levels[number].lattice.cell_size
+        text = f"a gap {size:.2f} m wide is blocked by one cell, and cuts off {smaller:.1f} m²"
+        yield REMARK, number, facts.place(number, row, col), text
+
+
+def _gaps(facts: Facts, number: int, island: Int32) -> dict[tuple[int, int], set[int]]:
+    """The blocked cells with two islands on opposite sides, by the pair of islands.
+
+    The floors on both sides are within a step of each other, as they would be on one walk.
+    """
+    floor, own = facts.floors[number].ravel(), island.ravel()
+    gaps: dict[tuple[int, int], set[int]] = {}
+    for one, step in pairs_across(island, 2):
+        cell, other = one + step // 2, one + step
+        is_gap = (own[one] > 0) & (own[cell] == 0) & (own[other] > 0) & ~np.isnan(floor[cell])
+        with np.errstate(invalid="ignore"):
+            is_gap &= ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
+        pairs = np.sort(np.stack([own[one][is_gap], own[other][is_gap]], axis=1), axis=1)
+        for (a, b), blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
+            gaps.setdefault((a, b), set()).add(blocked)
+    return gaps
+
+
+def check_unreached_levels(facts: Facts) -> Iterator[Found]:
+    """No link leads to a level from the one with the most free cells."""
+    count, sizes = len(facts.levels), [int(free.sum()) for free in facts.free]
+    pairs = coo_array((np.ones(len(facts.links)), tuple(facts.links[:, ::2].T)), (count, count))
+    _, group = connected_components(pairs, directed=False)
+    for number in np.flatnonzero(group != group[np.argmax(sizes)]).tolist():
+        if sizes[number]:  # else a check of empty levels says so
+            area = sizes[number] * facts.levels[number].lattice.cell_size ** 2
+            place = facts.first(number, facts.free[number])
+            yield REMARK, number, place, f"no link leads to its {area:.1f} m²"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from navbake.auditor.report import ERROR, Found, count_of
 from navbake.errors import FormatError
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import SceneGrid2D
@@ -18,6 +20,10 @@ from navbake.navgrid.grid_base import GridBase
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
+
+MODES = ("exact", "minos")
+MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
+SLACK = 1e-6  # metres that a step may be over the highest one
 
 
 class Steps(NamedTuple):
@@ -37,17 +43,15 @@ def find_steps(mask: Bool, floor: Float, limit: float) -> Steps:
 
     Cells without a floor are at no height, so that nothing lies a step above or below them.
     """
-    floors = floor[mask]
-    none = np.empty(0, dtype=np.int64)
+    floors, none = floor[mask], np.empty(0, dtype=np.int64)
     low, high = np.fmin.reduce(floors, initial=np.nan), np.fmax.reduce(floors, initial=np.nan)
     with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
         if not high - low > limit:
             return Steps(none, none)
-        width = mask.shape[1]
         is_down = (np.abs(floor[:-1] - floor[1:]) > limit) & mask[:-1] & mask[1:]
         is_right = (np.abs(floor[:, :-1] - floor[:, 1:]) > limit) & mask[:, :-1] & mask[:, 1:]
     rows, cols = np.nonzero(is_right)
-    return Steps(np.flatnonzero(is_down), rows * width + cols)
+    return Steps(np.flatnonzero(is_down), rows * mask.shape[1] + cols)
 
 
 def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[Int32]:
@@ -64,55 +68,34 @@ def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[In
         steps: between them, see `find_steps`.
         links: level, cell, level and cell of each, shape (n, 4).
     """
-    parts, before = [], 0
+    parts, count = list[Int32](), 1
     for mask, between in zip(masks, steps, strict=True):
-        part, count = _label_level(mask, between)
-        part[mask] += before
+        joints, stride = mask, 1
+        if any(map(len, between)):
+            joints, stride = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_), 2
+            joints[::2, ::2] = mask
+            joints[1::2, ::2] = mask[:-1] & mask[1:]
+            joints[::2, 1::2] = mask[:, :-1] & mask[:, 1:]
+            for cells, (down, right) in zip(between, ((1, 0), (0, 1)), strict=True):
+                rows, cols = np.divmod(cells, mask.shape[1])
+                joints[2 * rows + down, 2 * cols + right] = False
+        part, num = label(joints, output=np.int32)
+        part = np.ascontiguousarray(part[::stride, ::stride])
+        part[mask] += count - 1
         parts.append(part)
-        before += count
-    root = _join(parts, links, before)
-    size = np.zeros(before + 1, dtype=np.int64)
-    for part in parts:
-        size += np.bincount(root[part.ravel()], minlength=before + 1)
-    roots = np.unique(root[1:])  # without 0, which is no part
-    number = np.zeros(before + 1, dtype=np.int32)
-    number[roots[np.argsort(-size[roots], kind="stable")]] = np.arange(1, len(roots) + 1)
-    return [number[root][part] for part in parts]
-
-
-def _label_level(mask: Bool, steps: Steps) -> tuple[Int32, int]:
-    """The parts of one level, numbered by their first cells, 0 for none; and how many there are."""
-    if not any(map(len, steps)):
-        part, count = label(mask, output=np.int32)
-        return part, count
-    joints = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_)
-    joints[::2, ::2] = mask
-    joints[1::2, ::2] = mask[:-1] & mask[1:]
-    joints[::2, 1::2] = mask[:, :-1] & mask[:, 1:]
-    for cells, (down, right) in zip(steps, ((1, 0), (0, 1)), strict=True):
-        rows, cols = np.divmod(cells, mask.shape[1])
-        joints[2 * rows + down, 2 * cols + right] = False
-    part, count = label(joints, output=np.int32)
-    return np.ascontiguousarray(part[::2, ::2]), count
-
-
-def _join(parts: list[Int32], links: Int, count: int) -> Int:
-    """The lowest of the parts that hang together over links, for each part from 0 on."""
+        count += num
     ends = np.zeros((2, len(links)), dtype=np.int64)
     for number, part in enumerate(parts):
         for end, (level, cell) in zip(ends, ((0, 1), (2, 3)), strict=True):
             here = links[:, level] == number
             end[here] = part.ravel()[links[here, cell]]
     ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end joins nothing
-    pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count + 1, count + 1))
-    _, group = connected_components(pairs, directed=False)
-    _, first = np.unique(group, return_index=True)
-    root: Int = first[group]
-    return root
-
-
-MODES = ("exact", "minos")
-MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
+    pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count, count))
+    num, group = connected_components(pairs, directed=False)  # numbered by their first parts
+    size = np.sum([np.bincount(group[part.ravel()], minlength=num) for part in parts], axis=0)
+    numbers = np.zeros(num, dtype=np.int32)  # 0 stays the one of no part
+    numbers[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num)
+    return [numbers[group][part] for part in parts]
 
 
 class Inflation(NamedTuple):
@@ -126,29 +109,6 @@ class Inflation(NamedTuple):
 
     reach: float | None
     broken: str | None
-
-
-def read_inflation(grid: GridBase) -> Inflation:
-    """Read what a grid's metadata say of its inflation; what can't be read counts as nothing."""
-    stated = grid.metadata.get("inflation")
-    if stated is None:
-        return Inflation(None, None)
-    if not isinstance(stated, list):
-        return Inflation(None, f"`inflation` is {stated!r}, expected a list of what was done")
-    reaches, broken = list[float](), None
-    for number, entry in enumerate(stated):
-        is_known = isinstance(entry, dict) and entry.get("mode") in MODES
-        lengths: list[Any] = [None]
-        if is_known:
-            lengths = [entry.get("radius"), entry.get("clearance", 0)]
-        if all(type(v) in (int, float) and 0 <= v <= MOST_INFLATED for v in lengths):
-            reaches.append(float(sum(lengths)))
-        elif broken is None:
-            broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
-    return Inflation(max(reaches, default=None), broken)
-
-
-SLACK = 1e-6  # metres that a step may be over the highest one
 
 
 class Facts:
@@ -188,8 +148,20 @@ class Facts:
 
     @cached_property
     def inflation(self) -> Inflation:
-        """What the grid says of its inflation."""
-        return read_inflation(self.grid)
+        """What the grid says of its inflation; what can't be read counts as nothing."""
+        stated = self.grid.metadata.get("inflation", [])
+        if not isinstance(stated, list):
+            return Inflation(None, f"`inflation` is {stated!r}, expected a list of what was done")
+        reaches, broken = list[float](), None
+        for number, entry in enumerate(stated):
+            lengths: list[Any] = [None]
+            if isinstance(entry, dict) and entry.get("mode") in MODES:
+                lengths = [entry.get("radius"), entry.get("clearance", 0)]
+            if all(type(v) in (int, float) and 0 <= v <= MOST_INFLATED for v in lengths):
+                reaches.append(float(sum(lengths)))
+            elif broken is None:
+                broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
+        return Inflation(max(reaches, default=None), broken)
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:
@@ -212,17 +184,8 @@ class Facts:
             return self.grid.link_array
         return np.empty((0, 4), dtype=np.int64)
 
-    @cached_property
-    def door_cells(self) -> list[Bool]:
-        """The cells of each level that a door blocks in any state."""
-        return self._cells_of([(door, state) for door in self.doors for state in door.cells])
-
-    @cached_property
-    def standing_doors(self) -> list[Bool]:
-        """The cells of each level that a door blocks as it stands."""
-        return self._cells_of([(door, door.state) for door in self.doors])
-
-    def _cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
+    def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
+        """The cells of each level that doors block in some states."""
         masks = [np.zeros(level.shape, dtype=np.bool_) for level in self.levels]
         for door, state in doors:
             for mask, cells in zip(masks, door.cells_in(state, len(masks)), strict=True):
@@ -232,13 +195,17 @@ class Facts:
     @cached_property
     def passable(self) -> list[Bool]:
         """The cells that are free, or would be without doors."""
-        return [free | door for free, door in zip(self.free, self.door_cells, strict=True)]
+        doors = self.cells_of([(door, state) for door in self.doors for state in door.cells])
+        return [free | door for free, door in zip(self.free, doors, strict=True)]
+
+    def _steps(self, masks: list[Bool]) -> list[Steps]:
+        layers = zip(masks, self.floors, strict=True)
+        return [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
 
     @cached_property
     def steps(self) -> list[Steps]:
         """Where free cells of each level lie more than a step beside each other."""
-        layers = zip(self.free, self.floors, strict=True)
-        return [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
+        return self._steps(self.free)
 
     @cached_property
     def islands(self) -> list[Int32]:
@@ -250,9 +217,7 @@ class Facts:
         """The same, if no door blocked anything."""
         if not self.doors:
             return self.islands
-        layers = zip(self.passable, self.floors, strict=True)
-        steps = [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
-        return number_islands(self.passable, steps, self.links)
+        return number_islands(self.passable, self._steps(self.passable), self.links)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
         """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""
@@ -265,3 +230,11 @@ class Facts:
         """The place of the first marked cell of a level."""
         row, col = np.unravel_index(int(np.argmax(mask)), mask.shape)
         return self.place(number, int(row), int(col))
+
+    def on_cells(self, number: int, mask: Bool, what: str) -> Iterator[Found]:
+        """One error on all marked cells of a level, with the place of the first; none on none."""
+        count = int(np.count_nonzero(mask))
+        if count:
+            verb = ("have", "has") if what.startswith("a ") else ("are", "is")
+            text = f"{count_of(count, 'cell')} {verb[count == 1]} {what}"
+            yield ERROR, number, self.first(number, mask), text

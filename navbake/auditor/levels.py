@@ -1,4 +1,4 @@
-"""Checks of levels: their order, lattices, boxes and links; and of the agent that they are for."""
+"""Checks of levels, boxes and links, of rooms and doors, and of the agent that they are for."""
 
 from __future__ import annotations
 
@@ -7,64 +7,71 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import mean
 
+from navbake.auditor.cells import pairs_across
 from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark, count_of
+from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.errors import FormatError
+from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST
-from navbake.types import Bool
+from navbake.types import Bool, Int, Vector3
 
 ALIGNED = 1e-3  # share of a cell that lattices may be off
 BOX_SLACK = 1e-4  # metres that a cell may lie beside its level's box
 MOST_TAKEN = 0.5  # share of a level's free cells that may lie in lower levels' boxes
 MAX_SLOPE = 45.0  # of ramps, where the bake states no other [degrees]
 NEXT = 1.5  # cells that the ends of a link may be apart, seen from above
+AREA_OFF = 0.01  # share of a room's area that its entry may be off
+PLACE_OFF = 0.1  # cells that a room's entry may lie beside its cells
+MIN_FREE = 1.0  # area of a room that one can stand on, if it is to need a door [m²]
 
 
-def check_lattices(facts: Facts) -> Iterator[Remark]:
+def check_lattices(facts: Facts) -> Iterator[Found]:
     """A level lies nowhere, or its cells have no size."""
     for number, level in enumerate(facts.levels):
         lattice = level.lattice
         if not 0 < lattice.cell_size < math.inf:
-            text = f"its cells have a size of {lattice.cell_size:g} m"
-            yield Remark("levels", ERROR, number, None, text)
+            yield ERROR, number, None, f"its cells have a size of {lattice.cell_size:g} m"
         if not all(map(math.isfinite, (lattice.x_min, lattice.y_max, level.ground))):
-            yield Remark("levels", ERROR, number, None, "its corner is at no place")
+            yield ERROR, number, None, "its corner is at no place"
 
 
-def check_order(facts: Facts) -> Iterator[Remark]:
+def check_order(facts: Facts) -> Iterator[Found]:
     """Levels aren't in order, lie on different lattices, or are there twice."""
     first = facts.levels[0].lattice
     for number, level in enumerate(facts.levels[1:], start=1):
         below, lattice = facts.levels[number - 1], level.lattice
         if level.ground < below.ground:
             text = f"its ground, {level.ground:.2f} m, is below that of the level before"
-            yield Remark("levels", ERROR, number, None, text)
+            yield ERROR, number, None, text
         cells = (lattice.x_min - first.x_min) / first.cell_size
         rows = (first.y_max - lattice.y_max) / first.cell_size
         off = max(abs(cells - round(cells)), abs(rows - round(rows)))
         if off > ALIGNED or abs(lattice.cell_size / first.cell_size - 1) > 1e-6:
             text = f"its cells lie {off:.3f} of a cell beside those of the lowest level"
-            yield Remark("levels", ERROR, number, None, text)
+            yield ERROR, number, None, text
         same = np.array_equal(facts.floors[number], facts.floors[number - 1], equal_nan=True)
         if same and lattice == below.lattice:
-            text = "its floors are those of the level before, cell by cell"
-            yield Remark("levels", ERROR, number, None, text)
+            yield ERROR, number, None, "its floors are those of the level before, cell by cell"
 
 
-def check_boxes(facts: Facts) -> Iterator[Remark]:
+def check_boxes(facts: Facts) -> Iterator[Found]:
     """A level's box leaves out free cells of its own, or another level's takes them."""
     boxes = [level.bbox_yup for level in facts.levels]
     for number, box in enumerate(boxes):
-        free = facts.free[number]
+        free, floor = facts.free[number], facts.floors[number]
         if box is None:
             continue
         out = free & ~_in_box(facts, number, box)
-        if out.any():
-            out &= ~_interleaves(facts, number)
+        for other, floors in enumerate(facts.floors):
+            # between the floors of another level no boxes are right
+            known = floors[facts.free[other] & ~np.isnan(floors)]
+            if out.any() and other != number and len(known):
+                out &= ~((floor >= known.min()) & (floor <= known.max()))
         if out.any():
             text = f"{int(out.sum())} free cells lie outside of its box (`bbox`)"
-            yield Remark("boxes", ERROR, number, facts.first(number, out), text)
+            yield ERROR, number, facts.first(number, out), text
         taken = np.zeros_like(free)
         for lower in boxes[:number]:
             if lower is not None:
@@ -72,18 +79,7 @@ def check_boxes(facts: Facts) -> Iterator[Remark]:
         # where levels interleave, some cells lie in two boxes, and no boxes are right for all
         if number and taken.sum() > MOST_TAKEN * free.sum():
             text = f"{int(taken.sum())} free cells lie in the box of a lower level, too"
-            yield Remark("boxes", REMARK, number, facts.first(number, taken), text)
-
-
-def _interleaves(facts: Facts, number: int) -> Bool:
-    """The cells of a level that lie between the floors of another, where no boxes are right."""
-    found = np.zeros(facts.levels[number].shape, dtype=np.bool_)
-    for other, floor in enumerate(facts.floors):
-        known = floor[facts.free[other] & ~np.isnan(floor)]
-        if other != number and len(known):
-            own = facts.floors[number]
-            found |= (own >= known.min()) & (own <= known.max())
-    return found
+            yield REMARK, number, facts.first(number, taken), text
 
 
 def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
@@ -98,25 +94,29 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bo
     return np.asarray(inside)
 
 
-def check_links(facts: Facts) -> Iterator[Remark]:
+def check_links(facts: Facts) -> Iterator[Found]:
     """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
     try:
         links = facts.grid.link_array
     except FormatError as error:
-        yield Remark("links", ERROR, None, None, str(error))
+        yield ERROR, None, None, str(error)
         return
-    ends = []
-    for level, cell in ((0, 1), (2, 3)):
-        places = np.full((len(links), 3), np.nan)
+    one, other = places = np.full((2, len(links), 3), np.nan)
+    for place, (level, cell) in zip(places, ((0, 1), (2, 3)), strict=True):
         for number, grid in enumerate(facts.levels):
             here = links[:, level] == number
             rows, cols = np.divmod(links[here, cell], grid.width)
-            places[here, :2] = grid.lattice.positions(rows, cols).reshape(-1, 2)
-            places[here, 2] = facts.floors[number][rows, cols]
-        ends.append(places)
-    one, other = ends
-    rise, limit = np.abs(one - other)[:, 2], _highest_rise(facts)
-    far = np.hypot(*(one - other)[:, :2].T) > NEXT * facts.levels[0].lattice.cell_size
+            place[here, :2] = grid.lattice.positions(rows, cols).reshape(-1, 2)
+            place[here, 2] = facts.floors[number][rows, cols]
+    # a bake links neighbours more than a step apart where a ramp leads on, which its own slope
+    # tells within a step
+    stated: Any = facts.grid.navbake.get("maxSlope")
+    slope = stated if type(stated) in (int, float) and 0 <= stated < 90 else MAX_SLOPE
+    cell_size = facts.levels[0].lattice.cell_size
+    ramp = cell_size * math.tan(math.radians(slope))
+    limit = facts.step_limit + (ramp if ramp > facts.step_limit else 0.0)
+    rise = np.abs(one - other)[:, 2]
+    far = np.hypot(*(one - other)[:, :2].T) > NEXT * cell_size
     for wrong, what in (
         (np.isnan(rise), "to cells without a floor"),
         (far, "to cells that aren't neighbours"),
@@ -126,54 +126,156 @@ def check_links(facts: Facts) -> Iterator[Remark]:
             k = int(np.nanargmax(np.where(wrong, np.nan_to_num(rise), -1.0)))
             x, y, z = one[k].tolist()
             number, count = int(links[k, 0]), int(wrong.sum())
-            place = (x, y, facts.levels[number].ground if np.isnan(z) else z)
             text = f"{count_of(count, 'link')} lead{'s' if count == 1 else ''} {what}"
             text += f": {rise[k]:.2f} m" if what.startswith("up") else ""
-            yield Remark("links", ERROR, number, place, text)
+            yield ERROR, number, (x, y, facts.levels[number].ground if np.isnan(z) else z), text
 
 
-def _highest_rise(facts: Facts) -> float:
-    """The most that a link may rise: a step, or what a slope rises more than that over a cell [m].
-
-    A bake links neighbours more than a step apart where a ramp leads on, which its own slope tells
-    within a step.
-    """
-    stated: Any = facts.grid.navbake.get("maxSlope")
-    is_angle = type(stated) in (int, float) and 0 <= stated < 90
-    slope = stated if is_angle else MAX_SLOPE
-    ramp = facts.levels[0].lattice.cell_size * math.tan(math.radians(slope))
-    return facts.step_limit + (ramp if ramp > facts.step_limit else 0.0)
-
-
-def check_agent(facts: Facts) -> Iterator[Remark]:
+def check_agent(facts: Facts) -> Iterator[Found]:
     """The agent can't be: its sizes are none, it takes steps as high as itself, or it is another.
 
     That is another than that of the settings, which a bake states beside it.
     """
     grid, settings = facts.grid, facts.settings.get("agent", {})
-    for key, taken, what, name, default in (
-        ("agentHeight", grid.agent_height, "> 0", "height", 1.14),
-        ("agentRadius", grid.agent_radius, ">= 0", "radius", 0.05),
-        ("traversableFloorHeight", grid.max_step, ">= 0", "traversable_floor_height", 0.25),
+    for key, taken, least, name, default in (
+        ("agentHeight", grid.agent_height, math.ulp(0.0), "height", 1.14),
+        ("agentRadius", grid.agent_radius, 0.0, "radius", 0.05),
+        ("traversableFloorHeight", grid.max_step, 0.0, "traversable_floor_height", 0.25),
     ):
         baked: Any = settings.get(name, default) if isinstance(settings, dict) else None
         stated = grid.metadata.get(key)
-        if stated is not None and not _is_length(stated, grid.unit, or_zero=what != "> 0"):
+        is_length = isinstance(stated, int | float) and not isinstance(stated, bool)
+        if stated is not None and not (is_length and least <= stated <= FARTHEST / grid.unit):
+            what = ">= 0" if least == 0 else "> 0"
             text = f"`{key}` is {stated!r}, which is no length {what}: it counts as {taken:g} m"
-            yield Remark("agent", ERROR, None, None, text)
+            yield ERROR, None, None, text
         elif facts.settings and type(baked) in (int, float) and not math.isclose(taken, baked):
             text = f"`{key}` is {taken:g} m, but its settings say that it was baked for {baked:g} m"
-            yield Remark("agent", ERROR, None, None, text)
+            yield ERROR, None, None, text
     if grid.max_step >= grid.agent_height:
         text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
-        yield Remark("agent", ERROR, None, None, text)
+        yield ERROR, None, None, text
     if grid.agent_radius > 5:
         text = f"the agent has a radius of {grid.agent_radius:g} m: is the unit right?"
-        yield Remark("agent", REMARK, None, None, text)
+        yield REMARK, None, None, text
 
 
-def _is_length(stated: object, unit: float, *, or_zero: bool) -> bool:
-    """Whether a value of the metadata is a length that a grid may have."""
-    if not isinstance(stated, int | float) or isinstance(stated, bool):
-        return False
-    return (stated > 0 or (or_zero and stated == 0)) and stated * unit <= FARTHEST
+def check_room_table(facts: Facts) -> Iterator[Found]:
+    """The table of rooms and the cells contradict each other."""
+    try:
+        stated = facts.grid.stated_rooms
+    except FormatError as error:
+        yield ERROR, None, None, str(error)
+        return
+    if stated is None:
+        return
+    known = {(room.level, room.index) for room in stated}
+    for number, level in enumerate(facts.levels):
+        count = np.bincount(level.room_index.ravel())
+        middles, cell_size = find_middles(level), level.lattice.cell_size
+        for index in np.flatnonzero(count).tolist():
+            if index and (number, index) not in known:
+                text = f"{count[index]} cells are in room {index}, which no entry describes"
+                yield ERROR, number, facts.first(number, level.room_index == index), text
+        for room in (room for room in stated if room.level == number):
+            name = repr(room.name or room.id)
+            cells = int(count[room.index]) if room.index < len(count) else 0
+            if not cells:
+                yield ERROR, number, room.centroid, f"room {name} has no cells"
+                continue
+            area, middle = cells * cell_size**2, middles[room.index]
+            axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
+            off = math.dist(middle[:axes], room.centroid[:axes])
+            if abs(area - room.area) > AREA_OFF * max(area, room.area):
+                text = f"room {name} has {area:.2f} m², not {room.area:.2f}"
+                yield ERROR, number, room.centroid, text
+            elif off > PLACE_OFF * cell_size:
+                text = f"room {name} lies {off:.2f} m from where its entry says"
+                yield ERROR, number, middle, text
+
+
+def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
+    """The mean of the cells of each room, by its index; to a micrometre, as the table states it."""
+    index, floor = level.room_index, level.floor
+    rooms = np.flatnonzero(np.bincount(index.ravel())[1:]) + 1
+    x = np.broadcast_to(level.lattice.center_x(), index.shape)
+    y = np.broadcast_to(level.lattice.center_y()[:, None], index.shape)
+    z = np.where(np.isnan(floor), level.ground, floor)
+    means = np.stack([np.asarray(mean(values, index, rooms)) for values in (x, y, z)], axis=1)
+    middles = (np.round(means, 6) + 0.0).tolist()  # no -0.0
+    return {room: (x, y, z) for room, (x, y, z) in zip(rooms.tolist(), middles, strict=True)}
+
+
+def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
+    """Nothing leads out of a room, be all doors open."""
+    names = {(room.level, room.index): room.name or room.id for room in facts.rooms or ()}
+    for number, level in enumerate(facts.levels):
+        index, passable, floor = level.room_index, facts.passable[number], facts.floors[number]
+        leads = np.zeros(int(index.max()) + 1, dtype=np.bool_)
+        count = np.bincount(index[passable], minlength=len(leads))
+        if np.count_nonzero(count) < 2:
+            continue  # there is nothing to lead to
+        # from cell to cell with a step between at most, or by a link
+        room, can_pass, height = index.ravel(), passable.ravel(), floor.ravel()
+        for one, step in pairs_across(index, 1):
+            other = one + step
+            with np.errstate(invalid="ignore"):
+                joined = ~(np.abs(height[one] - height[other]) > facts.step_limit)
+            joined &= can_pass[one] & can_pass[other]
+            leads[room[one[joined]]] = leads[room[other[joined]]] = True
+        for level_of, cell in ((0, 1), (2, 3)):
+            here = facts.links[facts.links[:, level_of] == number]
+            leads[room[here[:, cell]]] = True
+        size = count * level.lattice.cell_size**2
+        for which in np.flatnonzero(~leads & (size >= MIN_FREE)).tolist():
+            if which:
+                name = repr(names[number, which]) if (number, which) in names else str(which)
+                text = f"nothing leads out of room {name} ({size[which]:.1f} m²)"
+                yield REMARK, number, facts.first(number, (index == which) & passable), text
+
+
+def check_doors(facts: Facts) -> Iterator[Found]:
+    """A door joins a room to itself, or to none that there is; or its cells aren't as it says."""
+    try:
+        doors = facts.grid.doors
+    except FormatError as error:
+        yield ERROR, None, None, str(error)
+        return
+    known = None if facts.rooms is None else {room.id for room in facts.rooms}
+    standing = facts.cells_of([(door, door.state) for door in doors])
+    for door in doors:
+        states = {state: door.cells_in(state, len(facts.levels)) for state in door.cells}
+        level, place = _place_of(facts, list(states.values()))
+        pair = [room for room in door.rooms if room is not None]
+        if len(pair) == 2 and pair[0] == pair[1]:
+            yield REMARK, level, place, f"door {door.id!r} joins room {pair[0]!r} to itself"
+        for room in sorted(set(pair) - known) if known is not None else ():
+            text = f"door {door.id!r} joins room {room!r}, which there isn't"
+            yield ERROR, level, place, text
+        # a door lists the cells that nothing else blocks but other doors: so those that it blocks
+        # in other states only have to be free, unless another door stands there
+        num_open = num_full = 0
+        for number, grid in enumerate(facts.levels):
+            occupied = grid.occupancy.ravel() != 0
+            stands = door.cells_in(door.state, len(facts.levels))[number]
+            away = np.setdiff1d(np.concatenate([c[number] for c in states.values()]), stands)
+            away = away[~standing[number].ravel()[away]]
+            num_open += int(np.count_nonzero(~occupied[stands]))
+            num_full += int(np.count_nonzero(occupied[away]))
+        state = "stands as modelled" if door.state == "modelled" else f"is {door.state}"
+        if num_open:
+            text = f"door {door.id!r} {state}, but {num_open} of its cells aren't occupied"
+            yield ERROR, level, place, text
+        if num_full:
+            cells = f"{count_of(num_full, 'cell')} {'is' if num_full == 1 else 'are'} occupied"
+            text = f"door {door.id!r} {state}, but {cells} that it blocks in other states only"
+            yield ERROR, level, place, text
+
+
+def _place_of(facts: Facts, states: list[list[Int]]) -> tuple[int | None, Vector3 | None]:
+    """The level and the middle of the first cells of a door."""
+    for number, cells in (pair for levels in states for pair in enumerate(levels)):
+        if len(cells):
+            row, col = divmod(int(cells[len(cells) // 2]), facts.levels[number].width)
+            return number, facts.place(number, row, col)
+    return None, None

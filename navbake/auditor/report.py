@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from navbake.types import Bool, Json, Vector3
-
-if TYPE_CHECKING:
-    from navbake.auditor.facts import Facts
+from navbake.types import Json, Vector3
 
 ERROR, REMARK = "error", "remark"
+Found = tuple[str, int | None, Vector3 | None, str]
+"""What a check yields: severity, level, place and text of a `Remark`."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +79,3 @@ class AuditReport:
 def count_of(count: int, what: str) -> str:
     """How many of something, in words."""
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def remark_on_cells(
-    facts: Facts, check: str, number: int, mask: Bool, what: str
-) -> Iterator[Remark]:
-    """One error on all marked cells of a level, with the place of the first; nothing on none."""
-    count = int(np.count_nonzero(mask))
-    if count:
-        verb = ("have", "has") if what.startswith("a ") else ("are", "is")
-        text = f"{count_of(count, 'cell')} {verb[count == 1]} {what}"
-        yield Remark(check, ERROR, number, facts.first(number, mask), text)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grid_maps import level_from
-from navbake.auditor.rooms import find_middles
+from navbake.auditor.levels import find_middles
 from navbake.navgrid.rooms import measure_rooms
 
 MAP = """
