@@ -7,7 +7,7 @@ the blocks again that something touched, and merges.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels.blocks import SIZE
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import num_threads, run_in_bands
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Int
+
+# Room for so many rows is made at first
+ROOM = 4096
 
 
 class Blocks:
@@ -77,7 +80,35 @@ class Blocks:
         return found
 
 
-class Rows:
+def list_rows(
+    kernel: Callable[..., int], blocks: Int, empty: tuple[NDArray[Any], ...], *args: Any
+) -> tuple[Int, list[NDArray[Any]]]:
+    """List rows of numbers for some blocks: how many each has, and the columns of all.
+
+    Args:
+        kernel: ``kernel(*args, blocks, counts, columns, begin, end)`` writes the rows of
+            ``blocks[begin:end]`` into the columns, from their first row on, and how many each has
+            into `counts`; returns the place of the first block for which there is no room, or
+            `end`.
+        empty: an empty array of each column's dtype and shape.
+    """
+    counts = np.zeros(len(blocks), dtype=np.int64)
+    found: dict[int, list[NDArray[Any]]] = {-1: list(empty)}
+
+    def work(first: int, end: int) -> None:
+        room = ROOM
+        while first < end:
+            columns = tuple(np.empty((room, *one.shape[1:]), one.dtype) for one in empty)
+            done = kernel(*args, blocks, counts, columns, first, end)
+            found[first] = [column[: counts[first:done].sum()] for column in columns]
+            first, room = done, 2 * room
+
+    run_in_bands(work, len(blocks))
+    parts = zip(*(found[first] for first in sorted(found)), strict=True)
+    return counts, [np.concatenate(arrays) for arrays in parts]
+
+
+class BlockTable:
     """A table of which each block has some rows, in columns of numbers.
 
     Args:
@@ -85,58 +116,35 @@ class Rows:
     """
 
     def __init__(self, num_blocks: int, *empty: NDArray[Any]) -> None:
+        self._empty = empty
         self._parts: list[tuple[NDArray[Any], ...]] = [empty] * num_blocks
 
-    def put_all(self, counts: Int, values: NDArray[Any]) -> Bool:
-        """Replace the rows of all blocks, of one column; tells which blocks changed."""
-        (old,), was = self.take(), self.counts()
-        ends = np.cumsum(counts)
-        changed: Bool = np.not_equal(was, counts)
-        self._parts = [(part,) for part in np.split(values, ends[:-1])]
+    def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> None:
+        """Replace the rows of some blocks, see `list_rows`."""
+        counts, columns = list_rows(kernel, blocks, self._empty, *args)
+        begin = 0
+        for block, end in zip(blocks.tolist(), np.cumsum(counts).tolist(), strict=True):
+            self._parts[block] = tuple(column[begin:end] for column in columns)
+            begin = end
+
+    def take(self) -> tuple[Int, list[NDArray[Any]]]:
+        """The block of each row, and the columns of all blocks, one block after the other."""
+        counts = [len(part[0]) for part in self._parts]
+        columns = [np.concatenate(arrays) for arrays in zip(*self._parts, strict=True)]
+        return np.repeat(np.arange(len(counts)), counts), columns
+
+
+class Seen:
+    """The values that the last update had, some in each block."""
+
+    def __init__(self, num_blocks: int) -> None:
+        self._counts, self._values = np.zeros(num_blocks, dtype=np.int64), np.empty(0)
+
+    def differ(self, counts: Int, values: NDArray[Any]) -> Bool:
+        """The blocks that had other values, which become those that are given."""
+        changed: Bool = self._counts != counts
         same = ~changed
-        if same.all():
-            block = np.repeat(np.arange(len(counts)), counts)
-            changed[block[old != values]] = True
-        elif same.any():
-            kept = np.repeat(same, counts), np.repeat(same, was)
-            block = np.repeat(np.arange(len(counts)), counts)[kept[0]]
-            changed[block[old[kept[1]] != values[kept[0]]]] = True
+        was, now = self._values[np.repeat(same, self._counts)], values[np.repeat(same, counts)]
+        changed[np.repeat(np.flatnonzero(same), counts[same])[was != now]] = True
+        self._counts, self._values = counts.copy(), values
         return changed
-
-    def put(self, blocks: Int, counts: Int, *columns: NDArray[Any]) -> Bool:
-        """Replace the rows of some blocks, which follow each other; tells which changed."""
-        ends = np.cumsum(counts).tolist()
-        changed, begin = np.zeros(len(blocks), dtype=np.bool_), 0
-        for k, (block, end) in enumerate(zip(blocks.tolist(), ends, strict=True)):
-            new = tuple(column[begin:end] for column in columns)
-            old = self._parts[block]
-            changed[k] = not all(map(np.array_equal, new, old))
-            self._parts[block], begin = new, end
-        return changed
-
-    def of(self, block: int) -> tuple[NDArray[Any], ...]:
-        """The rows of a block."""
-        return self._parts[block]
-
-    def take(self) -> list[NDArray[Any]]:
-        """The columns of all blocks, one block after the other."""
-        return [np.concatenate(arrays) for arrays in zip(*self._parts, strict=True)]
-
-    def counts(self) -> Int:
-        """How many rows each block has."""
-        return np.array([len(part[0]) for part in self._parts], dtype=np.int64)
-
-
-def gather_rows(
-    kernel: Callable[..., Any], count: int, *args: Any, least: int = 1
-) -> list[NDArray[Any]]:
-    """Call a kernel that returns arrays for ranges of work, and join these in their order."""
-    found: dict[int, Sequence[NDArray[Any]]] = {}
-
-    def work(first: int, end: int) -> None:
-        found[first] = kernel(*args, first, end)
-
-    if num_threads() == 1 or count <= least:
-        return list(kernel(*args, 0, count))
-    run_in_bands(work, count, least=least)
-    return [np.concatenate(parts) for parts in zip(*(found[k] for k in sorted(found)), strict=True)]

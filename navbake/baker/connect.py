@@ -34,6 +34,13 @@ def touching(cells: Int, width: int) -> Int:
     return pairs
 
 
+def ranges(begin: Int, end: Int) -> tuple[Int, Int]:
+    """List the numbers of ranges, one after the other: which range each is of, and the number."""
+    count = np.maximum(end - begin, 0)
+    which = np.repeat(np.arange(len(count)), count)
+    return which, np.arange(len(which)) + np.repeat(begin - np.cumsum(count) + count, count)
+
+
 class Runs(NamedTuple):
     """Runs of cells with one value in rows, by rows, shape (n,).
 
@@ -78,9 +85,7 @@ def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
     place, past = row * (cols + 1) + first, row * (cols + 1) + end
     # the runs of the next row that begin before a run's end and end behind its beginning
     begin = np.searchsorted(past, place + cols + 1, "right")
-    count = np.maximum(np.searchsorted(place, past + cols + 1, "left") - begin, 0)
-    one = np.repeat(np.arange(len(row)), count)
-    other = np.arange(len(one)) + np.repeat(begin - np.cumsum(count) + count, count)
+    one, other = ranges(begin, np.searchsorted(place, past + cols + 1, "left"))
     same = value[one] == value[other]
     part = connect(np.stack([one[same], other[same]]), len(row))
     # the cells before each run, those of the run, and so on; those behind the last one

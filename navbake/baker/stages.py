@@ -22,9 +22,8 @@ from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shape
 from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors
-from navbake.baker.floors.levels import FloorFinder, Floors, find_floors
+from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, find_floors
 from navbake.baker.floors.outline import OccupancyTest
-from navbake.baker.floors.window import crop_floors
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
 from navbake.baker.occupancy.occupancy import (

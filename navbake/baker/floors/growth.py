@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import Rows, gather_rows
+from navbake.baker.blocks import BlockTable, Seen, list_rows
 from navbake.baker.floors.kernels import growth as kernels
 from navbake.baker.floors.kernels.growth import Growing
 from navbake.baker.floors.sheets import Sheets
@@ -15,8 +15,9 @@ from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.baker.kernels.blocks import SIZE
 from navbake.baker.lattice import Window
 from navbake.config.settings import AgentSettings
-from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
+
+NO_OPTIONS = np.empty(0, dtype=np.int64), np.empty(0)
 
 
 class Grown(NamedTuple):
@@ -29,6 +30,11 @@ class Grown(NamedTuple):
 
     floor: Float
     ring: Int32
+
+    def differs(self, other: Grown) -> Bool:
+        """Where floors or rings differ, to the last bit."""
+        bits, others = (np.ascontiguousarray(grown.floor).view(np.int64) for grown in (self, other))
+        return np.asarray((bits != others) | (self.ring != other.ring))
 
 
 class FloorChanges(NamedTuple):
@@ -54,29 +60,26 @@ class FloorGrowth:
         changed: what the last update changed on each level; None where all may be new.
     """
 
-    links: Int
-
     def __init__(self, sheets: Sheets, agent: AgentSettings) -> None:
         self._sheets, self._agent = sheets, agent
         self._by_slopes = slopes_may_join(sheets.lattice, agent)
         self._local = np.full(sheets.lattice.width * sheets.lattice.height, -1, dtype=np.int32)
-        self._seen = Rows(sheets.blocks.num, np.empty(0, dtype=np.bool_))
-        self._links = Rows(sheets.blocks.num, np.empty((0, 4), dtype=np.int64))
+        self._bars, self.links = Seen(sheets.blocks.num), np.empty((0, 4), dtype=np.int64)
+        self._links = BlockTable(sheets.blocks.num, self.links)
         self._number = np.empty(0, dtype=np.int64)
         self.levels: list[Grown] = []
         self.changed: list[FloorChanges] | None = None
 
-    def update(self, placed: Placed, bars: Bool, changed: Bool) -> None:
+    def update(self, placed: Placed, bars: Bool) -> None:
         """Find floors and links again.
 
         Args:
             placed: the surfaces on their levels.
             bars: the sheets at whose surfaces no floor goes on, shape (sheets,), bool.
-            changed: the blocks with other surfaces than in the last update.
         """
-        sheets = self._sheets
-        stale = changed | placed.changed
-        stale |= self._seen.put_all(sheets.labels.count, bars[sheets.of_part])
+        sheets, step = self._sheets, self._agent.traversable_floor_height
+        stale = placed.changed | sheets.stale
+        stale |= self._bars.differ(sheets.labels.count, bars[sheets.of_part])
         is_new = not np.array_equal(self._number, placed.number)
         is_new |= len(self.levels) != len(placed.grounds)
         if is_new:
@@ -87,7 +90,13 @@ class FloorGrowth:
             ]
         found = [self._grow(k, placed, bars, stale, is_new) for k in range(len(self.levels))]
         self.changed = [one for one in found if one] if not is_new else None
-        self._find_links(placed, stale)
+        self.links = self.links[:0]
+        if len(self.levels) > 1 or self._by_slopes:
+            near = np.flatnonzero(sheets.blocks.before(stale))
+            asked = (placed.level, placed.number), step, self._by_slopes
+            self._links.fill(kernels.list_links, near, sheets.lattice, sheets.surfaces, *asked)
+            _, (links,) = self._links.take()
+            self.links = links[np.lexsort(links.T[::-1])]
 
     def _grow(
         self, k: int, placed: Placed, bars: Bool, stale: Bool, is_new: bool
@@ -98,29 +107,41 @@ class FloorGrowth:
         blocks beyond that edge are looked at again, too.
         """
         sheets, agent, level = self._sheets, self._agent, self.levels[k]
+        lattice, blocks = sheets.lattice, sheets.blocks
         growing = Growing(
             sheets.surfaces, placed.level, placed.number, k, agent.height,
             agent.traversable_floor_height, *level,
         )  # fmt: skip
-        labelled, region = sheets.labelled(bars), stale.copy()
-        asked, before = stale, list[tuple[Window, Grown]]()
+        asked, region, before = stale, stale.copy(), list[tuple[Window, Grown]]()
         while asked.any():
             if not is_new:
-                for window in sheets.blocks.windows(asked):
-                    before.append((window, self._cut(level, window)))
-            blocks = np.flatnonzero(region)
-            run_in_bands(kernels.write_standable, len(blocks), sheets.lattice, growing, blocks)
-            cells, counts, heights = gather_rows(
-                kernels.list_options, len(blocks), labelled, growing, blocks
+                before += [(window, self._cut(level, window)) for window in blocks.windows(asked)]
+            known = sheets.labelled(bars), growing
+            _, (cell, height) = list_rows(
+                kernels.list_options, np.flatnonzero(region), NO_OPTIONS, *known
             )
-            start = np.concatenate([[0], np.cumsum(counts)])
-            known = region, cells, start, heights, growing.step, *level, self._local
-            kernels.grow(sheets.lattice, *known)
+            start = np.append(np.flatnonzero(np.diff(cell, prepend=-1)), len(cell))
+            cells = cell[start[:-1]]
+            num = len(cells)
+            room = np.empty((3, num), np.int64), np.zeros(num, np.bool_), np.empty(num)
+            options = region, cells, start, height, growing.step
+            kernels.grow(lattice, *options, *level, self._local, room)
             if is_new:
                 return None
             asked = self._beyond(level, before) & ~region
             region |= asked
-        return self._list_changed(level, before)
+        # what has changed, in the order of cells
+        found = [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32))]
+        for window, was in before:
+            row, col = np.nonzero(was.differs(self._cut(level, window)))
+            cell = (row + window[0].start) * lattice.width + col + window[1].start
+            found.append((cell, was.floor[row, col], was.ring[row, col]))
+        cell, floor, ring = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        order = np.argsort(cell)
+        cell, floor, ring = cell[order], floor[order], ring[order]
+        is_other = floor.view(np.int64) != level.floor[cell].view(np.int64)
+        is_flipped = (ring == 0) != (level.ring[cell] == 0)
+        return FloorChanges(cell[is_other], floor[is_other], cell[is_flipped])
 
     def _cut(self, level: Grown, window: Window) -> Grown:
         shape = self._sheets.lattice.shape
@@ -129,51 +150,12 @@ class FloorGrowth:
     def _beyond(self, level: Grown, before: list[tuple[Window, Grown]]) -> Bool:
         """The blocks beside borders at which floors or rings have changed."""
         blocks = self._sheets.blocks
-        mask = np.zeros((blocks.rows, blocks.cols), dtype=np.bool_)
+        mask = np.zeros((blocks.rows + 2, blocks.cols + 2), dtype=np.bool_)
         for window, was in before:
-            now = self._cut(level, window)
-            row, col = (part.start // SIZE for part in window)
-            for down, right, line in (
-                (0, 1, np.s_[:, -1]), (1, 0, np.s_[-1]), (0, -1, np.s_[:, 0]), (-1, 0, np.s_[0])
-            ):  # fmt: skip
-                r, c = row + down, col + right
-                inside = 0 <= r < blocks.rows and 0 <= c < blocks.cols
-                if inside and _differ(was, now)[line].any():
-                    mask[r, c] = True
-        return mask.ravel()
-
-    def _list_changed(self, level: Grown, before: list[tuple[Window, Grown]]) -> FloorChanges:
-        width = self._sheets.lattice.width
-        cells, heights, flipped = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty(0, bool)]
-        for window, was in before:
-            now = self._cut(level, window)
-            row, col = np.nonzero(_differ(was, now))
-            cells.append((row + window[0].start) * width + col + window[1].start)
-            heights.append(was.floor[row, col])
-            flipped.append((was.ring[row, col] == 0) != (now.ring[row, col] == 0))
-        cell, floor = np.concatenate(cells), np.concatenate(heights)
-        is_flipped = np.concatenate(flipped)
-        order = np.argsort(cell)
-        cell, floor, is_flipped = cell[order], floor[order], is_flipped[order]
-        is_other = floor.view(np.int64) != level.floor[cell].view(np.int64)
-        return FloorChanges(cell[is_other], floor[is_other], cell[is_flipped])
-
-    def _find_links(self, placed: Placed, stale: Bool) -> None:
-        sheets, step = self._sheets, self._agent.traversable_floor_height
-        if len(self.levels) > 1 or self._by_slopes:
-            near = np.flatnonzero(sheets.blocks.before(stale))
-            asked = placed.level, placed.number, step, self._by_slopes, near
-            counts, rows = gather_rows(
-                kernels.list_links, len(near), sheets.lattice, sheets.surfaces, *asked
-            )
-            self._links.put(near, counts, rows)
-            (links,) = self._links.take()
-            self.links = links[np.lexsort(links.T[::-1])]
-        else:
-            self.links = np.empty((0, 4), dtype=np.int64)
-
-
-def _differ(one: Grown, other: Grown) -> Bool:
-    """Where floors or rings differ, to the last bit."""
-    bits, others = (np.ascontiguousarray(grown.floor).view(np.int64) for grown in (one, other))
-    return np.asarray((bits != others) | (one.ring != other.ring))
+            differs = was.differs(self._cut(level, window))
+            row, col = (part.start // SIZE + 1 for part in window)
+            mask[row, col - 1] |= differs[:, 0].any()
+            mask[row, col + 1] |= differs[:, -1].any()
+            mask[row - 1, col] |= differs[0].any()
+            mask[row + 1, col] |= differs[-1].any()
+        return mask[1:-1, 1:-1].ravel()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks, Rows, gather_rows
+from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.connect import connect
 from navbake.baker.floors.kernels.labels import JOINS, LINKS, label_blocks, list_pairs
 from navbake.baker.floors.kernels.surfaces import Surfaces
@@ -14,6 +14,8 @@ from navbake.threads import run_in_bands
 from navbake.types import Bool, Int, Int32
 
 NO_KEY = np.empty(0, dtype=np.int32)
+# An empty array of rows that count, see `navbake.baker.floors.kernels.labels`
+NO_ROWS = np.empty((0, 4), dtype=np.int64)
 
 
 class Joining(NamedTuple):
@@ -39,28 +41,22 @@ class Labels:
     Attributes:
         part: the number of each surface's part in its block, -1 for none, int32.
         count: how many parts each block has.
+        offset: the number of each block's first part, and of all parts, shape (blocks + 1,).
     """
 
     def __init__(self, blocks: Blocks, joining: Joining) -> None:
         self.blocks, self._joining = blocks, joining
         self.part, self.count = np.empty(0, dtype=np.int32), np.zeros(blocks.num, dtype=np.int64)
-        self._pairs = Rows(blocks.num, np.empty((0, 4), dtype=np.int32))
+        self._pairs = BlockTable(blocks.num, NO_ROWS)
 
     def update(self, surfaces: Surfaces, stale: Bool, key: Int32 = NO_KEY) -> None:
         """Find the parts of stale blocks again; see `label_blocks` for the key."""
         self.part = fit(self.part, len(surfaces.z))
         chosen, near = np.flatnonzero(stale), np.flatnonzero(self.blocks.before(stale))
-        lattice, (step, _, by_slopes) = self.blocks.lattice, self._joining
-        asked = lattice, surfaces, key, step, by_slopes, self.part, chosen, self.count
-        run_in_bands(label_blocks, len(chosen), *asked)
-        known = lattice, surfaces, key, self._joining, self.part, near
-        counts, rows = gather_rows(list_pairs, len(near), *known)
-        self._pairs.put(near, counts, rows)
-
-    @property
-    def offset(self) -> Int:
-        """The number of each block's first part, and of all parts, shape (blocks + 1,)."""
-        return np.concatenate([[0], np.cumsum(self.count)])
+        asked = self.blocks.lattice, surfaces, key, self._joining, self.part
+        run_in_bands(label_blocks, len(chosen), *asked, chosen, self.count)
+        self._pairs.fill(list_pairs, near, *asked)
+        self.offset = np.concatenate([[0], np.cumsum(self.count)])
 
     @property
     def block(self) -> Int:
@@ -74,13 +70,12 @@ class Labels:
             The numbers, shape (parts,), and pairs of wholes, each once, shape (2, m): first the
             one with the lower number.
         """
-        offset, (rows,) = self.offset, self._pairs.take()
-        block = np.repeat(np.arange(self.blocks.num), self._pairs.counts())
-        kind, one, where, other = rows.T.astype(np.int64)
-        step = np.array([0, 1, self.blocks.cols])
-        pairs = np.stack([offset[block] + one, offset[block + step[where]] + other])
-        whole = connect(pairs[:, kind == JOINS], int(offset[-1]))
-        links = np.sort(whole[pairs[:, kind == LINKS]], axis=0)
+        block, (rows,) = self._pairs.take()
+        one, other, what, _ = rows.T
+        step = np.array([0, 1, self.blocks.cols])[what % 3]
+        pairs = np.stack([self.offset[block] + one, self.offset[block + step] + other])
+        whole = connect(pairs[:, what // 3 == JOINS], int(self.offset[-1]))
+        links = np.sort(whole[pairs[:, what // 3 == LINKS]], axis=0)
         links = links[:, links[0] != links[1]].astype(np.int64)
         if links.size:
             links = np.stack(np.divmod(np.unique(links[0] * len(whole) + links[1]), len(whole)))

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks, Rows
+from navbake.baker.blocks import Blocks, BlockTable, Seen
 from navbake.baker.columns import Columns, ColumnSource
-from navbake.baker.floors.enclosed import EnclosedFinder
-from navbake.baker.floors.facts import SheetFacts
+from navbake.baker.floors.enclosed import find_enclosed
 from navbake.baker.floors.growth import FloorChanges, FloorGrowth
-from navbake.baker.floors.kernels.members import count_edges
-from navbake.baker.floors.outline import KnownEdges, OccupancyTest, Site, find_cropped
+from navbake.baker.floors.kernels.members import list_edges
+from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
 from navbake.baker.floors.patch import Patch, describe_sheets
 from navbake.baker.floors.reach import (
     Unreached,
@@ -21,16 +20,16 @@ from navbake.baker.floors.reach import (
     find_unreached,
     largest_of_lowest,
 )
-from navbake.baker.floors.rejected import Changed, Rejected, find_rejected, given_spans
-from navbake.baker.floors.sheets import AreaTest, Sheets
-from navbake.baker.floors.storeys import Placed, Storeys
+from navbake.baker.floors.rejected import find_rejected
+from navbake.baker.floors.sheets import SheetFacts, Sheets, area_test
+from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
@@ -92,9 +91,6 @@ class FloorFinder:
     Args:
         lattice: the cells.
         given: the levels of the configuration, or None to find them.
-
-    Attributes:
-        changed: what the last update changed on each level; None where all may be new.
     """
 
     def __init__(
@@ -105,14 +101,13 @@ class FloorFinder:
         given: Sequence[LevelSettings] | None,
     ) -> None:
         self._lattice, self._agent, self._settings, self._given = lattice, agent, settings, given
-        self._blocks, self._now = Blocks(lattice), 0
-        self._store, self._enclosed = SurfaceStore(lattice, agent), EnclosedFinder(lattice, agent)
+        self._spans = given_spans(given or ())
+        self._blocks, self._store = Blocks(lattice), SurfaceStore(lattice, agent)
         self._sheets = Sheets(self._store, self._blocks, agent)
-        self._facts, self._sizes, self._known = SheetFacts(), SheetFacts(), KnownEdges()
-        self._last = np.zeros(self._blocks.num, dtype=np.int64)  # the update that changed a block
-        nothing = np.empty(0, dtype=np.int64)
-        self._seen = Rows(self._blocks.num, np.empty(0, dtype=np.bool_))
-        self._edges = Rows(self._blocks.num, nothing, nothing)
+        self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
+        self._edges = BlockTable(self._blocks.num, NO_EDGES)
+        # in which update something last changed in or near a block
+        self._last = np.zeros(self._blocks.num, dtype=np.int64)
         self._cropped: Bool | None = None
         # where what is reached decides, surfaces are placed before and after that
         self._storeys, self._kept_storeys = (
@@ -121,12 +116,15 @@ class FloorFinder:
         self._placed_by: Storeys | None = None
         self._growth = FloorGrowth(self._sheets, agent)
         self._stale = self._blocks.all()
-        self.changed: list[FloorChanges] | None = None
+
+    @property
+    def changed(self) -> list[FloorChanges] | None:
+        """What the last update changed on each level; None where all may be new."""
+        return self._growth.changed
 
     def add(self, columns: Columns, planes: Planes) -> None:
         """Take the columns of a block of rows; these come in their order."""
         self._store.add(columns, planes)
-        self._enclosed.add(columns, planes)
 
     def finish(self) -> None:
         """Note that all columns have been added."""
@@ -134,9 +132,7 @@ class FloorFinder:
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        changed = self._store.replace(cells, crossings, planes)
-        self._enclosed.replace(cells, crossings, planes)
-        self._stale |= self._blocks.holding(changed)
+        self._stale |= self._blocks.holding(self._store.replace(cells, crossings, planes))
 
     def find(
         self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest, near: Bool
@@ -152,79 +148,88 @@ class FloorFinder:
             SceneError: there is no floor at all, none on a given level, or none at a place that one
                 starts from.
         """
-        self._now += 1
-        surfaces, sheets, settings = self._store.surfaces, self._sheets, self._settings
-        stale, self._stale = self._stale, np.zeros_like(self._stale)
-        enclosed = self._enclosed.found(surfaces, settings)
-        sheets.update(stale)
+        sheets, facts, settings, agent = self._sheets, self._facts, self._settings, self._agent
+        sheets.update(self._stale)
+        self._stale = np.zeros_like(self._stale)
         if not len(sheets.key):
+<<<<<<< HEAD
             raise SceneError(_no_floor(self._store, self._agent))
         is_large, drops, changed = self._judge(stale, near)
         cropped = find_cropped(self._lattice, shapes.bounds)
         self._known.begin(self._last, self._now)
         agent = self._agent
         site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, self._known)
+=======
+            raise SceneError(_no_floor(self._store, agent))
+        cropped = find_cropped(self._lattice, shapes.bounds())
+>>>>>>> 89c8943 (Floors: one way to list rows by block, one kernel for edges, rims told by edges alone, held surfaces in the store)
         if self._cropped is None or not np.array_equal(cropped, self._cropped):
-            self._cropped, self._facts = cropped, SheetFacts()
-        self._facts.begin(sheets.digest, self._now)
-        rejected = find_rejected(site, drops, changed, self._facts, self._given)
-        starts = find_starts(site, self._store, rejected, settings.starts)
+            self._cropped, self._facts = cropped, (facts := SheetFacts())
+        facts.begin(sheets)
+        is_large = facts.mask(
+            "large",
+            sheets.size >= area_test(self._lattice, settings).needed,
+            lambda asked: sheets.left(asked, settings),
+        )
+        site = Site(
+            sheets, is_large, columns, agent, settings, is_occupied, cropped,
+            *self._find_edges(is_large, near), facts,
+        )  # fmt: skip
+        rejected = find_rejected(site, self._spans)
+        starts = find_starts(site, rejected, settings.starts)
         counts = is_large & ~rejected.any | starts
         if not counts.any():
-            raise SceneError(_no_large_floor(settings))
-        placed, left_out, unreached = self._place_reached(columns, counts, starts, stale)
-        bars = is_large | starts
-        self._growth.update(placed, bars, stale)
-        self.changed = self._growth.changed
+            raise SceneError(
+                f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
+                f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
+                f"`floors.shrink` if it is a floor"
+            )
+        placed, left_out, unreached = self._place_reached(columns, counts, starts)
+        self._growth.update(placed, is_large | starts)
+        levels, shape = [], self._lattice.shape
+        for name, ground, (floor, ring) in zip(
+            placed.labels, placed.grounds, self._growth.levels, strict=True
+        ):
+            standable = (ring == 0).reshape(shape)
+            levels.append(LevelFloor(name, ground, floor.reshape(shape), standable))
+        tops = (rejected.tops | rejected.shelves) & ~starts
+        is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
-            [self._level_floor(k, *level) for k, level in enumerate(self._names(placed))],
+            levels,
             self._growth.links,
-            *self._describe(site, rejected, starts, counts),
+            tops=describe_sheets(sheets, tops, facts),
+            roofs=describe_sheets(sheets, rejected.roofs & ~starts & is_told, facts),
+            small_starts=describe_sheets(sheets, starts & ~is_large, facts),
             unreached=unreached,
             left_out=left_out,
-            enclosed=enclosed,
+            enclosed=find_enclosed(self._store, settings, agent.traversable_floor_height),
         )
 
-    def _judge(self, stale: Bool, near: Bool) -> tuple[Bool, Int, Changed]:
-        """Which sheets are large, how they drop to others, and when what is near them changed.
+    def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int]:
+        """The edges of large sheets, how far one looks out, and when what is near them changed.
 
         Args:
-            stale: the blocks with other surfaces.
-            near: those with other geometry.
-        """
-        sheets, blocks, agent = self._sheets, self._blocks, self._agent
-        is_large = self._find_large()
-        reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
-        rows = np.where(is_large, sheets.key, -1)[sheets.of_part]
-        other = stale | self._seen.put_all(sheets.labels.count, rows)
-        chosen = np.flatnonzero(blocks.around(other, reach))
-        counts = sheets.labels.count[chosen]
-        offset = np.cumsum(counts) - counts
-        edges, drops = np.zeros((2, int(counts.sum())), dtype=np.int64)
-        asked = sheets.labelled(is_large), agent.traversable_floor_height, reach, chosen, offset
-        run_in_bands(count_edges, len(chosen), *asked, edges, drops)
-        self._edges.put(chosen, counts, edges, drops)
-        self._last[blocks.around(other | near, reach + 1)] = self._now
-        edges, drops = self._edges.take()
-        block, last = sheets.labels.block, np.zeros((2, len(is_large)), dtype=np.int64)
-        np.maximum.at(last[0], sheets.of_part, self._last[block])
-        at_edge = edges > 0
-        np.maximum.at(last[1], sheets.of_part[at_edge], self._last[block[at_edge]])
-        return is_large, sheets.sum(drops), Changed(last[0], last[1], np.zeros_like(last[0]))
+            near: the blocks with other geometry.
 
-    def _find_large(self) -> Bool:
-        """Which sheets are large enough after shrinking."""
-        sheets = self._sheets
-        least = AreaTest(self._lattice, self._settings).needed
-        asked = sheets.size >= least
-        never = np.zeros(len(asked), dtype=np.int64)
-        self._sizes.begin(sheets.digest, self._now)
-        return self._sizes.mask(
-            "large", asked, never, lambda some: sheets.left(some, self._settings)
-        )
+        Returns:
+            `edges`, `reach`, `near` and `at_edges` of a `Site`.
+        """
+        sheets, blocks = self._sheets, self._blocks
+        reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
+        keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
+        other = sheets.stale | self._large.differ(sheets.labels.count, keys)
+        asked = sheets.labelled(is_large), self._agent.traversable_floor_height, reach
+        self._edges.fill(list_edges, np.flatnonzero(blocks.around(other, reach)), *asked)
+        self._last[blocks.around(other | near, reach + 1)] = sheets.now
+        block, (rows,) = self._edges.take()
+        last = np.zeros((2, len(is_large)), dtype=np.int64)
+        np.maximum.at(last[0], sheets.of_part, self._last[sheets.labels.block])
+        sheet = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
+        np.maximum.at(last[1], sheet, self._last[block])
+        return (block, rows), reach, last[0], last[1]
 
     def _place_reached(
-        self, columns: ColumnSource, counted: Bool, starts: Bool, stale: Bool
+        self, columns: ColumnSource, counted: Bool, starts: Bool
     ) -> tuple[Placed, list[Patch], list[Unreached]]:
         """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
@@ -238,48 +243,25 @@ class FloorFinder:
         by_steps, patches = settings.reach == "steps", list[Patch]()
         placed, reached, source = None, starts, self._storeys
         if not starts.any() or (given is None and not by_steps):
-            placed = self._storeys.update(counted, stale, (), False)
+            placed = source.update(counted, (), False)
             if not starts.any():
                 reached = largest_of_lowest(placed.counts, len(counted))
-        else:
-            self._storeys.miss(stale)
-        for number, span in enumerate(given_spans(given or ())):
+        for number, span in enumerate(self._spans):
             if not (counted & sheets.between(*span)).any():
                 raise SceneError(_no_floor_on(given or (), number, columns))
         kept = counted & reached if by_steps else counted
         if given is not None or placed is None or not np.array_equal(kept, counted):
             source = self._kept_storeys
-            placed = source.update(kept, stale, given or (), given is not None)
-            if not (placed.key >= 0).any():
-                raise SceneError(_no_reached(bool(starts.any())))
-        else:
-            self._kept_storeys.miss(stale)
+            placed = source.update(kept, given or (), given is not None)
+            if not len(placed.counts):
+                what = "the largest floor of the lowest level"
+                what = "what `floors.from` names" if starts.any() else what
+                raise SceneError(f"no floor: {what} lies outside of the `levels`")
         if source is not self._placed_by:
             self._placed_by, placed = source, placed._replace(changed=self._blocks.all())
         if by_steps:
-            left = counted & ~reached
-            patches = describe_sheets(sheets, left, self._facts, given)
+            patches = describe_sheets(sheets, counted & ~reached, self._facts, self._spans)
         return placed, patches, find_unreached(sheets, placed, reached)
-
-    def _names(self, placed: Placed) -> list[tuple[str, float]]:
-        return list(zip(placed.labels, placed.grounds, strict=True))
-
-    def _level_floor(self, k: int, label: str, ground: float) -> LevelFloor:
-        floor, ring = self._growth.levels[k]
-        shape = self._lattice.shape
-        return LevelFloor(label, ground, floor.reshape(shape), (ring == 0).reshape(shape))
-
-    def _describe(
-        self, site: Site, rejected: Rejected, starts: Bool, counts: Bool
-    ) -> tuple[list[Patch], list[Patch], list[Patch]]:
-        """Tops, roofs, and starts that are too small for floors."""
-        sheets, facts = self._sheets, self._facts
-        is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
-        return (
-            describe_sheets(sheets, (rejected.tops | rejected.shelves) & ~starts, facts),
-            describe_sheets(sheets, rejected.roofs & ~starts & is_told, facts),
-            describe_sheets(sheets, starts & ~site.is_large, facts),
-        )
 
 
 def find_floors(
@@ -299,6 +281,55 @@ def find_floors(
     return finder.find(columns, shapes, is_occupied, every), finder
 
 
+def crop_floors(floors: Floors, window: Window) -> Floors:
+    """Cut a window out of the floors of a whole scene.
+
+    Levels without a standable surface in the window are left out. What is said of the others,
+    such as which roofs were dropped, stays as far as a part of it lies in the window.
+
+    Raises:
+        SceneError: no floor lies in the window.
+    """
+    shown = [k for k, level in enumerate(floors.levels) if level.standable[window].any()]
+    if not shown:
+        raise SceneError("no floor lies inside of `grid.bounds`")
+    number = np.full(len(floors.levels), -1, dtype=np.int64)
+    number[shown] = np.arange(len(shown))
+    levels = []
+    for new, old in enumerate(shown):
+        level = floors.levels[old]
+        name = f"level {new}" if level.name == f"level {old}" else level.name
+        floor, standable = level.floor[window].copy(), level.standable[window].copy()
+        levels.append(replace(level, name=name, floor=floor, standable=standable))
+    width = floors.levels[0].floor.shape[1]
+
+    def is_shown(patch: Patch) -> bool:
+        return bool(cut_cells(patch.cells.astype(np.int64), window, width)[1].any())
+
+    links = floors.links
+    kept = (number[links[:, 0]] >= 0) & (number[links[:, 2]] >= 0)
+    for cell in (1, 3):
+        kept &= cut_cells(links[:, cell], window, width)[1]
+    links = links[kept]
+    for on, cell in ((0, 1), (2, 3)):
+        links[:, on] = number[links[:, on]]
+        links[:, cell] = cut_cells(links[:, cell], window, width)[0]
+    return Floors(
+        levels,
+        links,
+        tops=list(filter(is_shown, floors.tops)),
+        roofs=list(filter(is_shown, floors.roofs)),
+        small_starts=list(filter(is_shown, floors.small_starts)),
+        unreached=[
+            replace(part, level=int(number[part.level]))
+            for part in floors.unreached
+            if number[part.level] >= 0 and is_shown(part.patch)
+        ],
+        left_out=list(filter(is_shown, floors.left_out)),
+        enclosed=list(filter(is_shown, floors.enclosed)),
+    )
+
+
 def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSource) -> str:
     level = given[number]
     name = f"level {level.name!r}" if level.name else f"level {number}"
@@ -309,19 +340,6 @@ def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSou
     return (
         f"no floor on {name} (ground {level.ground:g} m, top {top:g} m) of `levels`: "
         f"the scene's surfaces span {low:g} to {high:g} m"
-    )
-
-
-def _no_reached(has_starts: bool) -> str:
-    what = "what `floors.from` names" if has_starts else "the largest floor of the lowest level"
-    return f"no floor: {what} lies outside of the `levels`"
-
-
-def _no_large_floor(settings: FloorSettings) -> str:
-    return (
-        f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
-        f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
-        f"`floors.shrink` if it is a floor"
     )
 
 

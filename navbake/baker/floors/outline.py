@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Rows, gather_rows
-from navbake.baker.columns import Columns, ColumnSource
-from navbake.baker.connect import label_parts
-from navbake.baker.floors.kernels.members import Labelled, list_edges
-from navbake.baker.floors.sheets import Sheets
+from navbake.baker.blocks import list_rows
+from navbake.baker.columns import ColumnSource
+from navbake.baker.connect import connect, touching
+from navbake.baker.floors.kernels.members import Edges, list_edges, look_out
+from navbake.baker.floors.sheets import SheetFacts, Sheets
+from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # How an edge of a sheet ends, see `find_endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
 # How thick the two bands are that tell a wall, at an agent's feet and at its head [m]
 PROBE = 0.01
+# An empty array of rows of `list_edges`
+NO_EDGES = np.empty((0, 5), dtype=np.int64)
 
 
 class OccupancyTest(Protocol):
@@ -41,34 +45,6 @@ class OccupancyTest(Protocol):
         """
 
 
-class Edges(NamedTuple):
-    """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
-
-    Attributes:
-        sheet: the sheet that ends there, shape (edges,), int32.
-        cell: the cell on this side, shape (edges,), int64.
-        z: the sheet's height in it, shape (edges,), float64 [m].
-        way: the way out: east (0), south (1), west (2), north (3), shape (edges,), int64.
-        cells: the cells beyond, the nearest first, -1 from where the lattice ends or the sheet
-            begins again, shape (edges, reach), int64.
-        floors: the highest floor of another sheet that is more than a step lower in each of these
-            cells, NaN for none, shape (edges, reach), float64 [m].
-        landing: the sheets of these floors, -1 for none, shape (edges, reach), int32.
-    """
-
-    sheet: Int32
-    cell: Int
-    z: Float
-    way: Int
-    cells: Int
-    floors: Float
-    landing: Int32
-
-    def only(self, kept: Bool | Int) -> Edges:
-        """The edges that are kept: a mask, shape (edges,), or their indices."""
-        return Edges._make(array[kept] for array in self)
-
-
 class Endings(NamedTuple):
     """How a sheet ends at each of its edges, see `find_endings`.
 
@@ -85,51 +61,6 @@ class Endings(NamedTuple):
     floor: Int32
 
 
-class KnownEdges:
-    """The edges of sheets that were asked for, found again in blocks where something changed."""
-
-    def __init__(self) -> None:
-        self._rows: dict[Any, tuple[int, Rows]] = {}
-        self._kept: dict[Any, tuple[int, Rows]] = {}
-
-    def begin(self, last: Int, now: int) -> None:
-        """Begin an update; what was not asked for in the last one is forgotten.
-
-        Args:
-            last: in which update something last changed in or near each block.
-            now: the number of the update.
-        """
-        self._kept, self._rows, self._last, self._now = self._rows, {}, last, now
-
-    def find(
-        self, sheets: Sheets, asked: tuple[Labelled, Bool, float, int], among_large: bool
-    ) -> Edges:
-        """The edges of chosen sheets, see `list_edges`; they are kept if `among_large`."""
-        _, chosen, _, reach = asked
-        name = reach, tuple(sheets.key[chosen].tolist())
-        tick, rows = self._kept.get(name, (-1, None))
-        if rows is None or not among_large:
-            tick, rows = -1, Rows(sheets.blocks.num, *_no_edges(reach))
-        stale = np.flatnonzero((self._last > tick) & (sheets.blocks_of(chosen) | (tick >= 0)))
-        counts, *found = gather_rows(list_edges, len(stale), *asked, stale)
-        sheet, *others, landing = found
-        # keys stay, numbers do not
-        keys = np.where(landing >= 0, sheets.key[landing], -1)
-        rows.put(stale, counts, sheets.key[sheet], *others, keys)
-        if among_large:
-            self._rows[name] = self._now, rows
-        sheet, *others, keys = rows.take()
-        landing = np.where(keys >= 0, np.searchsorted(sheets.key, keys), -1)
-        number = np.searchsorted(sheets.key, sheet)
-        return Edges._make([number.astype(np.int32), *others, landing.astype(np.int32)])
-
-
-def _no_edges(reach: int) -> list[NDArray[Any]]:
-    ids, heights = np.empty(0, dtype=np.int64), np.empty(0)
-    cells = np.empty((0, reach), dtype=np.int64)
-    return [ids, ids, heights, ids, cells, np.empty((0, reach)), cells]
-
-
 class Site(NamedTuple):
     """What the rules that tell tops, roofs and shelves from floors ask about.
 
@@ -142,7 +73,12 @@ class Site(NamedTuple):
         is_occupied: tells which cells are occupied.
         cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
             shape (4,), bool.
-        known: the edges that are known.
+        edges: the block of each edge of large sheets, and its row, see `list_edges`.
+        reach: how many cells one looks out from a sheet for floors beside it. The side of the thing
+            itself, or a post, may block the cell at its edge.
+        near, at_edges: in which update something last changed near any of a sheet's surfaces, and
+            near any of its edges, shape (sheets,).
+        facts: what is known of sheets.
     """
 
     sheets: Sheets
@@ -152,38 +88,51 @@ class Site(NamedTuple):
     settings: FloorSettings
     is_occupied: OccupancyTest
     cropped: Bool
-    known: KnownEdges
+    edges: tuple[Int, Int]
+    reach: int
+    near: Int
+    at_edges: Int
+    facts: SheetFacts
 
-    @property
-    def reach(self) -> int:
-        """How many cells one looks out from a sheet for floors beside it.
-
-        The side of the thing itself, or a post, may block the cell at its edge: one more.
-        """
-        return int(np.ceil(self.settings.shrink / self.sheets.lattice.cell_size)) + 1
-
-    def edges(self, chosen: Bool, reach: int, among: Bool | None = None) -> Edges:
+    def edges_of(self, chosen: Bool, reach: int, among: Bool | None = None) -> Edges:
         """Find the edges of chosen sheets, and the floors below them.
 
         Args:
             reach: how many cells to look out for floors below, >= 1.
             among: the sheets that count, the large ones if None.
         """
-        counts, step = (
-            self.is_large if among is None else among,
-            self.agent.traversable_floor_height,
-        )
-        asked = self.sheets.labelled(counts), chosen, step, reach
-        return self.known.find(self.sheets, asked, counts is self.is_large)
+        sheets, step = self.sheets, self.agent.traversable_floor_height
+        labelled = sheets.labelled(self.is_large if among is None else among)
+        block, rows = self.edges
+        if among is not None:
+            blocks = np.flatnonzero(sheets.blocks_of(chosen))
+            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), labelled, step, reach)
+            block = np.repeat(blocks, counts)
+        sheet = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
+        kept = chosen[sheet]
+        _, cell, place, way, _ = rows[kept].T
+        shape = len(cell), reach
+        beyond = np.full(shape, -1), np.full(shape, np.nan), np.full(shape, -1, dtype=np.int32)
+        edges = Edges(sheet[kept], cell.copy(), sheets.surfaces.z[place], way.copy(), *beyond)
+        run_in_bands(look_out, len(cell), labelled, step, edges, least=1000)
+        return edges
 
     def outer_edges(self, chosen: Bool, reach: int) -> Edges:
         """The edges of some sheets along their outlines, without those of the holes in them."""
-        edges = self.edges(chosen, reach)
-        return edges.only(find_rims(edges, self.sheets) == 0)
+        edges = self.edges_of(chosen, reach)
+        return edges.only(find_rims(edges, self.sheets.lattice) == 0)
 
     def endings(self, edges: Edges, agent: AgentSettings | None = None) -> Endings:
         """Tell how sheets end at edges, see `find_endings`, for the agent or another one."""
         return find_endings(edges, self.columns, agent or self.agent, self.is_occupied)
+
+    def is_known(self, edges: Edges, kind: NDArray[np.uint8]) -> Bool:
+        """Whether one knows how sheets end at edges: not where the lattice crops the scene.
+
+        At a border beyond which there is no scene, nothing stands beside a sheet, nor is a floor.
+        """
+        known: Bool = (kind != BORDER) | ~self.cropped[edges.way]
+        return known
 
 
 def find_endings(
@@ -230,7 +179,9 @@ def find_endings(
             stops = is_occupied(edges.cells[looking, k], z[looking], feet)
             ending[looking[stops]] = BARRIER
             looking = looking[~stops]
-        ground[looking] = _find_surface(known, edges.cells[looking, k], ground[looking], step)
+        cells = edges.cells[looking, k]
+        column = known.start[cells], known.start[cells + 1], known.z
+        ground[looking] = find_near(*column, ground[looking], step)
         below = looking[~np.isnan(edges.floors[looking, k])]
         cells, floors = edges.cells[below, k], edges.floors[below, k]
         goes_on = ground[below] > floors + agent.height + SLACK
@@ -266,45 +217,33 @@ def share_of_known(num_sheets: int, edges: Edges, which: Bool, known: Bool) -> F
     return share
 
 
-def is_known(edges: Edges, kind: NDArray[np.uint8], cropped: Bool) -> Bool:
-    """Whether one knows how the sheet ends at edges: not where the lattice crops the scene.
-
-    At a border beyond which there is no scene, nothing stands beside the sheet, nor is a floor.
-    """
-    known: Bool = (kind != BORDER) | ~cropped[edges.way]
-    return known
-
-
-def find_rims(edges: Edges, sheets: Sheets) -> Int:
+def find_rims(edges: Edges, lattice: Lattice) -> Int32:
     """Number the rims of sheets: 0 is the outer one, 1 and up those of the holes in the sheet.
 
-    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it.
+    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it. The cells
+    beyond the edges of a rim hang together, from one to the next along it.
+
+    Args:
+        edges: all edges of some sheets.
 
     Returns:
-        The rim of its sheet that each edge belongs to, shape (edges,), int64.
+        The rim of its sheet that each edge belongs to, shape (edges,), int32.
     """
-    lattice, outer = sheets.lattice, edges.cells[:, 0]
-    rim, order = np.zeros(len(outer), dtype=np.int64), np.argsort(edges.sheet, kind="stable")
-    asked = np.unique(edges.sheet)
-    bounds = np.searchsorted(edges.sheet[order], [*asked, len(sheets.key)])
-    for k, sheet in enumerate(asked.tolist()):
-        own = order[bounds[k] : bounds[k + 1]]
-        own = own[outer[own] >= 0]
-        mask, row0, col0 = sheets.mask(sheet, margin=1)
-        outside, _ = label_parts(~mask)  # in the order of rows, so the outside is the first
-        row, col = np.divmod(outer[own], lattice.width)
-        rim[own] = outside[row - row0, col - col0] - 1
-    return rim
-
-
-def _find_surface(columns: Columns, cells: Int, z: Float, step: float) -> Float:
-    """The highest surface of cells' columns within a step of heights, shape (n,), else NaN [m]."""
-    first, last = columns.start[cells], columns.start[cells + 1]
-    found = np.full(len(cells), np.nan)
-    for k in range(int((last - first).max(initial=0))):
-        height = columns.z[np.minimum(first + k, last - 1)]
-        near = (first + k < last) & (abs(height - z) <= step + SLACK)
-        found[near] = height[near]
+    # one sheet after the other on a lattice with a margin, and an empty row between them
+    width, height = lattice.width + 2, lattice.height + 3
+    row, col = np.divmod(edges.cell, lattice.width)
+    first = edges.sheet.astype(np.int64) * height * width
+    inner = first + (row + 1) * width + col + 1
+    outer = inner + np.array([1, width, -1, -width])[edges.way]
+    cells, where = np.unique(outer, return_inverse=True)
+    pairs = touching(cells, width)
+    one, other = cells[pairs]
+    # at a corner, either of the two cells between them is none of the sheet's
+    is_pinched = (abs(other - one - width) == 1) & np.isin(other - width, inner)
+    is_pinched &= np.isin(one + width, inner)
+    rim = connect(pairs[:, ~is_pinched], len(cells))
+    # the first cell of a sheet lies outside, and the parts are in the order of their first cells
+    found: Int32 = rim[where] - rim[np.searchsorted(cells, first)]
     return found
 
 

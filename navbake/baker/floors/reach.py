@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from navbake.baker.floors.kernels.members import Members
 from navbake.baker.floors.outline import DROP, Site
 from navbake.baker.floors.patch import Patch, describe_members
 from navbake.baker.floors.rejected import LARGE_TOP, Rejected
-from navbake.baker.floors.sheets import Members, Sheets
+from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
-from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.kernels.constants import SLACK
 from navbake.errors import SceneError
 from navbake.types import Bool, Int
@@ -38,9 +38,7 @@ class Unreached:
     whole: bool
 
 
-def find_starts(
-    site: Site, store: SurfaceStore, rejected: Rejected, positions: list[list[float]]
-) -> Bool:
+def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
     """Find the sheets that one stands on at some positions.
 
     A position within 2 cm of a surface lies on it, whatever it is. Elsewhere one stands on the
@@ -59,8 +57,8 @@ def find_starts(
     Raises:
         SceneError: there is no floor at a position.
     """
-    sheets, surfaces, step = site.sheets, store.surfaces, site.agent.traversable_floor_height
-    lattice, is_large = sheets.lattice, site.is_large
+    sheets, step = site.sheets, site.agent.traversable_floor_height
+    surfaces, lattice, is_large = sheets.surfaces, sheets.lattice, site.is_large
     is_large_top = rejected.tops & (sheets.size * lattice.cell_size**2 >= LARGE_TOP)
     counts = is_large & ~rejected.shelves & (~rejected.tops | is_large_top)
     starts = np.zeros(len(is_large), dtype=np.bool_)
@@ -68,11 +66,10 @@ def find_starts(
         row, col = (int(i) for i in lattice.rows_cols([x, y]))
         here = np.empty(0, dtype=np.int64)
         if 0 <= row < lattice.height and 0 <= col < lattice.width:
-            here = store.at(row * lattice.width + col)
+            here = sheets.store.at(row * lattice.width + col)
             here = here[sheets.labels.part[here] >= 0]
-            offset = sheets.labels.offset[sheets.blocks.of(np.array([row * lattice.width + col]))]
-        heights = surfaces.z[here]
-        found = sheets.of_part[offset + sheets.labels.part[here]] if len(here) else here
+        heights, block = surfaces.z[here], sheets.blocks.of(here * 0 + row * lattice.width + col)
+        found = sheets.of_part[sheets.labels.offset[block] + sheets.labels.part[here]]
         below = found[heights <= z + step + SLACK]
         if not len(below):
             there = ", ".join(f"{height:.2f}" for height in heights)
@@ -95,7 +92,7 @@ def find_starts(
 def _floor_beside(site: Site, counts: Bool, furniture: int) -> int:
     """The floor that a sheet of furniture drops to along most of its outline, else itself."""
     is_thing = np.arange(len(counts)) == furniture
-    endings = site.endings(site.edges(is_thing, site.reach, among=counts | is_thing))
+    endings = site.endings(site.edges_of(is_thing, site.reach, among=counts | is_thing))
     floors = endings.floor[endings.kind == DROP]
     return int(np.bincount(floors).argmax()) if len(floors) else furniture
 
@@ -131,16 +128,12 @@ def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreac
         if not whole:
             told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
         if told.any():
-            members = [
-                part.only(placed.number[placed.level[part.place]] == number)
-                for part in (
-                    part.only(placed.level[part.place] >= 0)
-                    for part in map(sheets.members, np.flatnonzero(told).tolist())
-                )
-            ]
-            largest = members[int(np.flatnonzero(told).tolist().index(int(size.argmax())))]
+            members = []
+            for part in map(sheets.members, np.flatnonzero(told).tolist()):
+                on = placed.level[part.place]
+                members.append(part.only((on >= 0) & (placed.number[on] == number)))
             every = Members(*(np.concatenate(arrays) for arrays in zip(*members, strict=True)))
-            place = describe_members(sheets.lattice, largest).place
-            patch = replace(describe_members(sheets.lattice, every), place=place)
+            largest = max(members, key=lambda part: len(part.cell))
+            patch = describe_members(sheets.lattice, every, largest)
             unreached.append(Unreached(number, patch, whole))
     return unreached

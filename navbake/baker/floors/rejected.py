@@ -7,28 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.floors.facts import SheetFacts
-from navbake.baker.floors.kernels.members import look_below
+from navbake.baker.floors.kernels.members import Edges, look_below
 from navbake.baker.floors.outline import (
     DROP,
     WALL,
-    Edges,
     OccupancyTest,
     Site,
     find_rims,
-    is_known,
     probe_bands,
     share_of_known,
 )
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.occupancy import lines_blocked
-from navbake.config.settings import AgentSettings, LevelSettings
+from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int
-
-# A given ground takes in floors down to this much below it [m]
-GIVEN_TOLERANCE = 0.02
+from navbake.types import Bool, Float
 
 # A top drops to a floor along at least this share of its outline
 DROP_SHARE = 0.25
@@ -58,7 +52,7 @@ class Rejected(NamedTuple):
     """The large sheets that are no floors; masks, shape (sheets,), of which one sheet is in one.
 
     Attributes:
-        tops: tops of what stands on a floor, see `_Tops`.
+        tops: tops of what stands on a floor, see `_find_tops`.
         shelves: see `_find_shelves`.
         roofs: see `_find_roofs`.
     """
@@ -74,90 +68,40 @@ class Rejected(NamedTuple):
         return rejected
 
 
-class Changed(NamedTuple):
-    """In which update something last changed, by sheet.
-
-    Attributes:
-        near: near any of its surfaces.
-        at_edges: near any of its edges.
-        own: the sheet itself: never, as facts are about sheets with certain surfaces.
-    """
-
-    near: Int
-    at_edges: Int
-    own: Int
-
-
-def find_rejected(
-    site: Site,
-    drops: Int,
-    changed: Changed,
-    facts: SheetFacts,
-    given: Sequence[LevelSettings] | None,
-) -> Rejected:
+def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
     """Find the large sheets that are no floors, each judged by itself among all the others.
 
     A roof counts as a floor nevertheless where it is the only one there is: in the whole scene,
     or on a level that is given.
 
     Args:
-        drops: how many edges of each sheet have a floor more than a step below before them.
-        changed: what facts rest on.
-        facts: those that are known.
-        given: the levels of the configuration, or None where they are to be found.
+        spans: of the heights on levels that are given, see `given_spans` [m].
     """
     sheets, is_large = site.sheets, site.is_large
-    none = np.zeros(len(is_large), dtype=np.bool_)
-    tops = shelves = roofs = none
+    tops = shelves = roofs = none = np.zeros(len(is_large), dtype=np.bool_)
     above, below, count = sheets.stacks()
     size = np.maximum(sheets.size, 1)
     sky = sheets.tops / size
     # that may be furniture: what stands in a hall does not take the floor away below its roof
     over = np.bincount(above, count * (above != below), len(is_large)) / size
     if not site.settings.tops:
-        tops = _find_tops(site, drops, changed, facts)
+        tops = _find_tops(site)
         narrow = is_large & (sky < SKY_SHARE) & (over >= HALF)
-        shelves = _find_shelves(site, narrow, changed, facts)
+        shelves = _find_shelves(site, narrow)
     if not site.settings.roofs:
         open_above = is_large & (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
-        roofs = _find_roofs(site, open_above, over, changed, facts)
+        roofs = _find_roofs(site, open_above, over)
     is_floor = is_large & ~(tops | shelves | roofs)
     if not is_floor.any():
         roofs = none
-    for low, high in given_spans(given or ()):
+    for low, high in spans:
         on_level = is_large & sheets.between(low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
     return Rejected(tops & ~roofs, shelves & ~roofs, roofs)
 
 
-def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
-    """From which height to below which one the surfaces of each given level lie [m].
-
-    A level begins a little below its ground, since a hand that writes 3.0 means a floor at 2.99.
-    """
-    spans = []
-    for number, level in enumerate(given):
-        above = given[number + 1].ground - GIVEN_TOLERANCE if given[number + 1 :] else np.inf
-        top = above if level.top is None else min(above, level.top)
-        spans.append((level.ground - GIVEN_TOLERANCE, top - SLACK))
-    return spans
-
-
-class _Top(NamedTuple):
-    """What decides whether a sheet is a top.
-
-    Attributes:
-        floors: the keys of the sheets that it drops to along a quarter of its outline; empty
-            where it does not drop that much, or where there is room for an agent under it.
-        winds: whether a floor winds through it.
-    """
-
-    floors: list[int]
-    winds: bool
-
-
-def _find_tops(site: Site, drops: Int, changed: Changed, facts: SheetFacts) -> Bool:
+def _find_tops(site: Site) -> Bool:
     """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
     A sheet that no step reaches is such a top when
@@ -173,34 +117,43 @@ def _find_tops(site: Site, drops: Int, changed: Changed, facts: SheetFacts) -> B
     - there is no room for an agent under most of it, from the height of that floor up: so a
       mezzanine is none, because one can stand below.
     """
-    sheets, result = site.sheets, np.zeros(len(drops), dtype=np.bool_)
+    sheets, result = site.sheets, np.zeros_like(site.is_large)
+    block, rows = site.edges
+    sheet_of = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
+    drops = np.bincount(sheet_of, rows[:, 4], len(result))
     may_drop = site.is_large & (drops > 0)
     if not site.cropped.any():
         # an outline is at least as long as the box around it: most sheets drop along less of it
         height, width = (sheets.box[:, k + 2] - sheets.box[:, k] for k in (0, 1))
         may_drop &= drops >= DROP_SHARE * 2 * (height + width)
-    found = facts.of("top", may_drop, changed.near, lambda asked: _judge_tops(site, asked))
+    found = site.facts.of("top", may_drop, lambda asked: _judge_tops(site, asked), site.near)
     area = sheets.lattice.cell_size**2
-    for sheet, top in zip(np.flatnonzero(may_drop).tolist(), found, strict=True):
-        if top.floors:
-            size, others = sheets.size[sheet], np.searchsorted(sheets.key, top.floors)
+    for sheet, (floors, winds) in zip(np.flatnonzero(may_drop).tolist(), found, strict=True):
+        if floors:
+            size, others = sheets.size[sheet], np.searchsorted(sheets.key, floors)
             lies = size * area <= LARGE_TOP or sheets.size[others].max() > size
-            result[sheet] = lies or top.winds
+            result[sheet] = lies or winds
     return result
 
 
-def _judge_tops(site: Site, asked: Bool) -> list[_Top]:
-    """See `_find_tops`."""
+def _judge_tops(site: Site, asked: Bool) -> list[tuple[list[int], bool]]:
+    """What decides whether sheets are tops, see `_find_tops`.
+
+    Returns:
+        The keys of the sheets that each drops to along a quarter of its outline, none where it
+        does not drop that much or there is room for an agent under it; and whether a floor winds
+        through it.
+    """
     sheets, num = site.sheets, len(asked)
-    edges = site.edges(asked, site.reach)
+    edges = site.edges_of(asked, site.reach)
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
-    rim = find_rims(edges, sheets)
+    rim = find_rims(edges, sheets.lattice)
     certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & (rim == 0)
     share = share_of_known(num, edges, has_floor, certain | has_floor)
     chosen = (~(share < DROP_SHARE))[edges.sheet]
     edges, rim = edges.only(chosen), rim[chosen]
     endings = site.endings(edges)
-    drops, known = endings.kind == DROP, is_known(edges, endings.kind, site.cropped)
+    drops, known = endings.kind == DROP, site.is_known(edges, endings.kind)
     # other holes are where things stand on the sheet, such as pillows
     known &= (rim == 0) | drops
     is_top = share_of_known(num, edges, drops, known) >= DROP_SHARE
@@ -216,7 +169,7 @@ def _judge_tops(site: Site, asked: Bool) -> list[_Top]:
                 floors = sheets.key[np.unique(endings.floor[own & drops])].tolist()
         drops_in = np.bincount(rim[own], drops[own])
         winds = bool(drops_in[1:].max(initial=0) > (rim[own] == 0).sum())
-        found.append(_Top(floors, winds))
+        found.append((floors, winds))
     return found
 
 
@@ -238,9 +191,7 @@ def _count_over_room(site: Site, sheet: int, floor: float) -> int:
     return int(np.count_nonzero(has_floor | ~blocked))
 
 
-def _find_roofs(
-    site: Site, candidates: Bool, over: Float, changed: Changed, facts: SheetFacts
-) -> Bool:
+def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
     A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
@@ -257,31 +208,29 @@ def _find_roofs(
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
     """
     half_over = candidates & (over < HALF)
-    over_walls = facts.mask(
-        "over walls", half_over, changed.near, lambda asked: _lie_over_walls(site, asked)
+    over_walls = site.facts.mask(
+        "over walls", half_over, lambda asked: _lie_over_walls(site, asked), site.near
     )
     candidates = candidates & (~half_over | over_walls)
-    return facts.mask(
-        "no walls", candidates, changed.at_edges, lambda asked: _have_no_walls(site, asked)
+    return site.facts.mask(
+        "no walls", candidates, lambda asked: _have_no_walls(site, asked), site.at_edges
     )
 
 
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
     """Whether walls stand along no more than half of the outlines of some sheets."""
-    if not asked.any():
-        return asked
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
     lattice = site.sheets.lattice
     edges = site.outer_edges(asked, reach=1)
     kind = site.endings(edges, agent).kind
-    is_wall, known = kind == WALL, is_known(edges, kind, site.cropped)
+    is_wall, known = kind == WALL, site.is_known(edges, kind)
     reach = int(np.ceil(site.settings.shrink / lattice.cell_size))
     ends = known & ~is_wall
     is_wall[ends] = _find_inner_walls(edges.only(ends), lattice, agent, reach, site.is_occupied)
     return asked & (share_of_known(len(asked), edges, is_wall, known) <= HALF)
 
 
-def _find_shelves(site: Site, candidates: Bool, changed: Changed, facts: SheetFacts) -> Bool:
+def _find_shelves(site: Site, candidates: Bool) -> Bool:
     """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
 
     A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
@@ -291,17 +240,17 @@ def _find_shelves(site: Site, candidates: Bool, changed: Changed, facts: SheetFa
     """
     deep = {"min_area": site.sheets.lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
     settings = site.settings.model_copy(update=deep)
-    candidates = candidates & ~facts.mask(
-        "deep", candidates, changed.own, lambda asked: site.sheets.left(asked, settings)
+    candidates = candidates & ~site.facts.mask(
+        "deep", candidates, lambda asked: site.sheets.left(asked, settings)
     )
 
     def open_at_sides(asked: Bool) -> Bool:
         edges = site.outer_edges(asked, site.reach)
         kind = site.endings(edges).kind
-        known = is_known(edges, kind, site.cropped)
+        known = site.is_known(edges, kind)
         return asked & (share_of_known(len(asked), edges, kind == DROP, known) > HALF)
 
-    return facts.mask("open at sides", candidates, changed.at_edges, open_at_sides)
+    return site.facts.mask("open at sides", candidates, open_at_sides, site.at_edges)
 
 
 def _lie_over_walls(site: Site, asked: Bool) -> Bool:

@@ -2,81 +2,42 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Blocks, Rows, gather_rows
+from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.floors.kernels.labels import list_stacks, measure_parts
 from navbake.baker.floors.kernels.members import (
     Labelled,
-    Shrinking,
-    collect_members,
-    count_left,
-    find_nearest,
+    Members,
+    fill_members,
+    find_large,
     mark_between,
-    mark_members,
 )
-from navbake.baker.floors.kernels.shrink import east_rim, mark_inner, near_offsets
+from navbake.baker.floors.kernels.shrink import AreaTest, count_left, east_rim, near_offsets
 from navbake.baker.floors.kernels.surfaces import Surfaces
-from navbake.baker.floors.labels import Joining, Labels
+from navbake.baker.floors.labels import NO_ROWS, Joining, Labels
 from navbake.baker.floors.surfaces import SurfaceStore, slopes_may_join
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int, Int32
-
-
-class Members(NamedTuple):
-    """Surfaces of sheets, in the order of their cells.
-
-    Attributes:
-        cell: ids, shape (n,), int64.
-        z: heights [m].
-        geom: MuJoCo's geom ids.
-        place: where each is among the `Surfaces`.
-    """
-
-    cell: Int
-    z: Float
-    geom: Int32
-    place: Int
-
-    def only(self, kept: Bool) -> Members:
-        """Those that are kept, shape (n,)."""
-        return Members._make(array[kept] for array in self)
-
-
-class Parts(NamedTuple):
-    """What is known of the parts of sheets in blocks; arrays of one length.
-
-    Attributes:
-        size: how many surfaces each has.
-        tops: over how many of them nothing lies.
-        first_key: its first member: its cell and its place there.
-        box: its first row and column, and past its last ones, shape (n, 4).
-        digest: a number that tells its surfaces from others, uint64.
-    """
-
-    size: Int
-    tops: Int
-    first_key: Int
-    box: Int32
-    digest: NDArray[np.uint64]
+from navbake.types import Bool, Int, Int32
 
 
 class Sheets:
     """All sheets of a scene, kept up to date; numbered by their first surfaces.
 
     Attributes:
+        now: the number of the update.
+        last: in which update each block last had other surfaces.
         of_part: the sheet of each part, shape (parts,), int32.
         key: tells each sheet from all others, also after others came and went, int64, ascending.
         size: how many surfaces each has, int64.
         tops: over how many of these nothing lies.
-        over: how many of these lie over one of another sheet, see `measure_over`.
         box: its rows and columns, shape (sheets, 4).
         digest: changes with the sheet's surfaces, shape (sheets,), uint64.
     """
@@ -92,62 +53,51 @@ class Sheets:
         self.lattice, self.blocks, self.store = store.lattice, blocks, store
         by_slopes = slopes_may_join(store.lattice, agent)
         self.labels = Labels(blocks, Joining(agent.traversable_floor_height, by_slopes=by_slopes))
-        nothing, ids = np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int32)
+        nothing, boxes = np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int64)
         digests = np.empty(0, dtype=np.uint64)
-        self._parts = Rows(blocks.num, nothing, nothing, nothing, ids, digests)
-        self._stacks = Rows(blocks.num, np.empty((0, 3), dtype=np.int32))
-        self._keys = Rows(blocks.num, nothing)
+        self._parts = BlockTable(blocks.num, nothing, nothing, nothing, boxes, digests)
+        self._stacks = BlockTable(blocks.num, NO_ROWS)
+        self.now, self.last = 0, np.zeros(blocks.num, dtype=np.int64)
 
     @property
     def surfaces(self) -> Surfaces:
         """The surfaces, as kernels take them."""
         return self.store.surfaces
 
-    def update(self, stale: Bool) -> Bool:
-        """Find the sheets again, of which the surfaces in stale blocks are others.
+    @property
+    def stale(self) -> Bool:
+        """The blocks with other surfaces than before this update."""
+        stale: Bool = self.last == self.now
+        return stale
 
-        Returns:
-            The blocks with surfaces of other sheets than before, among them those that are stale.
-        """
+    def update(self, stale: Bool) -> None:
+        """Find the sheets again, of which the surfaces in stale blocks are others."""
         lattice, surfaces, labels = self.lattice, self.surfaces, self.labels
+        self.now += 1
+        self.last[stale] = self.now
         labels.update(surfaces, stale)
-        chosen = np.flatnonzero(stale)
-        counts = labels.count[chosen]
-        offset = np.cumsum(counts) - counts
-        num = int(counts.sum())
-        size, tops, first_key = np.zeros((3, num), dtype=np.int64)
-        box, digest = np.zeros((num, 4), dtype=np.int32), np.zeros(num, dtype=np.uint64)
-        measured = size, tops, first_key, box, digest
-        asked = lattice, surfaces, surfaces.z.view(np.int64), labels.part, chosen, offset, measured
-        run_in_bands(measure_parts, len(chosen), *asked)
-        self._parts.put(chosen, counts, *measured)
-        known = lattice, surfaces, labels.part, chosen, labels.count
-        self._stacks.put(chosen, *gather_rows(list_stacks, len(chosen), *known))
-        self._merge()
-        changed = self._keys.put_all(labels.count, self.key[self.of_part])
-        return changed | stale
-
-    def _merge(self) -> None:
-        parts = Parts(*self._parts.take())
-        whole, _ = self.labels.merge()
+        chosen, bits = np.flatnonzero(stale), surfaces.z.view(np.int64)
+        asked = lattice, surfaces, bits, labels.part, labels.count
+        self._parts.fill(measure_parts, chosen, *asked)
+        self._stacks.fill(list_stacks, chosen, lattice, surfaces, labels.part)
+        _, (size, tops, first_key, box, digest) = self._parts.take()
+        whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
         key = np.full(num, np.iinfo(np.int64).max)
-        np.minimum.at(key, whole, parts.first_key)
+        np.minimum.at(key, whole, first_key)
         order = np.argsort(key)
         number = np.empty(num, dtype=np.int32)
         number[order] = np.arange(num, dtype=np.int32)
         self.of_part, self.key = number[whole], key[order]
-        self.size, self.tops = (self.sum(values) for values in (parts.size, parts.tops))
+        self.size, self.tops = (
+            np.bincount(self.of_part, values, num).astype(np.int64) for values in (size, tops)
+        )
         self.box = np.zeros((num, 4), dtype=np.int64)
-        self.box[:, :2] = np.iinfo(np.int32).max
-        np.minimum.at(self.box[:, :2], self.of_part, parts.box[:, :2])
-        np.maximum.at(self.box[:, 2:], self.of_part, parts.box[:, 2:])
+        self.box[:, :2] = np.iinfo(np.int64).max
+        np.minimum.at(self.box[:, :2], self.of_part, box[:, :2])
+        np.maximum.at(self.box[:, 2:], self.of_part, box[:, 2:])
         self.digest = np.zeros(num, dtype=np.uint64)
-        np.add.at(self.digest, self.of_part, parts.digest)
-
-    def sum(self, values: Int) -> Int:
-        """Sums by sheet of numbers that each part has, shape (sheets,)."""
-        return np.bincount(self.of_part, values, len(self.key)).astype(np.int64)
+        np.add.at(self.digest, self.of_part, digest)
 
     def labelled(self, chosen: Bool) -> Labelled:
         """The surfaces with the numbers of their sheets, -1 for those that are not chosen."""
@@ -162,10 +112,9 @@ class Sheets:
         Those cells are counted in which nothing that one can stand on lies in between; a pair may
         be listed several times.
         """
-        (rows,) = self._stacks.take()
-        offset = np.repeat(self.labels.offset[:-1], self._stacks.counts())
-        above, below = (self.of_part[offset + rows[:, k]] for k in (0, 1))
-        return above, below, rows[:, 2].astype(np.int64)
+        block, (rows,) = self._stacks.take()
+        above, below = (self.of_part[self.labels.offset[block] + rows[:, k]] for k in (0, 1))
+        return above, below, rows[:, 3]
 
     def blocks_of(self, chosen: Bool) -> Bool:
         """The blocks that hold surfaces of chosen sheets."""
@@ -175,19 +124,11 @@ class Sheets:
 
     def members(self, sheet: int) -> Members:
         """The surfaces of a sheet."""
-        chosen = np.zeros(len(self.key), dtype=np.bool_)
-        chosen[sheet] = True
-        window = tuple(self.box[sheet].tolist())
-        return Members(*collect_members(self.labelled(chosen), window))
-
-    def mask(self, sheet: int, margin: int) -> tuple[Bool, int, int]:
-        """A sheet's cells in their own rectangle, with a margin; and its first row and column."""
-        chosen = np.zeros(len(self.key), dtype=np.bool_)
-        chosen[sheet] = True
-        row0, col0, row1, col1 = window = tuple(self.box[sheet].tolist())
-        mask = np.zeros((row1 - row0 + 2 * margin, col1 - col0 + 2 * margin), dtype=np.bool_)
-        mark_members(self.labelled(chosen), window, margin, mask)
-        return mask, row0 - margin, col0 - margin
+        chosen, num = np.arange(len(self.key)) == sheet, int(self.size[sheet])
+        ids, heights = (np.empty((2, num), dtype) for dtype in (np.int64, np.float64))
+        members = Members(ids[0], heights[0], np.empty(num, dtype=np.int32), ids[1])
+        fill_members(self.labelled(chosen), tuple(self.box[sheet].tolist()), members)
+        return members
 
     def between(self, low: float, high: float) -> Bool:
         """Which sheets have a surface from a height up to below another one [m]."""
@@ -196,75 +137,94 @@ class Sheets:
         return found
 
     def left(self, chosen: Bool, settings: FloorSettings) -> Bool:
-        """Which of the chosen sheets are large enough for floors, see `AreaTest`; shape (sheets,).
+        """Which of the chosen sheets are large enough for floors, see `area_test`; (sheets,).
 
         A sheet's cells are taken together over all heights. Each is looked at block by block, until
         enough cells are found.
         """
-        result, test = np.zeros(len(self.key), dtype=np.bool_), AreaTest(self.lattice, settings)
+        result, test = np.zeros(len(self.key), dtype=np.bool_), area_test(self.lattice, settings)
         asked = np.flatnonzero(chosen & (self.size >= test.needed))
-        if not len(asked):
-            return result
         taken = np.isin(self.of_part, asked)
-        sheet, block = self.of_part[taken], self.labels.block[taken]
-        pairs = np.unique(sheet.astype(np.int64) * self.blocks.num + block)
-        sheet, block = np.divmod(pairs, self.blocks.num)
+        pairs = self.of_part[taken].astype(np.int64) * self.blocks.num + self.labels.block[taken]
+        sheet, block = np.divmod(np.unique(pairs), self.blocks.num)
         start = np.searchsorted(sheet, [*asked, len(self.key)])
-        labelled = self.labelled(chosen)
-        work = count_left, len(asked), labelled, self.box, asked, start, block, test.shrinking
-        run_in_bands(*work, test.whole_needed, result)
+        work = self.labelled(chosen), self.box, asked, start, block, test, result
+        run_in_bands(find_large, len(asked), *work)
         return result
 
 
-@lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
-def _list_near(limit: float, shorter: int) -> tuple[Int, Int]:
-    """See `near_offsets` and `east_rim`; nobody changes them."""
-    disc = near_offsets(limit, shorter)
-    return disc, east_rim(disc)
-
-
-class AreaTest:
+def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     """Whether cells are enough for a floor: `min_area` after shrinking.
 
     Shrinking leaves the cells whose centres are at least `shrink` from the edge of the set.
-
-    Attributes:
-        needed: cells that have to be left after shrinking; smaller sets need no test.
-        offsets: steps to the cells that have to be in the set around one that is left, and those
-            that one further west does not know of, see `near_offsets` and `east_rim`.
     """
-
-    def __init__(self, lattice: Lattice, settings: FloorSettings) -> None:
-        self.needed = (settings.min_area - SLACK) / lattice.cell_size**2
-        self._shape = lattice.width, lattice.height
-        limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
-        self.offsets = _list_near(limit, min(self._shape))
-
-    @property
-    def whole_needed(self) -> int:
-        """`needed` as a whole number of cells."""
-        return int(np.ceil(max(self.needed, 0.0)))
-
-    @property
-    def shrinking(self) -> Shrinking:
-        """How sheets are shrunk, as kernels take it."""
-        return Shrinking(int(np.abs(self.offsets[0]).max(initial=0)), *self.offsets)
-
-    def passes(self, cells: Int | Int32) -> bool:
-        """Whether a set of cells is large enough; ids may repeat, shape (n,)."""
-        masks = np.zeros((2, self._shape[0] * self._shape[1]), dtype=np.bool_)
-        inner, cells = np.zeros(len(cells), dtype=np.bool_), cells.astype(np.int32, copy=False)
-        asked = *self._shape, self.whole_needed, *masks, inner
-        return bool(mark_inner(cells, *self.offsets, *asked) >= self.whole_needed)
+    needed = int(np.ceil(max((settings.min_area - SLACK) / lattice.cell_size**2, 0.0)))
+    limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
+    disc = near_offsets(limit, min(lattice.width, lattice.height))
+    return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc, east_rim(disc))
 
 
-def middle_of(lattice: Lattice, cells: Int | Int32, z: Float) -> tuple[float, float, float]:
-    """A place on a floor, of its cells the one nearest to its middle: world x, y, z [m].
-
-    Args:
-        cells, z: the floor's cells, and its height in each, shape (n,) [m].
-    """
+def is_large(lattice: Lattice, settings: FloorSettings, cells: Int | Int32) -> bool:
+    """Whether a set of cells is large enough for a floor, see `area_test`; ids may repeat."""
+    test = area_test(lattice, settings)
+    if not len(cells):
+        return test.needed == 0
     row, col = np.divmod(cells, lattice.width)
-    nearest = find_nearest(row, col, row.mean(), col.mean())
-    x, y = lattice.center_x()[col[nearest]], lattice.center_y()[row[nearest]]
-    return float(x), float(y), float(z[nearest])
+    low = row.min(), col.min()
+    shape = row.max() - low[0] + 1 + 2 * test.reach, col.max() - low[1] + 1 + 2 * test.reach
+    mask = np.zeros(shape, dtype=np.bool_)
+    mask[row - low[0] + test.reach, col - low[1] + test.reach] = True
+    return bool(count_left(mask, test, test.needed) >= test.needed)
+
+
+class SheetFacts:
+    """Facts about single sheets that are dear to find.
+
+    A fact holds as long as its sheet has the same surfaces, and nothing that it rests on changed.
+    Those that were not asked for in an update are forgotten.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, int], tuple[int, Any]] = {}
+        self._kept: dict[tuple[str, int], tuple[int, Any]] = {}
+
+    def begin(self, sheets: Sheets) -> None:
+        """Begin an update."""
+        self._kept, self._known = self._known, {}
+        self._digests, self._now = sheets.digest.tolist(), sheets.now
+
+    def of(
+        self,
+        name: str,
+        chosen: Bool,
+        find: Callable[[Bool], list[Any]],
+        changed: Int | None = None,
+    ) -> list[Any]:
+        """A fact about each chosen sheet, in their order.
+
+        Args:
+            name: of the fact.
+            chosen: the sheets, shape (sheets,), bool.
+            find: finds the fact about some sheets, in their order.
+            changed: the update in which what the fact rests on beside the sheet last changed, by
+                sheet; None where that is nothing.
+        """
+        asked, sheets = np.zeros_like(chosen), np.flatnonzero(chosen).tolist()
+        for sheet in sheets:
+            known = self._kept.get((name, self._digests[sheet]))
+            if known is None or (changed is not None and known[0] < changed[sheet]):
+                asked[sheet] = True
+            else:
+                self._known[name, self._digests[sheet]] = known
+        if asked.any():
+            for sheet, fact in zip(np.flatnonzero(asked).tolist(), find(asked), strict=True):
+                self._known[name, self._digests[sheet]] = self._now, fact
+        return [self._known[name, self._digests[sheet]][1] for sheet in sheets]
+
+    def mask(
+        self, name: str, chosen: Bool, find: Callable[[Bool], Bool], changed: Int | None = None
+    ) -> Bool:
+        """Which of the chosen sheets a fact is true of, as `find` returns it, shape (sheets,)."""
+        result = np.zeros_like(chosen)
+        result[chosen] = self.of(name, chosen, lambda asked: find(asked)[asked].tolist(), changed)
+        return result

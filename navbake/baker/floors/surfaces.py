@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,12 @@ from navbake.baker.floors.kernels import surfaces as kernels
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.gathered import Gathered
 from navbake.baker.kernels.arrays import AgentLimits, Crossings
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.constants import CLOSED_SURFACE, SLACK
 from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
-from navbake.types import Float, Int, Int32
+from navbake.types import Float, Int
 
 LEAST_CELLS = 4096  # so many are worth a call on another thread
 
@@ -34,16 +34,6 @@ def slopes_may_join(lattice: Lattice, agent: AgentSettings) -> bool:
     return bool(rise > agent.traversable_floor_height)
 
 
-class _Listed(NamedTuple):
-    """Floor-like surfaces of some cells, ragged by their numbers."""
-
-    start: Int
-    z: Float
-    geom: Int32
-    marks: NDArray[np.uint8]
-    normal: NDArray[np.float32]
-
-
 class SurfaceStore:
     """The floor-like surfaces of all cells, found in columns; those of some can be replaced.
 
@@ -53,6 +43,8 @@ class SurfaceStore:
 
     Attributes:
         surfaces: as kernels take them; its arrays are written to.
+        held: surfaces that closed meshes hold, so that nobody can stand there: the cell, height and
+            mesh of each, in the order of cells.
         num_surfaces, num_floor_like: how many crossings were looked at in a bake, and how many of
             them a floor may go on at.
     """
@@ -63,6 +55,7 @@ class SurfaceStore:
         self.lattice, self._limits = lattice, agent_limits(agent)
         self._has_slopes = slopes_may_join(lattice, agent)
         self.num_surfaces = self.num_floor_like = 0
+        self.held = np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=np.int32)
         heights, ids = np.empty(0), np.empty(0, np.int32)
         normals = np.empty((0, 3), np.float32)
         self._gathered = Gathered(heights, ids, np.empty(0, np.uint8))
@@ -74,13 +67,14 @@ class SurfaceStore:
         first, end = columns.known_rows.cells(self.lattice)
         crossings = columns.crossings._replace(start=columns.start[first : end + 1])
         found = self._list(np.arange(first, end), crossings, planes)
-        self._length[first:end] = np.diff(found.start)
+        start, *arrays, normal = found
+        self._length[first:end] = np.diff(start)
         self.num_surfaces += len(columns.z)
-        self.num_floor_like += len(found.z)
+        self.num_floor_like += int(start[-1])
         share = end / len(self._length)
-        self._gathered.add(found.z, found.geom, found.marks, share=share)
+        self._gathered.add(*arrays, share=share)
         if self._has_slopes:
-            self._normals.add(found.normal, share=share)
+            self._normals.add(normal, share=share)
 
     def finish(self) -> None:
         """Make the surfaces of what was added."""
@@ -98,6 +92,8 @@ class SurfaceStore:
             cells: ascending.
             crossings: numbered as `cells` are.
         """
+        kept = ~np.isin(self.held[0], cells)
+        self.held = self.held[0][kept], self.held[1][kept], self.held[2][kept]
         found = self._list(cells, crossings, planes)
         changed = np.zeros(len(cells), dtype=np.bool_)
         asked = cells, *found
@@ -116,7 +112,8 @@ class SurfaceStore:
         """The places of the surfaces of a cell."""
         return np.arange(self.surfaces.length[cell]) + int(self.surfaces.first[cell])
 
-    def _list(self, cells: Int, crossings: Crossings, planes: Planes) -> _Listed:
+    def _list(self, cells: Int, crossings: Crossings, planes: Planes) -> list[NDArray[Any]]:
+        """The floor-like surfaces of some cells: where those of each begin, and their arrays."""
         num, few = len(cells), {"least": LEAST_CELLS}
         marks, count = np.empty(len(crossings.z), dtype=np.uint8), np.zeros(num + 1, dtype=np.int64)
         asked = self.lattice, cells, crossings, planes, self._limits, marks, count[1:]
@@ -124,10 +121,19 @@ class SurfaceStore:
         start = np.cumsum(count)
         total = int(start[-1])
         normal = np.empty((total if self._has_slopes else 0, 3), dtype=np.float32)
-        found = _Listed(
-            start, np.empty(total), np.empty(total, np.int32), np.empty(total, np.uint8), normal
-        )
+        ids, kept = np.empty(total, np.int32), np.empty(total, np.uint8)
+        found: list[NDArray[Any]] = [start, np.empty(total), ids, kept, normal]
         run_in_bands(kernels.list_surfaces, num, crossings, marks, *found, **few)
+        if (crossings.closed == CLOSED_SURFACE).any():
+            holder = np.empty(len(crossings.z), dtype=np.int32)
+            known = self.lattice, cells, crossings, planes, self._limits, holder
+            run_in_bands(kernels.find_holders, num, *known)
+            surface = np.flatnonzero(holder >= 0)
+            cell = cells[np.searchsorted(crossings.start, surface, side="right") - 1]
+            cell = np.append(self.held[0], cell)
+            order = np.argsort(cell, kind="stable")
+            z = np.append(self.held[1], crossings.z[surface])[order]
+            self.held = cell[order], z, np.append(self.held[2], holder[surface])[order]
         return found
 
 
@@ -135,3 +141,13 @@ def _widen(array: NDArray[Any], room: int) -> NDArray[Any]:
     wide = np.empty((room, *array.shape[1:]), dtype=array.dtype)
     wide[: len(array)] = array
     return wide
+
+
+def find_near(first: Int, end: Int, heights: Float, z: Float, step: float) -> Float:
+    """The highest of the heights of each range within a step of a height, NaN for none [m]."""
+    found = np.full(len(z), np.nan)
+    for k in range(int((end - first).max(initial=0))):
+        height = heights[np.minimum(first + k, end - 1)]
+        near = (first + k < end) & (abs(height - z) <= step + SLACK)
+        found[near] = height[near]
+    return found

@@ -64,7 +64,9 @@ def grow_in(region, floor, ring, options):
     cells = np.flatnonzero(inside & np.array([len(heights) > 0 for heights in options]))
     start, height = ragged([options[cell] for cell in cells])
     local = np.full(CELLS, -1, dtype=np.int32)
-    grow(LATTICE, region, cells, start, height, STEP, floor, ring, local)
+    num = len(cells)
+    room = np.empty((3, num), np.int64), np.zeros(num, np.bool_), np.empty(num)
+    grow(LATTICE, region, cells, start, height, STEP, floor, ring, local, room)
     assert (local == -1).all()
 
 

@@ -11,11 +11,12 @@ from navbake.baker.floors.outline import (
     BARRIER,
     BORDER,
     DROP,
+    NO_EDGES,
     OPEN,
     WALL,
-    KnownEdges,
     Site,
 )
+from navbake.baker.floors.sheets import SheetFacts
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
 from navbake.baker.stages import bake_stages
@@ -54,10 +55,12 @@ def endings_at(tmp_path: Path):
         is_large = sheets.left(sheets.size > 0, settings)
         members = [sheets.members(sheet) for sheet in range(len(sheets.key))]
         chosen = is_large & [np.isclose(own.z, z).any() for own in members]
-        known, cropped = KnownEdges(), np.zeros(4, dtype=np.bool_)
-        known.begin(np.zeros(sheets.blocks.num, dtype=np.int64), 1)
-        site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, known)
-        edges = site.edges(chosen, 4)
+        cropped, never = np.zeros(4, dtype=np.bool_), np.zeros(len(chosen), dtype=np.int64)
+        site = Site(
+            sheets, is_large, columns, agent, settings, is_occupied, cropped,
+            (never[:0], NO_EDGES), 4, never, never, SheetFacts(),
+        )  # fmt: skip
+        edges = site.edges_of(chosen, 4, among=is_large)
         ending, cell, landing, floor = site.endings(edges)
         assert ((floor >= 0) == (ending == DROP)).all()
         assert (np.isnan(landing) == (ending != DROP)).all()

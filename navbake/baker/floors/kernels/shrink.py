@@ -1,16 +1,39 @@
 """What is left of a mask that is shrunk: an erosion by a disc, without a distance transform.
 
-A cell survives when all cells nearer than the limit belong to the mask. Asked cell by cell and
-only until enough have survived, that is cheaper than a transform of the whole lattice.
+A cell survives when all cells nearer than the limit belong to the mask. Asked cell by cell, the
+farthest neighbours first, and only until enough have survived, that is cheaper than a transform of
+the whole lattice.
 """
+
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from navbake.compiled import UNCOUNTED, kernel
+from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.types import Int
 
 
-def near_offsets(limit: float, shorter: int) -> np.ndarray:
-    """Steps to the cells that are nearer than a limit [cells], the farthest first, (n, 2) int64.
+class AreaTest(NamedTuple):
+    """Whether cells are enough for a floor: how many are left when their set is shrunk.
+
+    Attributes:
+        needed: so many cells have to be left.
+        reach: how far the steps of `disc` lead [cells].
+        disc: steps to the cells that have to be in the set around one that is left, the farthest
+            first, shape (n, 2), int64.
+        rim: those of them that one further west has not asked for, see `east_rim`.
+    """
+
+    needed: int
+    reach: int
+    disc: Int
+    rim: Int
+
+
+@lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
+def near_offsets(limit: float, shorter: int) -> Int:
+    """Steps to the cells that are nearer than a limit [cells], the farthest first; don't change it.
 
     Where no cell is as far from outside as the limit (the lattice's shorter side is given), those
     steps are enough of which one always leads out.
@@ -27,7 +50,7 @@ def near_offsets(limit: float, shorter: int) -> np.ndarray:
     return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
 
 
-def east_rim(offsets: np.ndarray) -> np.ndarray:
+def east_rim(offsets: Int) -> Int:
     """The offsets that are none of the offsets one cell further west, nor the cell there itself.
 
     East of a cell all of whose neighbours belong to a set, only these are not known yet.
@@ -36,39 +59,28 @@ def east_rim(offsets: np.ndarray) -> np.ndarray:
     known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
     known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
     known[reach, reach] = True
-    rim: np.ndarray = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
+    rim: Int = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
     return rim
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def mark_inner(cells, offsets, rim, width, height, needed, mask, counted, inner):
-    """Mark the cells of a set whose neighbours at all offsets belong to it, until enough are found.
+@part(inline="always")
+def is_left(mask, row, col, offsets):
+    """Whether all cells at some steps from one belong to a mask."""
+    for k in range(offsets.shape[0]):  # noqa: SIM110 (numba has no generators in `all`)
+        if not mask[row + offsets[k, 0], col + offsets[k, 1]]:
+            return False
+    return True
 
-    Far neighbours are asked first, because near the edge of a set one of them is missing soon. Of
-    a cell that follows one that is marked, only the neighbours at the rim are asked, see
-    `east_rim`. `mask` and `counted`, by cell, are all False, and so again afterwards. `inner`,
-    (n,) bool, all False, receives the marks. Returns how many cells were found; one that is named
-    twice counts once.
-    """
-    for cell in cells:
-        mask[cell] = True
+
+@kernel(nogil=True, **UNCOUNTED)
+def count_left(mask, test, needed):
+    """Count the cells that are left of a mask, with a margin of `reach`; or enough of them."""
     found = 0
-    for n in range(cells.shape[0]):
+    for row in range(test.reach, mask.shape[0] - test.reach):
+        follows = False
+        for col in range(test.reach, mask.shape[1] - test.reach):
+            follows = mask[row, col] and is_left(mask, row, col, test.rim if follows else test.disc)
+            found += 1 if follows else 0
         if found >= needed:
             break
-        row, col = cells[n] // width, cells[n] % width
-        inner[n] = True
-        follows = n > 0 and inner[n - 1] and cells[n - 1] == cells[n] - 1 and col > 0
-        asked = rim if follows else offsets
-        for k in range(asked.shape[0]):
-            r, c = row + asked[k, 0], col + asked[k, 1]
-            if r < 0 or r >= height or c < 0 or c >= width or not mask[r * width + c]:
-                inner[n] = False
-                break
-        if inner[n] and not counted[cells[n]]:
-            counted[cells[n]] = True
-            found += 1
-    for cell in cells:
-        mask[cell] = False
-        counted[cell] = False
     return found

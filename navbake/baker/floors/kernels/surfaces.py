@@ -115,6 +115,47 @@ def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin
                 count[n] += 1
 
 
+@part(inline="always")
+def _find_holder(crossings, i, last):
+    """The geom of a closed surface that holds the i-th surface, the one that ends lowest; or -1."""
+    z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
+    for j in range(i + 1, last):
+        if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME:
+            continue
+        inside = 0
+        for k in range(i + 1, last):
+            if geom[k] == geom[j] and closed[k] == CLOSED_SURFACE and z[k] - z[i] > SAME:
+                inside += 1 if normal[k, 2] > 0.0 else -1
+        if inside > 0:
+            return geom[j]
+    return np.int32(-1)
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def find_holders(lattice, cells, crossings, planes, limits, holder, begin, end):
+    """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
+
+    They face up within the slope, have headroom, and lie inside of closed meshes alone. `holder`,
+    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces. Looks at the
+    columns ``range(begin, end)``, which belong to ``cells``.
+    """
+    for n in range(begin, end):
+        x, y = cell_center(lattice, cells[n])
+        first, last = crossings.start[n], crossings.start[n + 1]
+        previous = -math.inf
+        for i in range(first, last):
+            holder[i] = -1
+            z = crossings.z[i]
+            if crossings.normal[i, 2] < limits.min_up or z - previous <= SAME:
+                continue
+            surfaces, others, above = look_up(crossings, i, last)
+            if surfaces <= 0 or others > 0 or above - z < limits.headroom - SLACK:
+                continue
+            if count_planes_over(planes, x, y, z) == 0:
+                holder[i] = _find_holder(crossings, i, last)
+                previous = z
+
+
 @kernel(nogil=True, **UNCOUNTED)
 def list_surfaces(crossings, marks, start, z, geom, kept, normal, begin, end):
     """Write the marked crossings of the columns ``range(begin, end)`` from ``start`` on."""
@@ -166,3 +207,26 @@ def put_surfaces(surfaces, cells, start, z, geom, marks, normal, used, changed):
                         changed[n] = True
                     surfaces.normal[j, axis] = normal[i, axis]
     return used
+
+
+@part(**UNCOUNTED)
+def slope_joins(lattice, surfaces, a, b, way, step):
+    """Whether slopes join two surfaces of neighbouring cells that no step joins.
+
+    `b` is east (0) or south (1) of `a`. Each one's slope predicts a rise over a cell; the steeper
+    is more than a step. Between the predictions lies whatever a floor with these two slopes may
+    rise that bends somewhere on the way, as at a ramp's foot; or the rise is at most a step less
+    or more than both.
+    """
+    dz = surfaces.z[b] - surfaces.z[a]
+    if abs(dz) <= step + SLACK:
+        return False
+    normal = surfaces.normal
+    # rows run south, against y
+    axis, turn = (0, -lattice.cell_size) if way == 0 else (1, lattice.cell_size)
+    one, other = turn * normal[a, axis] / normal[a, 2], turn * normal[b, axis] / normal[b, 2]
+    if max(abs(one), abs(other)) <= step + SLACK:
+        return False
+    if min(one, other) - SLACK <= dz <= max(one, other) + SLACK:
+        return True
+    return abs(dz - one) <= step + SLACK and abs(dz - other) <= step + SLACK
