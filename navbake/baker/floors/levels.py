@@ -152,17 +152,8 @@ class FloorFinder:
         sheets.update(self._stale)
         self._stale = np.zeros_like(self._stale)
         if not len(sheets.key):
-<<<<<<< HEAD
-            raise SceneError(_no_floor(self._store, self._agent))
-        is_large, drops, changed = self._judge(stale, near)
-        cropped = find_cropped(self._lattice, shapes.bounds)
-        self._known.begin(self._last, self._now)
-        agent = self._agent
-        site = Site(sheets, is_large, columns, agent, settings, is_occupied, cropped, self._known)
-=======
             raise SceneError(_no_floor(self._store, agent))
-        cropped = find_cropped(self._lattice, shapes.bounds())
->>>>>>> 89c8943 (Floors: one way to list rows by block, one kernel for edges, rims told by edges alone, held surfaces in the store)
+        cropped = find_cropped(self._lattice, shapes.bounds)
         if self._cropped is None or not np.array_equal(cropped, self._cropped):
             self._cropped, self._facts = cropped, (facts := SheetFacts())
         facts.begin(sheets)

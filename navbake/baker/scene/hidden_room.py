@@ -75,18 +75,12 @@ class HiddenRoom:
         by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
-<<<<<<< HEAD
         in_mesh, in_hull = (
             cast_columns(tile_shapes(shapes, lattice, spacing / 2))
             for shapes in (self._shapes(geom, "surface"), hull)
         )
         has_room = _find_room(in_mesh, in_hull, self._agent.height)
-        return AreaTest(lattice, self._floors).passes(np.flatnonzero(has_room))
-=======
-        mesh = mesh_shapes(self._model, self._data, geom, "surface", self._meshes)
-        has_room = _find_room(_cast(mesh, lattice), _cast(hull, lattice), self._agent.height)
         return is_large(lattice, self._floors, np.flatnonzero(has_room))
->>>>>>> 89c8943 (Floors: one way to list rows by block, one kernel for edges, rims told by edges alone, held surfaces in the store)
 
     def _shapes(self, geom: int, mode: MeshMode) -> Shapes:
         """The triangles of a mesh, counted as a mode says."""
