@@ -4,7 +4,6 @@ All gaps part spaces at first; then spaces are joined where a gap is as wide as 
 """
 
 import heapq
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -46,12 +45,9 @@ ROUNDING = 1e-9
 
 
 class CloseCall(NamedTuple):
-    """A gap that hardly parts two spaces, or nearly does.
+    """A gap that hardly parts two spaces, or nearly does: row and column of its middle; its width.
 
-    Attributes:
-        cell: row and column of its middle.
-        width: [m].
-        parts: whether it does.
+    `parts` says whether it does.
     """
 
     cell: tuple[float, float]
@@ -77,8 +73,7 @@ def part_at_gaps(
     """
     found, label, cells = find_gaps(open_cells, holes, cell_size, door_width)
     spaces = Spaces(found, cells, cell_size, door_width)
-    spaces.join_continued()
-    spaces.join_narrower()
+    spaces.join_all()
     return spaces.wholes()[label], spaces.close_calls()
 
 
@@ -196,11 +191,7 @@ class Spaces:
 
     Spaces are joined one pair at a time, at the widest gap of all. What a gap's shares depend on
     is near it: they are measured again only where one of the two spaces is joined to one that the
-    gap's lines met.
-
-    Args:
-        found: the gaps of each direction.
-        cells: how many each space has, from 0 for none.
+    gap's lines met. `cells` are how many each space has, from 0 for none.
     """
 
     def __init__(
@@ -228,39 +219,32 @@ class Spaces:
                 self._at[space].add(k)
         self.measure(np.arange(len(self._width)))
 
-    def join_continued(self) -> None:
-        """Join spaces that a gap leaves as wide as both of them are.
+    def join_all(self) -> None:
+        """Join spaces that a gap leaves as wide as both of them are, then as the narrower is.
 
-        A line across a room that is drawn at a doorway's edge goes before the doorway.
+        A line across a room that is drawn at a doorway's edge goes before the doorway. Long
+        passages are not joined to what is wider, see `_decide`.
         """
 
-        def decide(gap: int) -> tuple[bool, float] | None:
+        def as_both(gap: int) -> tuple[bool, float] | None:
             share = float(self._shares[gap].min())
             return (bool(self._is_doorway[gap]), -share) if share >= BOTH else None
 
-        self._join_in_order(decide)
-
-    def join_narrower(self) -> None:
-        """Join spaces that a gap leaves as wide as the narrower is, but for long passages."""
-
-        def decide(gap: int) -> tuple[bool, float] | None:
+        def as_narrower(gap: int) -> tuple[bool, float] | None:
             share = self._decide(gap)
             return (False, -share) if share >= NARROWER else None
 
-        self._join_in_order(decide)
-
-    def _join_in_order(self, decide: Callable[[int], tuple[bool, float] | None]) -> None:
-        """Join spaces at gaps in the order that `decide` gives them, None for those that part."""
-        queue = [(order, k) for k in self._all() if (order := decide(k)) is not None]
-        heapq.heapify(queue)
-        while queue:
-            order, gap = heapq.heappop(queue)
-            # what was measured again is in the queue again; a passage may have grown long
-            if not self._is_apart(gap) or order != decide(gap):
-                continue
-            for k in self.join(gap):
-                if (again := decide(k)) is not None:
-                    heapq.heappush(queue, (again, k))
+        for decide in (as_both, as_narrower):
+            queue = [(order, k) for k in self._all() if (order := decide(k)) is not None]
+            heapq.heapify(queue)
+            while queue:
+                order, gap = heapq.heappop(queue)
+                # what was measured again is in the queue again; a passage may have grown long
+                if not self._is_apart(gap) or order != decide(gap):
+                    continue
+                for k in self.join(gap):
+                    if (again := decide(k)) is not None:
+                        heapq.heappush(queue, (again, k))
 
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""

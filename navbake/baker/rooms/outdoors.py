@@ -29,14 +29,8 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
     what is outdoors, and doors at the edge are too narrow. Walls part two pieces of outdoors, too;
     a ditch does not, nor what stands on endless ground, because one walks round it.
 
-    Args:
-        segment: the segment of each cell, 0 for none.
-        flags: of all levels.
-        level: whose segments these are.
-
-    Returns:
-        The segments, of which those that are outdoors and touch have the least number of all; and
-        the numbers of those that are outdoors.
+    Returns the segments of the level, of which those that are outdoors and touch have the least
+    number of all; and the numbers of those that are outdoors.
     """
     own, cell_size = flags.levels[level], flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
@@ -72,9 +66,9 @@ def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
     for one, other in EDGES:
         meet = (node[one] != node[other]) & joins[node[one]] & joins[node[other]]
         pairs.append(np.stack([node[one][meet], node[other][meet]]))
+    # the first node of a part is its least
     number = connect(np.concatenate(pairs, axis=1), len(joins))
-    least = np.full(len(joins), len(joins), dtype=np.int32)
-    np.minimum.at(least, number, np.arange(len(joins), dtype=np.int32))
+    least = np.unique(number, return_index=True)[1].astype(np.int32)
     return least[number][: len(chosen)]
 
 

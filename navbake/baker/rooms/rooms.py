@@ -35,6 +35,9 @@ RoomIndex = NDArray[np.uint16]
 """The room of each cell of a level, shape (height, width) of the whole lattice, 0 for none."""
 RoomKey = tuple[int, int]
 """A room's level and index."""
+ClosedDoor = tuple[frozenset[RoomKey], Sequence[Int]]
+"""The rooms that a door joins, fewer than two where it leads out of all of them or joins none; and
+the cells that it blocks on each level when it is closed."""
 RoomIds = tuple[str | None, str | None]
 """The rooms on the two sides of a door, None for the outside."""
 
@@ -60,16 +63,6 @@ class Opening:
     level: int
     rooms: tuple[int, int]
     cells: Int
-
-
-class ClosedDoor(NamedTuple):
-    """A closed door: the rooms that it joins, and the cells that it blocks on each level.
-
-    `rooms` are two, or fewer for a door that leads out of all of them, or joins none.
-    """
-
-    rooms: frozenset[RoomKey]
-    cells: Sequence[Int]
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ class Rooms:
         """
         keys = {room: key for key, room in self._ids.items()}
         closed = {
-            door: ClosedDoor(frozenset(keys[room] for room in rooms if room is not None), cells)
+            door: (frozenset(keys[room] for room in rooms if room is not None), cells)
             for door, (rooms, cells) in doors.items()
         }
         named = match_doors(self.openings, closed, self.lattice)
@@ -176,8 +169,8 @@ class _Assignment:
         of_levels = self._flags.levels, self._owner, self._under, marked.labels, covered
         for flags, owner, under, label, cover in zip(*of_levels, strict=True):
             fresh = np.where(flags.open & (owner == 0), label, 0)
-            used = np.bincount(fresh.ravel(), minlength=len(marked.names) + 1) > 0
-            number = np.zeros(len(used), dtype=np.int32)
+            number = np.zeros(len(marked.names) + 1, dtype=np.int32)
+            used = np.bincount(fresh.ravel(), minlength=len(number))
             for k in np.flatnonzero(used[1:]).tolist():
                 self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self._rooms)
@@ -213,7 +206,7 @@ class _Assignment:
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
-        index, rooms = [], []
+        index, rooms = list[RoomIndex](), list[list[NamedRoom]]()
         for level, owner in enumerate(self._owner):
             order = labels_in_order(owner)
             if len(order) > MAX_ROOMS:
@@ -230,12 +223,10 @@ class _Assignment:
 
 def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """The warning of openings that might as well have been taken the other way."""
-    x0, _, _, y1 = lattice.bounds
-    size = lattice.cell_size
     listed = [
-        f"{call.width:.1f} m at ({x0 + (call.cell[1] + 0.5) * size:.1f}, "
-        f"{y1 - (call.cell[0] + 0.5) * size:.1f}) {'parts' if call.parts else 'joins'}"
+        f"{call.width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if call.parts else 'joins'}"
         for call in close[:LISTED]
+        for x, y in [lattice.positions(*call.cell).tolist()]
     ]
     more = f", and {len(close) - LISTED} more" if close[LISTED:] else ""
     return (
@@ -334,22 +325,17 @@ def match_doors(
     for door, (rooms, levels) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []
         for number, opening in enumerate(openings):
-            cells = levels[opening.level]
-            if len(cells) and {(opening.level, room) for room in opening.rooms} == rooms:
-                distance = _distances(opening.cells, cells, lattice.width)
+            if not len(levels[opening.level]):
+                continue
+            if {(opening.level, room) for room in opening.rooms} == rooms:
+                row, col = np.divmod(opening.cells[:, None], lattice.width)
+                to_row, to_col = np.divmod(levels[opening.level], lattice.width)
+                distance = np.hypot(row - to_row, col - to_col).min(axis=1)
                 within = int(np.count_nonzero(distance <= reach))
                 scores.append((within, -float(distance.mean()), -number))
         if scores and max(scores)[0]:
             found.setdefault(-max(scores)[2], []).append(door)
     return found
-
-
-def _distances(cells: Int, targets: Int, width: int) -> Float:
-    """How far each cell is from the nearest target, shape (n,) [cells]."""
-    row, col = np.divmod(cells, width)
-    to_row, to_col = np.divmod(targets, width)
-    nearest: Float = np.hypot(row[:, None] - to_row, col[:, None] - to_col).min(axis=1)
-    return nearest
 
 
 def name_neighbours(
@@ -358,10 +344,7 @@ def name_neighbours(
     links: Sequence[tuple[RoomKey, RoomKey]],
     doors: Mapping[int, Sequence[str]],
 ) -> list[Room]:
-    """Add to each room the rooms that it opens to: freely, through a door, or by a link.
-
-    `doors` has, by the number of an opening, the ids of the doors in it; see `match_doors`.
-    """
+    """Add to each room those that it opens to: freely, by a link, or by a door of `match_doors`."""
     ids = {(room.level, room.index): room.id for room in table}
     ways = [(a, b, "link", "") for a, b in links]
     for number, opening in enumerate(openings):
@@ -371,13 +354,8 @@ def name_neighbours(
     for a, b, kind, door in ways:
         found[a].add((b, kind, door))
         found[b].add((a, kind, door))
-    return [
-        replace(
-            room,
-            neighbours=tuple(
-                Neighbour(ids[to], kind, door or None)
-                for to, kind, door in sorted(found[room.level, room.index])
-            ),
-        )
-        for room in table
-    ]
+    neighbours = {
+        room: tuple(Neighbour(ids[to], kind, door or None) for to, kind, door in sorted(ways))
+        for room, ways in found.items()
+    }
+    return [replace(room, neighbours=neighbours[room.level, room.index]) for room in table]

@@ -23,12 +23,7 @@ ROUNDING = 1e-6  # of a cell, or of half a cell
 
 
 class Segments(NamedTuple):
-    """The rooms of a level, and the gaps between them that were close calls.
-
-    Attributes:
-        rooms: the room of each cell from 1, by the first cell of each in reading order; 0 for none.
-        close: the gaps.
-    """
+    """The room of each cell of a level from 1, in reading order, 0 for none; and close calls."""
 
     rooms: Int32
     close: list[CloseCall]
@@ -58,17 +53,14 @@ def segment_by_gaps(
     How wide a space is along a gap is measured close behind it. Other gaps in the same line
     between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
     that open to a room over their full width belong to it, at their foot rather than their head.
-    What is smaller than `min_area` joins the room that it opens to the widest; if it opens to none,
-    it is no room.
+    What is smaller than `min_area` [m²] joins the room that it opens to the widest; if it opens to
+    none, it is no room.
 
     Args:
         open_cells: shape (height, width): cells with a floor that no wall stands in.
-        cell_size: edge of a cell [m].
-        min_area: what a room has at least [m²], >= 0.
-        floor: heights of the floor, shape (height, width) [m]; None for one without stairs.
-        holes: cells without a floor that one sees through, as in a stairwell: they narrow no
-            space. None for none.
-        edge: cells at the edge of the grid, see `find_edge`; None for none.
+        floor: heights of the floor [m]; None for one without stairs.
+        holes: cells without a floor that one sees through, as in a stairwell: they narrow no space.
+        edge: cells at the edge of the grid, see `LevelFlags`.
         door_width: the widest gap that parts two rooms [m], > 0.
 
     Source:
@@ -80,21 +72,30 @@ def segment_by_gaps(
     if not open_cells.any():
         return Segments(rooms, [])
     # with the walls round it: their directions count, the edge of the grid is none
-    first_row, first_col = (max(part.start - 1, 0) for part in bounding_window(open_cells))
-    last_row, last_col = (part.stop + 1 for part in bounding_window(open_cells))
-    window = np.s_[first_row:last_row, first_col:last_col]
+    around = [slice(max(part.start - 1, 0), part.stop + 1) for part in bounding_window(open_cells)]
+    window, none = tuple(around), np.zeros(open_cells.shape, dtype=np.bool_)
+    floor = (np.zeros(none.shape) if floor is None else floor)[window]
+    edge, seen = ((none if mask is None else mask)[window] for mask in (edge, holes))
     open_cells = np.ascontiguousarray(open_cells[window])
-    seen = np.zeros_like(open_cells) if holes is None else holes[window]
     label, close = part_at_gaps(open_cells, seen, cell_size, door_width)
     spread(label, open_cells)
-    floor = None if floor is None else floor[window]
-    edge = np.zeros_like(open_cells) if edge is None else edge[window]
-    label = _join_stairs_and_small(label, open_cells, cell_size, min_area, floor, edge)
+    least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
+    cells = np.bincount(label.ravel(), minlength=count)
+    steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
+    is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
+    if is_stair.any() or ((cells[1:] > 0) & (cells[1:] < least)).any():
+        # distances matter up to half the widest gap [half cells]
+        distance = squared_distances(wall_nodes(open_cells), int(WIDEST / cell_size) + 2)
+        regions = _Regions(label, cells, distance)
+        if is_stair.any():
+            heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
+            regions.join_stairs(is_stair, heights / np.maximum(cells, 1))
+        at_edge = np.bincount(label[edge], minlength=count)
+        regions.join_small(least, at_edge, WIDEST / cell_size)
+        label = regions.wholes(least)[label]
     rooms[window] = renumber(label)
-    return Segments(
-        rooms,
-        [c._replace(cell=(c.cell[0] + first_row, c.cell[1] + first_col)) for c in close],
-    )
+    row, col = (part.start for part in around)
+    return Segments(rooms, [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in close])
 
 
 def spread(label: Int32, open_cells: Bool) -> None:
@@ -130,34 +131,6 @@ def spread(label: Int32, open_cells: Bool) -> None:
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
-def _join_stairs_and_small(
-    label: Int32,
-    open_cells: Bool,
-    cell_size: float,
-    min_area: float,
-    floor: Float | None,
-    edge: Bool,
-) -> Int32:
-    least = min_area / cell_size**2 - ROUNDING
-    num = int(label.max(initial=0)) + 1
-    cells = np.bincount(label.ravel(), minlength=num)
-    steep = np.zeros(num, dtype=np.int64)
-    if floor is not None:
-        steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num)
-    is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
-    if not is_stair.any() and not ((cells[1:] > 0) & (cells[1:] < least)).any():
-        return label
-    # distances matter up to half the widest gap [half cells]
-    reach = int(WIDEST / cell_size) + 2
-    regions = _Regions(label, cells, squared_distances(wall_nodes(open_cells), reach))
-    if floor is not None and is_stair.any():
-        heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num)
-        regions.join_stairs(is_stair, heights / np.maximum(cells, 1))
-    at_edge = np.bincount(label[edge], minlength=num)
-    regions.join_small(least, at_edge, WIDEST / cell_size)
-    return regions.wholes(least)[label]
-
-
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     """Mark the cells with a label that are as steep as a stair.
 
@@ -182,12 +155,8 @@ class _Regions:
     """Regions that touch, as a graph whose edges are the passes between them.
 
     Two regions that are one room are contracted to one node, as in region merging by the region
-    adjacency graph (Haris et al., 1998).
-
-    Args:
-        label: the region of each cell from 1, 0 for none.
-        cells: how many each region has.
-        distance: squared distance to the walls of each node, see `wall_nodes` [half cells].
+    adjacency graph (Haris et al., 1998). `label` is the region of each cell from 1, 0 for none,
+    `cells` how many each has, and `distance` of each node squared, see `wall_nodes` [half cells].
     """
 
     def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
@@ -213,9 +182,8 @@ class _Regions:
         to, place, length = np.unique(others, return_inverse=True, return_counts=True)
         saddle = np.zeros(len(to))
         np.maximum.at(saddle, place, self._widest[own])
-        return dict(
-            zip(to.tolist(), zip(saddle.tolist(), length.tolist(), strict=True), strict=True)
-        )
+        measured = zip(saddle.tolist(), length.tolist(), strict=True)
+        return dict(zip(to.tolist(), measured, strict=True))
 
     def join_stairs(self, is_stair: Bool, height: Float) -> None:
         """Join a stair to the region that it opens to over its full width; of several, the lowest.
@@ -284,8 +252,7 @@ def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:
 def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
     """Give cells to the room whose floor lies under theirs, if that room reaches their segment.
 
-    So a podium is part of its room, and a house is none of the ground that it stands on. All are
-    of the same shape, 0 for none; returns the owners.
+    So a podium is part of its room, and a house is none of the ground that it stands on.
     """
     base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
     held = np.unique(segment[owner > 0].astype(np.int64) * base + owner[owner > 0])
@@ -302,16 +269,11 @@ def share_rest(
     A segment without a mark is a room as it is. The rest of one with marks is made of connected
     parts. Each is a room by itself, whatever share of the segment is marked: a mark says where its
     room ends. Only a part that is too small for a room goes to the marked room that it touches
-    most: one smaller than `min_area`, or nowhere half a metre wide though its segment is (the gap
-    between a drawn floor and its wall, the depth of a doorway).
+    most: one smaller than `min_area` [m²], or nowhere half a metre wide though its segment is (the
+    gap between a drawn floor and its wall, the depth of a doorway).
 
-    Args:
-        owner, segment: the marked room and the segment of each cell, 0 for none.
-        cell_size: edge of a cell [m].
-        min_area: what a room has at least [m²].
-
-    Returns:
-        Owners with what they take over, and new rooms in what is left, each of the same shape.
+    `owner` and `segment` are the marked room and the segment of each cell, 0 for none. Returns
+    owners with what they take over, and new rooms in what is left.
     """
     least = min_area / cell_size**2 - ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import translate
 from functools import lru_cache
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
 from navbake.errors import ConfigError
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells
 from navbake.types import Bool, Float, Int, Int32
 
@@ -32,6 +33,7 @@ OFF_FLOOR = 0.05
 FLOOR_SHARE = 0.5
 # Share of itself, or of the agent, that a site's volume has at least between floor and head
 STANDING_SHARE = 0.5
+DEFAULTS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
 # What stands before a room's name in that of its floor
 FLOOR_PREFIXES = ("floor|", "floor_")
 
@@ -67,9 +69,14 @@ def mark_rooms(
     Raises:
         ConfigError: a polygon names a level that does not exist.
     """
-    markers = _Markers(scene, columns, levels, settings, agent)
-    found = {"geoms": markers.geoms, "sites": markers.sites, "polygons": markers.polygons}
-    return {source: found[source]() for source in settings.sources if source != "auto"}
+    found = {}
+    if "geoms" in settings.sources:
+        found["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
+    if "sites" in settings.sources:
+        found["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
+    if "polygons" in settings.sources:
+        found["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
+    return found
 
 
 def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
@@ -77,154 +84,158 @@ def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
     model, data = scene.model, scene.data
     geoms = np.zeros(model.ngeom, dtype=np.bool_)
     if "geoms" in settings.sources:
-        geoms[match_geoms(all_names(model).own_geoms, settings)[0]] = True
-    sites, _ = match_sites(all_names(model).sites, settings)
+        geoms[_match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")[0]] = True
+    sites, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
     placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
     return geoms, np.hstack(placed)[sites if "sites" in settings.sources else []]
 
 
-@dataclass(frozen=True)
-class _Markers:
-    scene: Scene
-    columns: ColumnSource
-    levels: Sequence[LevelFloor]
-    settings: RoomSettings
-    agent: AgentSettings
+def _mark_by_geoms(
+    scene: Scene,
+    columns: ColumnSource,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> MarkedRooms:
+    """Give each cell the room whose geom is its floor.
 
-    def geoms(self) -> MarkedRooms:
-        """Give each cell the room whose geom is its floor.
+    Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
+    floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
+    room's floor, and a floor may be only drawn and not count in the bake. Meshes are taken as
+    their triangles. Furniture may be named like a room: so a geom counts as a floor only if
+    half of its upper side is floor, or lies up to a step under one (a carpet, a podium). What
+    lies so over a room's floor is `covered`.
+    """
+    num = scene.model.ngeom
+    names = all_names(scene.model).own_geoms
+    chosen, warnings = _match(names, tuple(settings.geoms), "geoms")
+    labels, covered = ([np.zeros(columns.lattice.shape, np.int32) for _ in levels] for _ in "ab")
+    if not chosen:
+        return MarkedRooms([], labels, warnings)
+    number = np.zeros(num + 1, dtype=np.int32)
+    number[chosen] = np.arange(1, len(chosen) + 1)
+    cell, z, geom = _upward_surfaces(scene, columns, set(chosen))
+    lowest = -agent.traversable_floor_height - SAME
+    # NaN where there is no floor, which compares as False
+    heights = [z - level.floor.ravel()[cell] for level in levels]
+    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
+    sides = np.bincount(geom, minlength=num)
+    is_floor = np.bincount(geom[at_floor], minlength=num) >= FLOOR_SHARE * sides
+    for found, reach in ((labels, -BELOW - SAME), (covered, lowest)):
+        for label, height in zip(found, heights, strict=True):
+            here = (height >= reach) & (height <= ABOVE + SAME) & is_floor[geom]
+            highest = np.full(label.size, -np.inf)
+            np.maximum.at(highest, cell[here], z[here])
+            here &= z >= highest[cell] - SAME
+            first = np.full(label.size, num, dtype=np.int32)
+            np.minimum.at(first, cell[here], geom[here])
+            label[:] = number[first].reshape(label.shape)
+    called: list[str | None] = []
+    for name in (names[geom] for geom in chosen):
+        without = (name[len(prefix) :] for prefix in FLOOR_PREFIXES if name.startswith(prefix))
+        called.append(next(filter(None, without), name))
+    return MarkedRooms(called, labels, warnings, covered)
 
-        Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
-        floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
-        room's floor, and a floor may be only drawn and not count in the bake. Meshes are taken as
-        their triangles. Furniture may be named like a room: so a geom counts as a floor only if
-        half of its upper side is floor, or lies up to a step under one (a carpet, a podium). What
-        lies so over a room's floor is `covered`.
-        """
-        model = self.scene.model
-        names = all_names(model).own_geoms
-        chosen, warnings = match_geoms(names, self.settings)
-        labels = self._no_rooms()
-        if not chosen:
-            return MarkedRooms([], labels, warnings)
-        number = np.zeros(model.ngeom + 1, dtype=np.int32)
-        number[chosen] = np.arange(1, len(chosen) + 1)
-        cell, z, geom = _upward_surfaces(self.scene, self.columns, chosen)
-        lowest = -self.agent.traversable_floor_height - SAME
-        # NaN where there is no floor, which compares as False
-        heights = [z - level.floor.ravel()[cell] for level in self.levels]
-        at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
-        sides = np.bincount(geom, minlength=model.ngeom)
-        is_floor = np.bincount(geom[at_floor], minlength=model.ngeom) >= FLOOR_SHARE * sides
-        covered = self._no_rooms()
-        for found, reach in ((labels, -BELOW - SAME), (covered, lowest)):
-            for label, height in zip(found, heights, strict=True):
-                here = (height >= reach) & (height <= ABOVE + SAME) & is_floor[geom]
-                highest = np.full(label.size, -np.inf)
-                np.maximum.at(highest, cell[here], z[here])
-                here &= z >= highest[cell] - SAME
-                first = np.full(label.size, model.ngeom, dtype=np.int32)
-                np.minimum.at(first, cell[here], geom[here])
-                label[:] = number[first].reshape(label.shape)
-        called: list[str | None] = [_room_name(names[geom]) for geom in chosen]
-        return MarkedRooms(called, labels, warnings, covered)
 
-    def sites(self) -> MarkedRooms:
-        """Give each cell the room in whose site's volume an agent in it stands.
+def _mark_by_sites(
+    scene: Scene,
+    lattice: Lattice,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> MarkedRooms:
+    """Give each cell the room in whose site's volume an agent in it stands.
 
-        Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
-        floor, on all levels together, is no room.
-        """
-        model, lattice, least = self.scene.model, self.columns.lattice, self.settings.min_area
-        names = all_names(model).sites
-        chosen, warnings = match_sites(names, self.settings)
-        labels = self._no_rooms()
-        kept: list[str | None] = []
-        small: list[str] = []
-        for site in chosen:
-            masks = self._stand_in(site)
-            if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
-                small.append(names[site])
-                continue
-            kept.append(names[site])
-            for label, mask in zip(labels, masks, strict=True):
-                label[mask & (label == 0)] = len(kept)
-        if small:
-            listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
-            told = (
-                f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no rooms"
-            )
-            warnings = [*warnings, f"{told}: {listed}"]
-        return MarkedRooms(kept, labels, warnings)
+    Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
+    floor, on all levels together, is no room.
+    """
+    least = settings.min_area
+    names = all_names(scene.model).sites
+    chosen, warnings = _match(names, tuple(settings.sites), "sites")
+    labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
+    kept, small = list[str | None](), list[str]()
+    for site in chosen:
+        masks = _stand_in(site, scene, lattice, levels, agent)
+        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
+            small.append(names[site])
+            continue
+        kept.append(names[site])
+        for label, mask in zip(labels, masks, strict=True):
+            label[mask & (label == 0)] = len(kept)
+    if small:
+        listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
+        told = f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no rooms"
+        warnings = [*warnings, f"{told}: {listed}"]
+    return MarkedRooms(kept, labels, warnings)
 
-    def polygons(self) -> MarkedRooms:
-        """Give each cell the room in whose polygon its centre lies; of several, the first."""
-        lattice, polygons = self.columns.lattice, self.settings.polygons
-        labels = self._no_rooms()
-        warnings = []
-        for number, polygon in enumerate(polygons):
-            called = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
-            on = [k for k, level in enumerate(self.levels) if polygon.level in (k, level.name)]
-            if not on:
-                listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(self.levels))
-                raise ConfigError(
-                    f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are "
-                    f"{listed}"
-                )
-            level, label = self.levels[on[0]], labels[on[0]]
-            mask = cover_cells([polygon.points, *polygon.rings], lattice)
-            known = ~np.isnan(level.floor)
-            if not (mask & known).any():
-                rows, cols = np.nonzero(known)
-                x, y = lattice.center_x()[cols], lattice.center_y()[rows]
-                warnings.append(
-                    f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
-                    f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
-                )
-            label[mask & (label == 0)] = number + 1
-        outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
-        names = [polygon.name for polygon in polygons]
-        return MarkedRooms(names, labels, warnings, outdoors=outdoors)
 
-    def _stand_in(self, site: int) -> list[Bool]:
-        """The cells of each level whose agent stands in a site's volume.
+def _stand_in(
+    site: int, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], agent: AgentSettings
+) -> list[Bool]:
+    """The cells of each level whose agent stands in a site's volume.
 
-        Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
-        agent's height over it. At least half of what the volume has of the line, or half of the
-        agent, has to be between the two. So a marker that lies on the floor, a box from floor to
-        ceiling and a sphere round the middle of a room are each as large as they look from above,
-        and none reaches into the next storey.
-        """
-        model, data, lattice = self.scene.model, self.scene.data, self.columns.lattice
-        kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
-        pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
-        solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
-        masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in self.levels]
-        window = lattice.window(solid.bounds.reshape(2, 3))
-        if window is None:
-            return masks
-        nothing = self.scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
-        cut = lattice.cut(*window)
-        surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
-        low, high = np.full((2, cut.width * cut.height), np.nan)
-        hit = np.diff(surfaces.start) > 1
-        low[hit] = surfaces.z[surfaces.start[:-1][hit]]
-        high[hit] = surfaces.z[surfaces.start[1:][hit] - 1]
-        low, high = low.reshape(cut.shape), high.reshape(cut.shape)
-        for mask, level in zip(masks, self.levels, strict=True):
-            floor = level.floor[window]
-            inside = np.minimum(high, floor + self.agent.height)
-            inside = inside - np.maximum(low, floor - OFF_FLOOR)
-            enough = STANDING_SHARE * np.minimum(high - low, self.agent.height)
-            mask[window] = inside >= enough - SAME
+    Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
+    agent's height over it. At least half of what the volume has of the line, or half of the
+    agent, has to be between the two. So a marker that lies on the floor, a box from floor to
+    ceiling and a sphere round the middle of a room are each as large as they look from above,
+    and none reaches into the next storey.
+    """
+    model, data = scene.model, scene.data
+    kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
+    pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
+    solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
+    masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
+    window = lattice.window(solid.bounds.reshape(2, 3))
+    if window is None:
         return masks
+    nothing = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
+    cut = lattice.cut(*window)
+    surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
+    low, high = np.full((2, cut.width * cut.height), np.nan)
+    hit = np.diff(surfaces.start) > 1
+    low[hit] = surfaces.z[surfaces.start[:-1][hit]]
+    high[hit] = surfaces.z[surfaces.start[1:][hit] - 1]
+    low, high = low.reshape(cut.shape), high.reshape(cut.shape)
+    for mask, level in zip(masks, levels, strict=True):
+        floor = level.floor[window]
+        inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - OFF_FLOOR)
+        enough = STANDING_SHARE * np.minimum(high - low, agent.height)
+        mask[window] = inside >= enough - SAME
+    return masks
 
-    def _no_rooms(self) -> list[Int32]:
-        return [np.zeros(level.floor.shape, dtype=np.int32) for level in self.levels]
+
+def _mark_by_polygons(
+    lattice: Lattice, levels: Sequence[LevelFloor], settings: RoomSettings
+) -> MarkedRooms:
+    """Give each cell the room in whose polygon its centre lies; of several, the first."""
+    polygons = settings.polygons
+    labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
+    warnings = []
+    for number, polygon in enumerate(polygons):
+        called = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
+        on = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
+        if not on:
+            listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+            raise ConfigError(
+                f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are {listed}"
+            )
+        level, label = levels[on[0]], labels[on[0]]
+        mask = cover_cells([polygon.points, *polygon.rings], lattice)
+        known = ~np.isnan(level.floor)
+        if not (mask & known).any():
+            rows, cols = np.nonzero(known)
+            x, y = lattice.center_x()[cols], lattice.center_y()[rows]
+            warnings.append(
+                f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
+                f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
+            )
+        label[mask & (label == 0)] = number + 1
+    outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
+    return MarkedRooms([polygon.name for polygon in polygons], labels, warnings, outdoors=outdoors)
 
 
 def _upward_surfaces(
-    scene: Scene, columns: ColumnSource, chosen: Sequence[int]
+    scene: Scene, columns: ColumnSource, chosen: set[int]
 ) -> tuple[Int, Float, Int32]:
     """The surfaces of geoms that face up: cells, heights, geoms.
 
@@ -233,7 +244,7 @@ def _upward_surfaces(
     num = len(scene.geoms)
     known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
     parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
-    if others := set(chosen) - known:
+    if others := chosen - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
         shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
         parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
@@ -249,32 +260,16 @@ def _upward_surfaces(
     return cells, heights, owners
 
 
-def match_geoms(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
-    """The geoms that may mark rooms, by their names; and a warning for each unused pattern."""
-    return _match(tuple(names), tuple(settings.geoms), DEFAULT_GEOMS, "geoms")
-
-
-def match_sites(names: Sequence[str], settings: RoomSettings) -> tuple[list[int], list[str]]:
-    """The sites that may mark rooms, by their names; and a warning for each unused pattern."""
-    return _match(tuple(names), tuple(settings.sites), DEFAULT_SITES, "sites")
-
-
 @lru_cache(maxsize=8)  # a scene that is kept up to date asks each time
 def _match(
-    names: tuple[str, ...], patterns: tuple[str, ...], defaults: tuple[str, ...], setting: str
+    names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:
     """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
-    chosen: set[int] = set()
-    warnings = []
+    chosen, warnings = set[int](), list[str]()
     for pattern in patterns:
         matches = re.compile(translate(pattern)).match
         found = [k for k, name in enumerate(names) if name and matches(name)]
         chosen.update(found)
-        if not found and pattern not in defaults:
+        if not found and pattern not in DEFAULTS[setting]:
             warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
     return sorted(chosen), warnings
-
-
-def _room_name(geom: str) -> str:
-    without = (geom[len(prefix) :] for prefix in FLOOR_PREFIXES if geom.startswith(prefix))
-    return next(filter(None, without), geom)

@@ -29,12 +29,7 @@ SILL_THICKNESS = 0.5
 
 
 def squared_distances(target: Bool, reach: int) -> Int32:
-    """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`.
-
-    Args:
-        target: shape (rows, cols).
-        reach: nodes, >= 0.
-    """
+    """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
     along = np.empty(target.shape, dtype=np.int16)
     target = np.ascontiguousarray(target)
     far = np.int16(reach + 1)
@@ -60,13 +55,9 @@ def wall_nodes(open_cells: Bool) -> Bool:
 
 
 class Direction(NamedTuple):
-    """A direction that walls run in.
-
-    Attributes:
-        swapped: whether it is scanned with rows and columns swapped.
-        shift: the row of a line in each column less that in the first, (cols,) int64.
-        slope: rows that a line goes down with each column.
-        stretch: length of a step along the line [cells].
+    """A direction that walls run in: whether rows and columns are swapped to scan it, the row of a
+    line in each column less that in the first, the rows that it goes down with each column, and
+    the length of a step along it [cells].
     """
 
     swapped: bool
@@ -117,10 +108,8 @@ def _align(foot: Float, around: float) -> float:
 
     A Radon transform of the points, whose sharpest projection is that along the walls. The slopes
     alone are off by some degrees, because a lattice has walls at an angle in steps. It is an axis
-    of the lattice where that is about as sharp.
-
-    Args:
-        foot: rows and columns of points on the walls, shape (2, n).
+    of the lattice where that is about as sharp. `foot` are rows and columns of points on the
+    walls, shape (2, n).
     """
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
     angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
@@ -162,13 +151,8 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     a wall. A table or a bed ends somewhere, and a counter along a wall has no wall at its ends, or
     fills a niche that is deeper than a wall is thick.
 
-    Args:
-        low: cells that the building blocks at an agent's height, but not above heads.
-        wall: cells that it blocks there, too.
-        cell_size: edge of a cell [m].
-
-    Returns:
-        Shape and dtype of the masks.
+    `low` are the cells that the building blocks at an agent's height, but not above heads; `wall`
+    those that it blocks there, too.
     """
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():

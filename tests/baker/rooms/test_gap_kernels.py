@@ -265,8 +265,7 @@ def test_spaces_are_joined_as_if_all_gaps_were_measured_after_each(angle):
         found, _, cells = parted(turned_plan(seed, angle))
         fast, slow = (kind(found, cells, CELL, None) for kind in (Spaces, Remeasured))
         for spaces in (fast, slow):
-            spaces.join_continued()
-            spaces.join_narrower()
+            spaces.join_all()
         np.testing.assert_array_equal(fast.wholes(), slow.wholes())
         assert fast.close_calls() == slow.close_calls()
         joined += len(cells) - len(np.unique(fast.wholes()))
@@ -291,8 +290,7 @@ def test_what_is_far_from_a_change_is_not_measured_again():
                 super().measure(gaps)
 
         spaces = Counted(found, cells, CELL, None)
-        spaces.join_continued()
-        spaces.join_narrower()
+        spaces.join_all()
         assert len(np.unique(spaces.wholes())) == 2  # the hall, and 0 for none
         counts.append(measured)
     assert counts[1] <= 5 * counts[0]

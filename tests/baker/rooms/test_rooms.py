@@ -13,7 +13,7 @@ import pytest
 from navbake.baker.clock import StageClock
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.flags import LevelFlags
-from navbake.baker.rooms.rooms import ClosedDoor, Opening, find_openings, find_rooms, match_doors
+from navbake.baker.rooms.rooms import Opening, find_openings, find_rooms, match_doors
 from navbake.baker.rooms.segmentation import share_rest
 from navbake.baker.stages import settle_doors, take_first_look
 from navbake.config.settings import load_config, parse_config
@@ -337,8 +337,7 @@ def test_doors_go_to_the_opening_they_are_in():
         "front": (frozenset({(0, 1)}), [np.array([1010]), none]),
         "third": (frozenset({(0, 1), (0, 3)}), [np.array([1010]), none]),
     }
-    closed = {name: ClosedDoor(*door) for name, door in doors.items()}
-    assert match_doors(openings, closed, lattice) == {
+    assert match_doors(openings, doors, lattice) == {
         0: ["first"],
         1: ["double", "second"],
         2: ["upper"],

@@ -31,14 +31,9 @@ COLUMN_FLAGS = EMPTY, HOLE, BANK, SKY, TALL = 1, 2, 4, 8, 16
 
 
 class Gaps(NamedTuple):
-    """The gaps of a direction, int64.
-
-    Attributes:
-        first, last: their columns, shape (n,).
-        top, bottom: the first and the last marked row in the first and in the last column,
-            shape (n, 2).
-        above, below: the labels of the regions on both sides, shape (n,).
-        is_doorway: whether the space widens on both sides, shape (n,), bool.
+    """The gaps of a direction: their columns, and the first and last marked row in the first and
+    the last of them, (n, 2); the labels of the regions on both sides; and whether the space widens
+    on both sides.
     """
 
     first: Int
@@ -54,11 +49,11 @@ class Scan(NamedTuple):
     """A lattice as it is scanned in a direction.
 
     Attributes:
-        label: the region of each cell, (rows, cols) int32, 0 for none.
-        is_open: (rows, cols) bool.
-        shift: the line's row in each column less that in the first, (cols,) int64.
-        depths: how far behind gaps to measure, int64 [rows].
-        leans: how many columns a line at right angles goes along on the way up so far, int64.
+        label: the region of each cell, (rows, cols), 0 for none.
+        is_open: (rows, cols).
+        shift: the line's row in each column less that in the first, (cols,).
+        depths: how far behind gaps to measure [rows].
+        leans: how many columns a line at right angles goes along on the way up so far.
     """
 
     label: Int32
@@ -102,10 +97,7 @@ def flag_columns(crossings, floor, ground, limits, above_heads, flags, begin, en
 
 @part
 def measure_runs(is_open, shift):
-    """The number of open cells in a row along a line through each cell, 0 for closed ones.
-
-    `is_open` is (rows, cols) bool, `shift` (cols,) int64; returns int32 of the cells' shape.
-    """
+    """The number of open cells in a row along a line through each cell, 0 for closed ones."""
     rows, cols = is_open.shape
     run = np.zeros((rows, cols), dtype=np.int32)
     length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
@@ -246,17 +238,10 @@ def measure_gaps(scan, gaps, chosen, parent):
     The line begins straight behind the gap's ends, at right angles to it. A region that ends before
     the first depth is measured where it ends.
 
-    Args:
-        scan: `Scan`.
-        gaps: `Gaps`.
-        chosen: which of them to measure, (n,) int64.
-        parent: the union-find of the regions that have been joined, by label, int32.
-
-    Returns:
-        The least share over all depths, from above and from below, (n, 2) float64, 1 where both
-        sides are one region. Then which other regions the lines met, ragged: `start`, (n + 1,)
-        int64, and their labels, int64. Only when one of these is joined to a side of the gap
-        will its shares change.
+    `chosen` are the gaps to measure, `parent` the union-find of the regions that have been joined,
+    by label. Returns the least share over all depths, from above and from below, (n, 2), 1 where
+    both sides are one region. Then which other regions the lines met, ragged: `start`, (n + 1,),
+    and their labels. Only when one of these is joined to a side of the gap will its shares change.
     """
     shares = np.ones((len(chosen), 2))
     start = np.zeros(len(chosen) + 1, dtype=np.int64)
