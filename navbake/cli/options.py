@@ -28,6 +28,16 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
 
+def option(metavar: str, text: str, *names: str, default: Any = None, **more: Any) -> Any:
+    """An option with a value, None unless given: what help calls the value, and what it says."""
+    return Option(default, *names, metavar=metavar, help=text, **more)
+
+
+def flag(name: str, text: str) -> Any:
+    """An option without a value."""
+    return Option(False, name, help=text)
+
+
 def check_overrides(overrides: list[str] | None) -> list[str]:
     """Refuse what is not KEY=VALUE; the settings refuse unknown keys."""
     for override in overrides or []:

@@ -16,6 +16,7 @@ from navbake.cli.options import (
     GridFile,
     beside_output,
     check_output,
+    option,
     parse_place,
     position_of_place,
     write_picture,
@@ -71,7 +72,7 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
 def why(
     grid: GridFile,
     place: str | None = Argument(None, metavar=PLACE, help=f"World position, {PLACE_HELP}."),
-    at: str | None = Option(None, metavar=PLACE, help="The same."),
+    at: str | None = option(PLACE, "The same."),
     as_json: AsJson = False,
 ) -> None:
     """Print what a grid holds at a position, and what blocks it.
@@ -105,22 +106,20 @@ def why(
 
 def path(
     grid: GridFile,
-    start: str = Option(..., "--from", "--start", metavar=PLACE, help=f"Start, {PLACE_HELP}."),
-    goals: list[str] = Option(
-        ...,
+    start: str = option(PLACE, f"Start, {PLACE_HELP}.", "--from", "--start", default=...),
+    goals: list[str] = option(
+        f"{PLACE}|room:NAME|object:NAME",
+        "Goal: a position, a room, or an object to stop beside. Repeat it with several "
+        "positions to reach the cheapest of them.",
         "--to",
         "--goal",
-        metavar=f"{PLACE}|room:NAME|object:NAME",
-        help="Goal: a position, a room, or an object to stop beside. Repeat it with several "
-        "positions to reach the cheapest of them.",
+        default=...,
     ),
-    radius: float | None = Option(
-        None, metavar="METRES", help="Inflate the grid for this agent radius first [m]."
-    ),
+    radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
-    output: Path | None = Option(
-        None, "-o", "--output", metavar="PNG|SVG", help="Draw the path; - for a PNG on stdout."
+    output: Path | None = option(
+        "PNG|SVG", "Draw the path; - for a PNG on stdout.", "-o", "--output"
     ),
 ) -> None:
     """Plan a path through a grid, or say why there is none.

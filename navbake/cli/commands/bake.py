@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from typer import Argument, BadParameter, Exit, Option
+from typer import Argument, BadParameter, Exit
 
 from navbake.cli.options import (
     GRIDS,
@@ -19,6 +19,8 @@ from navbake.cli.options import (
     beside_output,
     check_output,
     check_scene,
+    flag,
+    option,
     refuse_unused,
     write_stdout,
 )
@@ -47,24 +49,17 @@ FIELD = re.compile(r"\{([^{}]*)\}")
 class Isolation(NamedTuple):
     """Options that keep MuJoCo's compiler in a process of its own."""
 
-    isolate: bool = Option(
-        False,
-        "--isolate",
-        help="Compile scenes in a process of its own: a crash of MuJoCo is an error then.",
+    isolate: bool = flag(
+        "--isolate", "Compile scenes in a process of its own: a crash of MuJoCo is an error then."
     )
-    seconds: float | None = Option(
-        None,
-        "--isolate-seconds",
-        metavar="SECONDS",
-        min=0.0,
-        help="How long that may take [s].  [default: 60]",
+    seconds: float | None = option(
+        "SECONDS", "How long that may take [s].  [default: 60]", "--isolate-seconds", min=0.0
     )
-    memory: float | None = Option(
-        None,
+    memory: float | None = option(
+        "GIB",
+        "How much memory it may take, on Linux [GiB].  [default: 4]",
         "--isolate-memory",
-        metavar="GIB",
         min=0.0,
-        help="How much memory it may take, on Linux [GiB].  [default: 4]",
     )
 
 
@@ -75,27 +70,23 @@ def bake(
         callback=check_scene,
         help="Settings (YAML), or a scene file for default settings.",
     ),
-    output: str | None = Option(
-        None,
-        "-o",
-        "--output",
-        metavar="FILE|FOLDER",
-        help="File to write (.json or .json.gz), - for stdout, or a folder: one that exists, or a "
+    output: str | None = option(
+        "FILE|FOLDER",
+        "File to write (.json or .json.gz), - for stdout, or a folder: one that exists, or a "
         "new one that ends in /.  [default: the settings' output, or <id>.grid.json in the "
         "current folder]",
+        "-o",
+        "--output",
     ),
-    name: str | None = Option(
-        None,
-        metavar="NAME",
-        help="What to call the files in the folder, without .grid.json: {id} is the scene's, "
+    name: str | None = option(
+        "NAME",
+        "What to call the files in the folder, without .grid.json: {id} is the scene's, "
         "{stem} CONFIG's, {parent} that of its folder.  [default: {id}]",
     ),
     overrides: Overrides = None,
-    threads: int | None = Option(
-        None, metavar="N", min=1, help="Number of threads.  [default: all cores]"
-    ),
-    no_timings: bool = Option(
-        False, "--no-timings", help="Leave out timings, so that two bakes give the same bytes."
+    threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
+    no_timings: bool = flag(
+        "--no-timings", "Leave out timings, so that two bakes give the same bytes."
     ),
     *,
     isolation: Isolation,

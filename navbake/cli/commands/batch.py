@@ -10,9 +10,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from typer import Argument, BadParameter, Exit, Option
+from typer import Argument, BadParameter, Exit
 
-from navbake.cli.options import STDOUT, Overrides, check_output, refuse_unused
+from navbake.cli.options import STDOUT, Overrides, check_output, flag, option, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     is_terminal,
@@ -37,65 +37,53 @@ INDEX = "index.jsonl"
 class PerScene(NamedTuple):
     """What one scene may take."""
 
-    time_limit: float | None = Option(
-        None, "--time-limit", metavar="SECONDS", min=0.001, help="How long a scene may take [s]."
+    time_limit: float | None = option(
+        "SECONDS", "How long a scene may take [s].", "--time-limit", min=0.001
     )
-    memory_limit: float | None = Option(
-        None,
+    memory_limit: float | None = option(
+        "GIB",
+        "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
         "--memory-limit",
-        metavar="GIB",
         min=0.01,
-        help="Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
     )
-    retries: int = Option(
-        0,
-        metavar="N",
-        min=0,
-        help="How often a scene that crashed or exceeded a limit is tried again.",
+    retries: int = option(
+        "N", "How often a scene that crashed or exceeded a limit is tried again.", default=0, min=0
     )
 
 
 class Wholly(NamedTuple):
     """What concerns the whole batch."""
 
-    jobs: int | None = Option(
-        None,
+    jobs: int | None = option(
+        "N",
+        "Number of worker processes: 1 unless given, on a cluster one for each CPU.",
         "-j",
         "--jobs",
-        metavar="N",
         min=1,
-        help="Number of worker processes: 1 unless given, on a cluster one for each CPU.",
     )
-    max_failures: int | None = Option(
-        None, "--max-failures", metavar="N", min=0, help="Stop when more than N scenes failed."
+    max_failures: int | None = option(
+        "N", "Stop when more than N scenes failed.", "--max-failures", min=0
     )
-    as_json: bool = Option(
-        False, "--json", help="Print what happens as lines of JSON, as --log writes them."
+    as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them.")
+    log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each.", "--log")
+    page: bool = flag(
+        "--page", "Write FOLDER/index.html, a page that shows all scenes, their failures and times."
     )
-    log: Path | None = Option(
-        None, "--log", metavar="FILE", help="Add what happens to a file, a line of JSON each."
-    )
-    page: bool = Option(
-        False,
-        "--page",
-        help="Write FOLDER/index.html, a page that shows all scenes, their failures and times.",
-    )
-    parquet: bool = Option(False, "--parquet", help="Write the index as index.parquet as well.")
+    parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
 
 
 class Machines(NamedTuple):
     """Where the worker processes are."""
 
-    executor: Literal["embedded", "ray"] = Option(
-        "embedded",
-        metavar="embedded|ray",
-        help="Where workers run: embedded, on this machine; ray, on a Ray cluster.",
+    executor: Literal["embedded", "ray"] = option(
+        "embedded|ray",
+        "Where workers run: embedded, on this machine; ray, on a Ray cluster.",
+        default="embedded",
     )
-    ray_address: str | None = Option(
-        None,
+    ray_address: str | None = option(
+        "ADDRESS",
+        "Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
         "--ray-address",
-        metavar="ADDRESS",
-        help="Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
     )
 
 
@@ -106,23 +94,20 @@ def batch(
         help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl or "
         ".parquet; paths or URLs such as s3://.",
     ),
-    output: str = Option(
-        ...,
+    output: str = option(
+        "FOLDER",
+        "Folder to write into, with a folder of each scene.",
         "-o",
         "--output",
-        metavar="FOLDER",
-        help="Folder to write into, with a folder of each scene.",
+        default=...,
     ),
-    config: str | None = Option(
-        None, "--config", metavar="YAML", help="Settings that all scenes share."
-    ),
-    make: list[str] | None = Option(
-        None,
-        "--make",
-        metavar="WHAT",
-        help="What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
+    config: str | None = option("YAML", "Settings that all scenes share.", "--config"),
+    make: list[str] | None = option(
+        "WHAT",
+        "What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
         "nav2[:RADIUS], "
         "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
+        "--make",
     ),
     overrides: Overrides = None,
     *,

@@ -6,10 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from typer import BadParameter, Exit, Option
+from typer import BadParameter, Exit
 
 import navbake
-from navbake.cli.options import AsJson, GridFile, beside_output, check_output, write_picture
+from navbake.cli.options import (
+    AsJson,
+    GridFile,
+    beside_output,
+    check_output,
+    flag,
+    option,
+    write_picture,
+)
 from navbake.cli.printing import print_json, print_tables, say, verify_table
 
 if TYPE_CHECKING:
@@ -23,43 +31,35 @@ SHOWN = 20  # disagreements that are printed one by one
 class Sample(NamedTuple):
     """Which cells to look at."""
 
-    sample: int = Option(SAMPLE, metavar="N", help="How many cells to look at, >= 1.")
-    every: bool = Option(False, "--all", help="Look at all cells.")
-    seed: int = Option(0, metavar="N", min=0, help="Seed of the sample and of the paths.")
+    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE)
+    every: bool = flag("--all", "Look at all cells.")
+    seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0)
 
 
 def verify(
     grid: GridFile,
     which: Sample,
-    scene: Path | None = Option(
-        None,
-        metavar="SCENE|CONFIG",
-        help="The scene, or the settings of the bake (YAML).  [default: the file that the grid "
+    scene: Path | None = option(
+        "SCENE|CONFIG",
+        "The scene, or the settings of the bake (YAML).  [default: the file that the grid "
         "names, beside it or in the current folder, or in `scenes` there]",
     ),
-    radius: float | None = Option(
-        None,
-        metavar="METRES",
-        help="Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
+    radius: float | None = option(
+        "METRES",
+        "Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
         "less, is inflated for it.  [default: that of the grid]",
     ),
-    paths: int = Option(0, metavar="N", min=0, help="Sweep the agent along this many paths."),
-    tolerance: float = Option(
-        1e-4,
-        metavar="METRES",
-        help="What touches by less than this is free [m], > 0, at most a quarter of a cell.",
+    paths: int = option("N", "Sweep the agent along this many paths.", default=0, min=0),
+    tolerance: float = option(
+        "METRES",
+        "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
+        default=1e-4,
     ),
     as_json: AsJson = False,
-    output: Path | None = Option(
-        None,
-        "-o",
-        "--output",
-        metavar="PNG|SVG",
-        help="Draw the disagreements; - for a PNG on stdout.",
+    output: Path | None = option(
+        "PNG|SVG", "Draw the disagreements; - for a PNG on stdout.", "-o", "--output"
     ),
-    force: bool = Option(
-        False, "--force", help="Compare with a scene that isn't the one that was baked."
-    ),
+    force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
     """Compare a grid with its scene by MuJoCo and FCL.
 
@@ -119,8 +119,8 @@ def _print(report: VerifyReport) -> None:
 def audit(
     grid: GridFile,
     as_json: AsJson = False,
-    output: Path | None = Option(
-        None, "-o", "--output", metavar="PNG|SVG", help="Draw the places; - for a PNG on stdout."
+    output: Path | None = option(
+        "PNG|SVG", "Draw the places; - for a PNG on stdout.", "-o", "--output"
     ),
 ) -> None:
     """Look at a grid of any program for what a person would notice.

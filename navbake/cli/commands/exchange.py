@@ -15,6 +15,7 @@ from navbake.cli.options import (
     GridFile,
     beside_output,
     check_output,
+    option,
     refuse_unused,
     write_stdout,
 )
@@ -37,56 +38,40 @@ SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 class MapOptions(NamedTuple):
     """Options of maps."""
 
-    level: int | None = Option(None, metavar="N", min=0, help="Only this level; 0 is the lowest.")
-    radius: float | None = Option(
-        None, metavar="METRES", help="Inflate for an agent of this radius first [m]."
+    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
+    radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
+    mode: str | None = option(
+        "trinary|scale|raw",
+        "trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
     )
-    mode: str | None = Option(
-        None,
-        metavar="trinary|scale|raw",
-        help="trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
+    image: str | None = option(
+        "pgm|png", "pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
     )
-    image: str | None = Option(
-        None,
-        metavar="pgm|png",
-        help="pgm or png.  [default: pgm; png with --mode scale, which needs transparency]",
+    inflation: float | None = option(
+        "METRES", "Costs by nav2's formula, up to this distance from obstacles [m]."
     )
-    inflation: float | None = Option(
-        None,
-        metavar="METRES",
-        help="Costs by nav2's formula, up to this distance from obstacles [m].",
+    zone: list[str] | None = option(
+        "NAME[=PERCENT]", "Room (name, id or number) or polygon of a mask. May be repeated."
     )
-    zone: list[str] | None = Option(
-        None,
-        metavar="NAME[=PERCENT]",
-        help="Room (name, id or number) or polygon of a mask. May be repeated.",
+    zones: Path | None = option(
+        "GEOJSON", "Polygons of a mask; all of them unless --zone names some."
     )
-    zones: Path | None = Option(
-        None, metavar="GEOJSON", help="Polygons of a mask; all of them unless --zone names some."
-    )
-    height: float | None = Option(
-        None,
-        metavar="METRES",
-        help="How far walls rise over the highest floor [m].  [default: 2.5]",
+    height: float | None = option(
+        "METRES", "How far walls rise over the highest floor [m].  [default: 2.5]"
     )
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
-    scaling: float | None = Option(
-        None,
-        metavar="FACTOR",
-        help="How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]",
+    scaling: float | None = option(
+        "FACTOR", "How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
     )
 
 
 class ShapeOptions(NamedTuple):
     """Options of meshes and graphs."""
 
-    tolerance: float | None = Option(
-        None,
-        metavar="METRES",
-        min=0,
-        help="How far a mesh may be off the floor [m].  [default: 0.001]",
+    tolerance: float | None = option(
+        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
     )
-    up: str | None = Option(None, metavar="y|z", help="Upward axis of an OBJ.  [default: y]")
+    up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
     cut_corners: bool | None = Option(
         None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
     )
@@ -106,12 +91,8 @@ def convert(
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
     maps: MapOptions,
     shapes: ShapeOptions,
-    to: str | None = Option(
-        None, "--to", metavar="FORMAT", help="Format of OUT.  [default: by its ending]"
-    ),
-    origin: str | None = Option(
-        None, "--from", metavar="FORMAT", help="Format of IN.  [default: by its ending]"
-    ),
+    to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
+    origin: str | None = option("FORMAT", "Format of IN.  [default: by its ending]", "--from"),
 ) -> None:
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
@@ -172,39 +153,35 @@ def _given(options: dict[str, Any], writer: Format) -> dict[str, Any]:
 def inflate(
     grid: GridFile,
     metres: float | None = Argument(None, metavar="RADIUS", help="Radius of the agent [m]."),
-    radius: float | None = Option(None, metavar="METRES", help="The same."),
-    output: Path = Option(
-        ...,
+    radius: float | None = option("METRES", "The same."),
+    output: Path = option(
+        "FILE",
+        "File to write (.json or .json.gz), - for stdout; not GRID itself.",
         "-o",
         "--output",
-        metavar="FILE",
-        help="File to write (.json or .json.gz), - for stdout; not GRID itself.",
+        default=...,
     ),
-    clearance: float | None = Option(
-        None,
-        metavar="METRES",
-        help="Distance beyond the radius within which cells cost more [m].  "
+    clearance: float | None = option(
+        "METRES",
+        "Distance beyond the radius within which cells cost more [m].  "
         "[default: 0; with nav2 costs, up to where the cost falls to 1]",
     ),
-    mode: str = Option(
-        "exact",
-        metavar="exact|minos",
-        help="exact (its disc meets no occupied cell) or minos (the original client's).",
+    mode: str = option(
+        "exact|minos",
+        "exact (its disc meets no occupied cell) or minos (the original client's).",
+        default="exact",
     ),
-    costs: str = Option(
-        "step",
-        metavar="step|nav2",
-        help="Cost of cells within the clearance: step (10), or nav2 (exponential).",
+    costs: str = option(
+        "step|nav2",
+        "Cost of cells within the clearance: step (10), or nav2 (exponential).",
+        default="step",
     ),
-    scaling: float | None = Option(
-        None,
-        metavar="FACTOR",
-        help="How fast nav2 costs fall, its cost_scaling_factor [1/m].  [default: 10]",
+    scaling: float | None = option(
+        "FACTOR", "How fast nav2 costs fall, its cost_scaling_factor [1/m].  [default: 10]"
     ),
-    ledges: str | None = Option(
-        None,
-        metavar="avoid|ignore",
-        help="avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
+    ledges: str | None = option(
+        "avoid|ignore",
+        "avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
     ),
 ) -> None:
     """Inflate the obstacles of a grid for an agent of another radius.
@@ -247,21 +224,15 @@ def inflate(
 class Squares(NamedTuple):
     """Options that lay the descriptor's squares over a level."""
 
-    level: int | None = Option(
-        None, metavar="N", min=0, help="Which level; 0 is the lowest.  [default: 0]"
+    level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0)
+    corner: tuple[float, float] | None = option(
+        "X Y", "Lower left corner [m].  [default: the level's]"
     )
-    corner: tuple[float, float] | None = Option(
-        None, metavar="X Y", help="Lower left corner [m].  [default: the level's]"
+    rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1)
+    cols: int | None = option(
+        "N", "Squares across.  [default: the whole level; decoding: 15]", min=1
     )
-    rows: int | None = Option(
-        None, metavar="N", min=1, help="Squares up.  [default: the whole level; decoding: 20]"
-    )
-    cols: int | None = Option(
-        None, metavar="N", min=1, help="Squares across.  [default: the whole level; decoding: 15]"
-    )
-    square: float | None = Option(
-        None, metavar="METRES", help="Edge of a square [m].  [default: 0.1]"
-    )
+    square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]")
 
     @property
     def shape(self) -> tuple[int, int] | None:
@@ -271,13 +242,9 @@ class Squares(NamedTuple):
 def map_descriptor(
     squares: Squares,
     grid: Path | None = Argument(None, metavar="GRID", help="A NavGrid file."),
-    decode: tuple[str, str] | None = Option(
-        None, metavar="P1 P2", help="Draw this descriptor in place of a GRID."
-    ),
-    explored: Path | None = Option(
-        None,
-        metavar="NPY",
-        help="Which squares are explored: an array [row, col], row 0 at the top.  [default: all]",
+    decode: tuple[str, str] | None = option("P1 P2", "Draw this descriptor in place of a GRID."),
+    explored: Path | None = option(
+        "NPY", "Which squares are explored: an array [row, col], row 0 at the top.  [default: all]"
     ),
     as_json: AsJson = False,
 ) -> None:

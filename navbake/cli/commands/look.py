@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
@@ -16,6 +16,8 @@ from navbake.cli.options import (
     GridFile,
     Overrides,
     check_output,
+    flag,
+    option,
     refuse_unused,
     write_picture,
     write_stdout,
@@ -32,18 +34,17 @@ if TYPE_CHECKING:
 
 def plot(
     grid: GridFile,
-    output: Path = Option(
-        ..., "-o", "--output", metavar="PNG|SVG", help="Picture to write; - for a PNG on stdout."
+    output: Path = option(
+        "PNG|SVG", "Picture to write; - for a PNG on stdout.", "-o", "--output", default=...
     ),
-    level: int | None = Option(
-        None, metavar="N", min=0, help="Draw only this level; 0 is the lowest.  [default: all]"
+    level: int | None = option(
+        "N", "Draw only this level; 0 is the lowest.  [default: all]", min=0
     ),
-    layers: list[str] | None = Option(
-        None,
-        "--layer",
-        metavar="LAYER",
-        help="Draw occupancy, floor, rooms, doors, clearance, island, weights or links. May be "
+    layers: list[str] | None = option(
+        "LAYER",
+        "Draw occupancy, floor, rooms, doors, clearance, island, weights or links. May be "
         "repeated.  [default: occupancy and floor]",
+        "--layer",
     ),
 ) -> None:
     """Draw a grid: a row for each level, a column for each layer.
@@ -71,19 +72,17 @@ def report(
     grids: Annotated[
         list[Path], Argument(metavar="GRID|FOLDER", help="NavGrid files, or the folder of a batch.")
     ],
-    output: Path | None = Option(
-        None,
+    output: Path | None = option(
+        "HTML",
+        "Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
         "-o",
         "--output",
-        metavar="HTML",
-        help="Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
     ),
-    with_audit: bool = Option(False, "--audit", help="Audit the grids, and add what is found."),
-    verifications: list[Path] | None = Option(
-        None,
+    with_audit: bool = flag("--audit", "Audit the grids, and add what is found."),
+    verifications: list[Path] | None = option(
+        "JSON",
+        "Add what `navbake verify --json` printed of a grid. Once for each GRID, in order.",
         "--verify",
-        metavar="JSON",
-        help="Add what `navbake verify --json` printed of a grid. Once for each GRID, in order.",
     ),
 ) -> None:
     """Make a page that shows grids in a browser.
@@ -156,16 +155,16 @@ def _short_name(path: Path) -> str:
 class Address(NamedTuple):
     """Where the page is served."""
 
-    host: str = Option(
-        "127.0.0.1",
-        metavar="HOST",
-        help="Address of this machine to listen at. Only this machine can reach the default; "
+    host: str = option(
+        "HOST",
+        "Address of this machine to listen at. Only this machine can reach the default; "
         "0.0.0.0 lets others in, too.",
+        default="127.0.0.1",
     )
-    port: int = Option(
-        8080, metavar="PORT", min=0, max=65535, help="Port to listen at; 0 for any free one."
+    port: int = option(
+        "PORT", "Port to listen at; 0 for any free one.", default=8080, min=0, max=65535
     )
-    no_open: bool = Option(False, "--no-open", help="Only print the link.")
+    no_open: bool = flag("--no-open", "Only print the link.")
 
 
 def view(
@@ -175,14 +174,13 @@ def view(
         metavar="GRID|SCENE|CONFIG",
         help="A NavGrid file (.json or .json.gz), or a scene file or settings (YAML) to bake.",
     ),
-    scene: Path | None = Option(
-        None,
-        metavar="SCENE|CONFIG",
-        help="The scene of GRID, or the settings of its bake (YAML).  [default: the file that "
+    scene: Path | None = option(
+        "SCENE|CONFIG",
+        "The scene of GRID, or the settings of its bake (YAML).  [default: the file that "
         "GRID names, beside it or in the current folder, or in `scenes` there]",
     ),
     overrides: Overrides = None,
-    force: bool = Option(False, "--force", help="Show GRID in a scene that it wasn't baked from."),
+    force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
 ) -> None:
     """Show a grid in its scene, in the browser, until Ctrl-C.
 

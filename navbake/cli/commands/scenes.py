@@ -15,6 +15,8 @@ from navbake.cli.options import (
     SceneOrConfig,
     check_output,
     check_scene,
+    flag,
+    option,
     refuse_unused,
 )
 from navbake.cli.printing import (
@@ -39,14 +41,10 @@ def init(
         callback=check_scene,
         help="Scene file: MJCF, MJB, URDF or a mesh.",
     ),
-    output: Path | None = Option(
-        None,
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="YAML to write; - for stdout.  [default: ./<id>.yaml]",
+    output: Path | None = option(
+        "FILE", "YAML to write; - for stdout.  [default: ./<id>.yaml]", "-o", "--output"
     ),
-    force: bool = Option(False, "--force", help="Overwrite FILE if it exists."),
+    force: bool = flag("--force", "Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene.
 
@@ -68,13 +66,13 @@ def samples(
     names: list[str] | None = Argument(
         None, metavar="NAME", help="Samples to copy.  [default: list them]"
     ),
-    folder: Path = Option(
-        Path(),
+    folder: Path = option(
+        "FOLDER",
+        "Where to copy them to.  [default: the current folder]",
         "-o",
         "--output",
-        metavar="FOLDER",
+        default=Path(),
         show_default=False,
-        help="Where to copy them to.  [default: the current folder]",
     ),
 ) -> None:
     """Copy sample scenes and their settings here, to try navbake with.
@@ -119,30 +117,22 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
 class Box(NamedTuple):
     """Options that place the grid."""
 
-    res: float = Option(0.1, metavar="METRES", help="Edge of a voxel [m].")
-    position: Triple | None = Option(
-        None, "--center", metavar="X Y Z", help="Centre [m].  [default: of the scene's box]"
+    res: float = option("METRES", "Edge of a voxel [m].", default=0.1)
+    position: Triple | None = option(
+        "X Y Z", "Centre [m].  [default: of the scene's box]", "--center"
     )
-    cells: tuple[int, int, int] | None = Option(
-        None, metavar="NX NY NZ", help="Number of voxels along each axis."
-    )
-    size: Triple | None = Option(
-        None, metavar="X Y Z", help="Size of the grid [m], in place of --cells."
-    )
-    align: bool = Option(
-        False, "--align", help="Begin voxels at multiples of --res, as octrees always do."
-    )
+    cells: tuple[int, int, int] | None = option("NX NY NZ", "Number of voxels along each axis.")
+    size: Triple | None = option("X Y Z", "Size of the grid [m], in place of --cells.")
+    align: bool = flag("--align", "Begin voxels at multiples of --res, as octrees always do.")
 
 
 class Layout(NamedTuple):
     """Options that say how the files are written."""
 
-    compact: bool = Option(False, "--compact", help=".binvox: renumber the IDs that occur, from 1.")
-    twin: bool = Option(
-        False, "--twin", help=".binvox with IDs: write NAME.occupied.binvox without IDs, too."
-    )
-    airsim: bool = Option(False, "--airsim", help=".binvox: use AirSim's layout.")
-    free: bool = Option(False, "--free", help="Octrees: mark voxels that are not occupied as free.")
+    compact: bool = flag("--compact", ".binvox: renumber the IDs that occur, from 1.")
+    twin: bool = flag("--twin", ".binvox with IDs: write NAME.occupied.binvox without IDs, too.")
+    airsim: bool = flag("--airsim", ".binvox: use AirSim's layout.")
+    free: bool = flag("--free", "Octrees: mark voxels that are not occupied as free.")
 
 
 def voxelize(
@@ -158,16 +148,13 @@ def voxelize(
     ],
     box: Box,
     layout: Layout,
-    segments: list[str] | None = Option(
-        None,
-        "--segment",
-        metavar="WHAT",
-        help="Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
+    segments: list[str] | None = option(
+        "WHAT",
+        "Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
         "PATTERN=ID, which may be repeated.",
+        "--segment",
     ),
-    ignore: list[str] | None = Option(
-        None, metavar="PATTERN", help="Leave out these bodies. May be repeated."
-    ),
+    ignore: list[str] | None = option("PATTERN", "Leave out these bodies. May be repeated."),
     overrides: Overrides = None,
 ) -> None:
     """Voxelize a scene: write which voxels are occupied.
