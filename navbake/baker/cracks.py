@@ -6,15 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from navbake.baker.columns import Columns, TiledShapes, tiles_of_rows
+from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
-from navbake.baker.kernels.cracks import Notes, find_bridges, mark_facing_up
+from navbake.baker.kernels.constants import OPEN_SURFACE, SAME, SLACK
+from navbake.baker.kernels.cracks import (
+    AWAY,
+    CELL,
+    GEOM,
+    HEIGHT,
+    RADIUS,
+    SAME_PIECE,
+    SAME_WAY,
+    WAY,
+    list_sides,
+)
+from navbake.baker.kernels.occupancy import lines_blocked
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
 
+HAIR = 1e-6  # rays are cast this far beyond an edge [m]
 ALL = np.empty(0, dtype=np.bool_)
 
 
@@ -34,41 +46,64 @@ def close_cracks(
     """
     if crack == 0:
         return columns
-    shapes, parts = tiled.shapes, dict[int, tuple[Notes, int]]()
-    geometry = shapes.solids, tiled.facets, shapes.planes, tiled.heights
-    faces_up = np.empty(len(tiled.facets.geom), dtype=np.bool_)
+    shapes, parts = tiled.shapes, dict[int, tuple[Float, int]]()
     limits, tiles = agent_limits(agent), tiles_of_rows(columns.lattice, columns.known_rows)
 
-    facing = mark_facing_up, len(faces_up), tiled.facets.corners, limits.min_up, faces_up
-    run_in_bands(*facing, least=4096)
-
     def find(first: int, end: int) -> None:
+        geometry = shapes.solids, tiled.facets, tiled.tiles
         lines = columns.lattice, columns.crossings
-        near = geometry, faces_up, tiled.tiles, limits, crack, asked
-        parts[first] = find_bridges(*lines, *near, first, end)
+        parts[first] = list_sides(*lines, *geometry, limits, crack, asked, first, end)
 
     run_in_bands(find, len(tiles), begin=tiles.start)
     found = [parts[first] for first in sorted(parts)]
     if not any(count for _, count in found):
         return columns
-    of = np.concatenate([notes.of[:count] for notes, count in found])
-    seen = np.concatenate([notes.seen[:count] for notes, count in found])
-    return _add(columns, *_choose(of, seen, limits.step + SLACK))
+    sides = np.concatenate([notes[:count] for notes, count in found])
+    sides = sides[np.argsort(sides[:, CELL], kind="stable")]
+    cell, geom, way = sides[:, CELL].astype(np.int64), sides[:, GEOM], sides[:, WAY : WAY + 2]
 
+    # rays just beyond the edges say which surface is there, and how high it is to the last bit
+    beyond = columns.lattice.positions(*np.divmod(cell, columns.lattice.width))
+    beyond += way * (sides[:, AWAY, None] + HAIR)
+    rays = cast_points(tiled, cell, beyond)
+    line = np.repeat(np.arange(len(cell)), np.diff(rays.start))
+    off, is_up = abs(rays.z - sides[line, HEIGHT]), rays.normal[:, 2] >= limits.min_up
+    is_piece = is_up & (rays.geom == geom[line]) & (off <= SAME_PIECE + sides[line, RADIUS])
+    seen = np.flatnonzero(is_piece)
+    seen = seen[np.lexsort((off[seen], line[seen]))]
+    line, nearest = np.unique(line[seen], return_index=True)
+    seen, cell, way = seen[nearest], cell[line], way[line]
+    # what is buried there and not on the cell's line only ends at the foot of something
+    is_side = ~_are_buried(rays, line, rays.z[seen])
+    is_side |= _are_buried(columns.crossings, cell, rays.z[seen])
+    seen, cell, way = seen[is_side], cell[is_side], way[is_side]
 
-def _choose(of: Int, seen: Float, step: float) -> tuple[Int, Float]:
-    """Of the floors that bridge cracks of one cell, those that none lower one is a step off."""
-    order = np.lexsort((of[:, 2], of[:, 1], seen[:, 4], seen[:, 3], of[:, 0]))
-    of, seen, kept = of[order], seen[order], list[int]()
-    for n, (cell, low) in enumerate(zip(of[:, 0].tolist(), seen[:, 3].tolist(), strict=True)):
-        if not kept or of[kept[-1], 0] != cell or low - seen[kept[-1], 3] > step:
+    # of each two opposite sides the lower one bridges the line
+    z, bridge = rays.z[seen], np.zeros(len(seen), dtype=np.bool_)
+    for apart in range(1, int(np.unique(cell, return_counts=True)[1].max(initial=1))):
+        one, other = slice(None, -apart), slice(apart, None)
+        are_sides = (cell[one] == cell[other]) & (abs(z[one] - z[other]) <= limits.step + SLACK)
+        are_sides &= (way[one] * way[other]).sum(axis=1) <= -SAME_WAY
+        bridge[one] |= are_sides & (z[one] <= z[other])
+        bridge[other] |= are_sides & (z[other] <= z[one])
+    seen, cell, z = seen[bridge], cell[bridge], z[bridge]
+    order, kept = np.lexsort((rays.geom[seen], z, cell)), list[int]()
+    for n in order.tolist():  # of those of a cell within a step, the lowest
+        if not kept or cell[kept[-1]] != cell[n] or z[n] - z[kept[-1]] > limits.step + SLACK:
             kept.append(n)
-    return of[kept], seen[kept]
+    return _add(columns, cell[kept], rays, seen[kept]) if kept else columns
 
 
-def _add(columns: Columns, of: Int, seen: Float) -> Columns:
-    """Columns with more surfaces, by cell and then height."""
-    old, (cell, z) = columns.crossings, (of[:, 0], seen[:, 3])
+def _are_buried(crossings: Crossings, cells: Int, z: Float) -> Bool:
+    """Whether lines run within something just above a height."""
+    buried = np.empty(len(cells), dtype=np.bool_)
+    lines_blocked(cells, z + SAME, z + 2.0 * SAME, crossings, buried, 0, len(cells))
+    return buried
+
+
+def _add(columns: Columns, cell: Int, rays: Crossings, seen: Int) -> Columns:
+    """Columns with some surfaces more, which are given by cell and then height."""
+    old, z = columns.crossings, rays.z[seen]
     place, last = old.start[cell], old.start[cell + 1]
     heights = np.append(old.z, np.inf)
     while (below := (place < last) & (heights[place] < z)).any():
@@ -79,8 +114,8 @@ def _add(columns: Columns, of: Int, seen: Float) -> Columns:
     new = Crossings(
         start,
         np.insert(old.z, place, z),
-        np.insert(old.normal, place, seen[:, :3], axis=0),
-        np.insert(old.geom, place, of[:, 1]),
+        np.insert(old.normal, place, rays.normal[seen], axis=0),
+        np.insert(old.geom, place, rays.geom[seen]),
         np.insert(old.closed, place, OPEN_SURFACE),
     )
     return replace(columns, crossings=new)
