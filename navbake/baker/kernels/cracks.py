@@ -151,14 +151,15 @@ def _is_side(seen, n, last, step):
 
 @part(**UNCOUNTED)
 def _list_in_tile(
-    lattice, crossings, solids, facets, tiles, tile, limits, crack, asked, scratch, found
+    lattice, crossings, geometry, tile, limits, crack, asked, scratch, found
 ):  # fmt: skip
     """List the sides of a tile's lines after those that are known; -1 where room ends.
 
     Each piece visits the lines that may be beside it, and is noted where they have no floor near
     its height there. Returns how many sides there are then.
     """
-    (seen, sides, num_sides), (corners, box, near, heights, latest) = found, scratch
+    (solids, facets, tiles), (seen, sides, num_sides) = geometry, found
+    corners, box, near, heights, latest = scratch
     first, last = tiles.solid_start[tile], tiles.solid_start[tile + 1]
     # where the triangles would begin if they followed the solids in one list
     shift = tiles.triangle_start[tile] - last
@@ -246,7 +247,7 @@ def list_sides(
     for tile in range(first_tile, end):
         while True:
             after = _list_in_tile(
-                lattice, crossings, solids, facets, tiles, tile, limits, crack, asked, scratch,
+                lattice, crossings, (solids, facets, tiles), tile, limits, crack, asked, scratch,
                 (seen, sides, num),
             )  # fmt: skip
             if after >= 0:
