@@ -120,8 +120,8 @@ OTHER_WORDS = {
     "step_height": "agent.traversable_floor_height",
 }
 """What other tools call a setting, and its key here."""
-SINGLE: dict[str, tuple[str, type]] = {"scene": ("path", str), "levels": ("ground", float)}
-"""Of a section, the key and type of what people write in place of a mapping."""
+SINGLE: dict[str, tuple[str, Any]] = {"scene": ("path", str), "levels": ("ground", (int, float))}
+"""Of a section, the key and types of what people write in place of a mapping."""
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a list that is shown
 NESTED = (Mapping, list, tuple, set)
@@ -143,8 +143,9 @@ def describe_errors(
     for found in details[:MAX_ERRORS]:
         # pydantic adds the tag of a union's branch, here =list and the like, and [key]
         loc = tuple(p for p in found["loc"] if not str(p).startswith("=") and p != "[key]")
-        origin = _origin(loc, source, overrides)
-        lines.append(f"{_complaint(found, loc, sections)} in {origin}")
+        keys = ((f"--set {each}", override_key(each)) for each in reversed(overrides))
+        origin = (name for name, key in keys if key[: len(loc)] == loc[: len(key)])
+        lines.append(f"{_complaint(found, loc, sections)} in {next(origin, source)}")
     more = f" (and {len(details) - MAX_ERRORS} more)" if len(details) > MAX_ERRORS else ""
     return "; ".join(lines) + more
 
@@ -177,60 +178,40 @@ def show_value(value: Any) -> str:
 
 
 def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
-    kind, context = error["type"], error.get("ctx", {})
+    kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
         return _unknown_key(loc, sections)
     if kind == "missing":
         return f"expected a value, found none at `{_dotted(loc)}`"
-    expected = context.get("text") or EXPECTED.get(kind)
+    expected = context.get("text") or EXPECTED.get(kind) or error["msg"]
     if kind == "literal_error":
         expected = context["expected"].replace("'", "")
-    got = context.get("got") or show_value(error["input"])
-    where = _dotted(loc) + context.get("at", "")
-    if kind == "model_type":
-        expected = f"a mapping{_as_mapping(str(loc[0]), error['input'])}"
-    return f"expected {expected or error['msg']}, got {got} at `{where}`"
-
-
-def _as_mapping(section: str, value: Any) -> str:
-    """How to write a value that stands in place of a section, or of an item of one."""
-    key, wanted = SINGLE.get(section, ("", float))
-    kinds = (int, float) if wanted is float else wanted
-    is_meant = bool(key) and isinstance(value, kinds) and not isinstance(value, bool)
-    return f" such as {{{key}: {shorten(str(value))}}}" if is_meant else ""
+    key, kinds = SINGLE.get(str(loc[0]), ("", ()))
+    if kind == "model_type" and isinstance(value, kinds) and not isinstance(value, bool):
+        expected += f" such as {{{key}: {shorten(str(value))}}}"
+    got = context.get("got") or show_value(value)
+    return f"expected {expected}, got {got} at `{_dotted(loc)}{context.get('at', '')}`"
 
 
 def _unknown_key(loc: Location, sections: Sections) -> str:
     """Name the key that was probably meant: of the same section first, then of all."""
-    section = ".".join(p for p in loc[:-1] if isinstance(p, str))
+    section, unknown = ".".join(p for p in loc[:-1] if isinstance(p, str)), str(loc[-1])
+    known, elsewhere = _keys(sections, section), dict[str, str]()
     # reversed, so that of sections with a key in common the first one is named
-    elsewhere: dict[str, str] = {}
     for name in reversed(list(sections)):
         elsewhere |= _keys(sections, name)
-    known = _keys(sections, section)
-    unknown = str(loc[-1])
     near = [keys[name] for keys in (known, elsewhere) for name in find_near(unknown, keys)]
     meant = OTHER_WORDS.get(unknown, "")
     if meant and section in ("", meant.rpartition(".")[0]):
         near = [meant]
-    shown = shorten(_dotted(loc))
-    if near:
-        return f"unknown key `{shown}`, the nearest known one is `{near[0]}`,"
-    return f"unknown key `{shown}`, known are {', '.join(known)},"
+    say = f"the nearest known one is `{near[0]}`" if near else f"known are {', '.join(known)}"
+    return f"unknown key `{shorten(_dotted(loc))}`, {say},"
 
 
 def _keys(sections: Sections, section: str) -> dict[str, str]:
     """The dotted keys of a section by their last parts."""
     keys = [field.alias or name for name, field in sections[section].model_fields.items()]
     return {key: f"{section}.{key}".lstrip(".") for key in keys}
-
-
-def _origin(loc: Location, source: str, overrides: Sequence[str]) -> str:
-    for override in reversed(overrides):
-        key = override_key(override)
-        if key[: len(loc)] == loc[: len(key)]:
-            return f"--set {override}"
-    return source
 
 
 def _dotted(loc: Location) -> str:

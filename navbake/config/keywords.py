@@ -55,18 +55,17 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
         )
     if not keywords:
         return as_config(config)
+    source, folder = "the settings with the keywords", Path()
     if isinstance(config, BakeConfig):
-        given = config.model_dump(by_alias=True, exclude_unset=True)
-        return parse_config(_lay_over(given, keywords), "the settings with the keywords")
-    if isinstance(config, Mapping):
-        return parse_config(_lay_over(config, keywords), "the settings with the keywords")
-    path = Path(config)
-    is_yaml = path.suffix.lower() in YAML_SUFFIXES
-    given = read_yaml(path) if is_yaml else {"scene": {"path": path}}
-    folder = path.parent if is_yaml else ""
-    if not isinstance(given, Mapping):
-        return as_config(config)  # which says what is wrong with it
-    return parse_config(_lay_over(given, keywords), f"{path} with the keywords", folder=folder)
+        config = config.model_dump(by_alias=True, exclude_unset=True)
+    elif not isinstance(config, Mapping):
+        path = Path(config)
+        source, config = f"{path} with the keywords", {"scene": {"path": path}}
+        if path.suffix.lower() in YAML_SUFFIXES:
+            config, folder = read_yaml(path), path.parent
+            if not isinstance(config, Mapping):
+                return as_config(path)  # which says what is wrong with it
+    return parse_config(_lay_over(config, keywords), source, folder=folder)
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
@@ -106,11 +105,7 @@ def _plain(value: Any) -> Any:
 
 def _hint(given: Any) -> str:
     """What to give in place of things that are close to a scene."""
-    kind = type(given).__name__
-    if kind == "MjData":
+    if type(given).__name__ == "MjData":
         return ": give its model first, then the data"
-    if hasattr(given, "ptr"):  # dm_control
-        return ": give its `ptr`"
-    if hasattr(given, "model"):  # environments, and dm_control's Physics
-        return ": give its `model`"
-    return ""
+    # dm_control's models; then environments, and dm_control's Physics
+    return next((f": give its `{name}`" for name in ("ptr", "model") if hasattr(given, name)), "")

@@ -40,14 +40,13 @@ def write_template(
         SceneError: there is no such scene.
         ConfigError: the YAML exists, or cannot be written.
     """
-    scene = Path(scene)
-    scene_id = _scene_id(scene)
+    scene_id = _scene_id(Path(scene))
     path = Path(f"{scene_id}.yaml" if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise ConfigError(f"expected a name that ends in .yaml, got {path}")
     if os.path.exists(path) and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
-    text = template_for(scene, path.parent)
+    text = template_for(Path(scene), path.parent)
     try:
         write_whole(text.encode(), path)
     except OSError as error:
@@ -72,7 +71,7 @@ def template_for(scene: Path, folder: Path) -> str:
     return text
 
 
-def _scene_id(scene: Path) -> str | None:
+def _scene_id(scene: Path) -> str:
     if scene.suffix.lower() in YAML_SUFFIXES:
         raise ConfigError(f"expected a scene, got the settings file {scene}")
     if not os.path.isfile(scene):

@@ -9,7 +9,6 @@ import yaml
 
 from navbake.errors import ConfigError
 
-MAX_BYTES = 1_000_000  # of a YAML file; settings take a few thousand
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
 MOST_SHOWN = 200  # characters of what PyYAML says: it repeats tags and names, however long
 # What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
@@ -35,19 +34,8 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key!r} stands here a second time", key_node.start_mark
                 )
-            if isinstance(key, Hashable):
-                seen.add(key)
+            seen |= {key} if isinstance(key, Hashable) else set()
         return super().construct_mapping(node, deep)
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Make the value of a node; what its tag can't stand for is an error with a line."""
-        try:
-            return super().construct_object(node, deep)
-        except UNFIT as error:
-            tag = node.tag.removeprefix(_TAG)
-            raise yaml.constructor.ConstructorError(
-                None, None, f"expected a value that fits the type {tag}", node.start_mark
-            ) from error
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         return int(str(self.construct_scalar(node)))
@@ -65,17 +53,13 @@ for _name, _pattern in {
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file of at most 1 MB; a ConfigError tells why it can't be read."""
+    """Read a YAML file; a ConfigError tells why it can't be read."""
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        return decode_yaml(path.read_bytes(), str(path))
     except FileNotFoundError:
         raise ConfigError(f"no such file: {path}") from None
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
-    if len(content) > MAX_BYTES:
-        raise ConfigError(f"{path} is no settings file: it is larger than {MAX_BYTES:,} bytes")
-    return decode_yaml(content, str(path))
 
 
 def decode_yaml(content: bytes, source: str) -> Any:
