@@ -66,7 +66,7 @@ def take_report() -> bytes:
         navbake.report([grid, grid.inflate(0.3)], path, names=["as baked", "0.3 m"])
         web.get(path.as_uri())
         web.find_elements("css selector", "#grids button")[2].click()
-        wait_until(lambda: web.execute_script("return level().changes?.length > 0"), "changes")
+        wait_until(lambda: web.execute_script("return Boolean(level().unpacked)"), "changes")
         web.execute_script("window.scrollTo(0, 0)")
         taken: bytes = web.get_screenshot_as_png()
         return taken

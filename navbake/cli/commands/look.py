@@ -27,7 +27,7 @@ from navbake.errors import ConfigError
 
 if TYPE_CHECKING:
     from navbake.views.viewer.exhibit import Exhibit
-    from navbake.views.viewer.view import Reading
+    from navbake.views.viewer.view import Watch
 
 # Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
 
@@ -198,10 +198,10 @@ def view(
     if not is_grid and (scene is not None or force):
         which = "--scene" if scene is not None else "--force"
         raise BadParameter("does nothing here: it is for a GRID", param_hint=which)
-    from navbake.views.viewer.view import Viewer, read_again
+    from navbake.views.viewer.view import Viewer, watch_grid
 
-    reading = read_again(source, scene, force=force) if is_grid else _baked(source, overrides or [])
-    viewer = Viewer(reading.read(), host=address.host, port=address.port, reading=reading)
+    watch = watch_grid(source, scene, force=force) if is_grid else _baked(source, overrides or [])
+    viewer = Viewer(watch.read(), host=address.host, port=address.port, watch=watch)
     try:
         say(f"{viewer.url} (Ctrl-C ends it)")
         if not address.no_open:
@@ -211,11 +211,11 @@ def view(
         viewer.close()
 
 
-def _baked(path: Path, overrides: list[str]) -> Reading:
+def _baked(path: Path, overrides: list[str]) -> Watch:
     """Where the exhibit of a scene or of settings comes from: it is baked."""
     from navbake.config.settings import load_config
     from navbake.errors import NavbakeError
-    from navbake.views.viewer.view import Reading, Watch, find_files
+    from navbake.views.viewer.view import Watch, find_files
 
     def find() -> list[Path]:
         try:
@@ -223,7 +223,7 @@ def _baked(path: Path, overrides: list[str]) -> Reading:
         except NavbakeError:  # broken for now: whoever mends it writes it
             return find_files([path])
 
-    return Reading(lambda: _bake(path, overrides), Watch(find))
+    return Watch(lambda: _bake(path, overrides), find)
 
 
 def _bake(path: Path, overrides: list[str]) -> Exhibit:

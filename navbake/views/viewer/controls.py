@@ -1,14 +1,20 @@
-"""The panel of the page: what can be chosen, and what is said."""
+"""The panel of the page: what can be chosen, and what is said, as Markdown and HTML.
+
+Names from files are escaped.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import html
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from navbake.views.layers import DISAGREEMENTS
-from navbake.views.viewer import texts
-from navbake.views.viewer.exhibit import CLICKS, INSPECT, Choices, Exhibit, Route, Told
+from navbake.runtime.paths import Path
+from navbake.types import Json
+from navbake.views.layers import DISAGREEMENTS, Panel
+from navbake.views.viewer.exhibit import CLICKS, INSPECT, Choices, Counts, Exhibit
 
 if TYPE_CHECKING:
     import viser
@@ -21,6 +27,11 @@ MAX_RADIUS = 1.0  # [m], or twice the grid's own
 MOST_SWITCHES = 12  # levels that have a switch each
 CUT_STEP = 0.05  # [m]
 INFLATED = "The grid was inflated when it was made: its doors stay as they are."
+MARKED = re.compile(r"([\\`*_{}\[\]<>()#+!|~.&:@-])")
+HINT_INSPECT = "Click a cell or a thing to read about it."
+HINT_START, HINT_GOAL = "Click where the path starts.", "Click where it goes to."
+NAMES_SHOWN = 6
+SCALES_SHOWN = 3
 
 
 class Controls:
@@ -46,13 +57,18 @@ class Controls:
         self._handles: dict[str, Any] = {}
         gui.reset()
         self.status = gui.add_markdown("", visible=False)
-        gui.add_markdown(texts.say_grid(exhibit.grid, exhibit.note))
+        gui.add_markdown(say_grid(exhibit))
         with gui.add_folder("Layer"):
             self._add_layers(chosen, verify)
         with gui.add_folder("Agent"):
             self._add_agent(chosen)
         with gui.add_folder("Click"):
-            self._add_click(chosen)
+            click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
+            self._keep("click", click, lambda does: lambda now: replace(now, click=does))
+            self._keep("told", gui.add_markdown(""))
+            self._keep("route", gui.add_markdown(""))
+            self._keep("clear", gui.add_button("Clear", visible=False))
+            self._handles["clear"].on_click(lambda _: change(Choices.without_clicks))
         if exhibit.grid.doors:
             with gui.add_folder("Doors", expand_by_default=False):
                 self._add_doors()
@@ -66,10 +82,6 @@ class Controls:
             handle.on_update(
                 lambda event: event.client is not None and self._change(make(event.target.value))
             )
-
-    def _keep_button(self, name: str, change: Change, **options: Any) -> None:
-        self._handles[name] = button = self._gui.add_button(name, **options)
-        button.on_click(lambda _: self._change(change))
 
     def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
         gui, grid, layers = self._gui, self._exhibit.grid, self._exhibit.layers
@@ -94,32 +106,25 @@ class Controls:
         gui, grid = self._gui, self._exhibit.grid
         most = max(MAX_RADIUS, 2 * grid.agent_radius)
         sizes = chosen.inflation or (grid.agent_radius, 0.0)
+        hints = {
+            "radius": "Inflate the grid for an agent of this radius.",
+            "clearance": "Cells so near beyond cost more.",
+        }
 
         def inflate(_: Any) -> Change:
-            radius, clearance = (float(self._handles[name].value) for name in names)
+            radius, clearance = (float(self._handles[name].value) for name in hints)
             return lambda now: replace(now, inflation=(radius, clearance))
 
-        names = ("radius", "clearance")
-        hints = (
-            "Inflate the grid for an agent of this radius.",
-            "Cells so near beyond cost more.",
-        )
         self._keep("free", gui.add_markdown(""))
-        for name, size, hint in zip(names, sizes, hints, strict=True):
-            label, first = f"{name.capitalize()} [m]", min(size, most)
-            self._keep(
-                name, gui.add_slider(label, 0.0, most, RADIUS_STEP, first, hint=hint), inflate
-            )
+        for (name, hint), size in zip(hints.items(), sizes, strict=True):
+            bounds = 0.0, most, RADIUS_STEP, min(size, most)
+            slider = gui.add_slider(f"{name.capitalize()} [m]", *bounds, hint=hint)
+            self._keep(name, slider, inflate)
         hint = "Show the grid as it is in the file, not inflated here."
-        self._keep_button("As baked", lambda now: replace(now, inflation=None), hint=hint)
-
-    def _add_click(self, chosen: Choices) -> None:
-        gui = self._gui
-        click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
-        self._keep("click", click, lambda does: lambda now: replace(now, click=does))
-        self._keep("told", gui.add_markdown(""))
-        self._keep("route", gui.add_markdown(""))
-        self._keep_button("Clear", Choices.without_clicks, visible=False)
+        self._keep("as baked", gui.add_button("As baked", hint=hint))
+        self._handles["as baked"].on_click(
+            lambda _: self._change(lambda now: replace(now, inflation=None))
+        )
 
     def _add_doors(self) -> None:
         gui, grid, at = self._gui, self._exhibit.grid, self._handles
@@ -142,68 +147,62 @@ class Controls:
 
     def _add_picture(self, chosen: Choices) -> None:
         gui, exhibit = self._gui, self._exhibit
-        if exhibit.scene is not None:
-            self._add_cut(chosen)
+
+        def add_box(name: str, field: Any, **options: Any) -> None:
+            box = gui.add_checkbox(name, getattr(chosen, field), **options)
+            self._keep(field, box, lambda on: lambda now: replace(now, **{field: on}))
+
+        drawing = exhibit.drawing(chosen)
+        if drawing is not None:
+            low = float(exhibit.bounds[0, 2])
+            high = max(float(drawing.bounds[1, 2]), low) + CUT_STEP
+            cut = max(low, high if chosen.cut is None else min(chosen.cut, high))
+            low, high, cut = round(low, 2), round(high, 2), round(cut, 2)
+
+            def cut_at(height: float) -> Change:
+                top = height >= high - CUT_STEP / 2
+                return lambda now: replace(now, cut=None if top else height)
+
+            hint = "The scene is drawn up to here, so that one sees into storeys."
+            slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
+            self._keep("cut", slider, cut_at)
+            add_box("Scene", "with_scene")
+            if drawing.has_hidden:
+                hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
+                add_box("Hidden geoms", "with_hidden", hint=hint)
         names = _unique(exhibit.grid.level_names)
         for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
 
             def switch(on: bool, number: int = number) -> Change:
-                others = {number} if on else set()
-                return lambda now: replace(
-                    now, levels=tuple(sorted({*now.levels} - {number} | others))
-                )
+                own = {number}
+                change = own.union if on else lambda levels: {*levels} - own
+                return lambda now: replace(now, levels=tuple(sorted(change(now.levels))))
 
             self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
         self._keep("opacity", opacity, lambda share: lambda now: replace(now, opacity=share))
-        with_names = gui.add_checkbox("Names", chosen.with_names)
-        self._keep("names", with_names, lambda on: lambda now: replace(now, with_names=on))
+        add_box("Names", "with_names")
         dark = gui.add_checkbox("Dark page", False)
         dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
 
-    def _add_cut(self, chosen: Choices) -> None:
-        gui, exhibit = self._gui, self._exhibit
-        drawing = exhibit.drawing(chosen)
-        assert drawing is not None and exhibit.scene is not None
-        low = float(exhibit.bounds[0, 2])
-        high = max(float(drawing.bounds[1, 2]), low) + CUT_STEP
-        cut = max(low, high if chosen.cut is None else min(chosen.cut, high))
-        low, high, cut = round(low, 2), round(high, 2), round(cut, 2)
-
-        def cut_at(height: float) -> Change:
-            top = height >= high - CUT_STEP / 2
-            return lambda now: replace(now, cut=None if top else height)
-
-        hint = "The scene is drawn up to here, so that one sees into storeys."
-        slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
-        self._keep("cut", slider, cut_at)
-        scene = gui.add_checkbox("Scene", chosen.with_scene)
-        self._keep("scene", scene, lambda on: lambda now: replace(now, with_scene=on))
-        if drawing.has_hidden:
-            hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
-            hidden = gui.add_checkbox("Hidden geoms", chosen.with_hidden, hint=hint)
-            self._keep("hidden", hidden, lambda on: lambda now: replace(now, with_hidden=on))
-
-    def show(self, chosen: Choices, route: Route | None, told: Told | None) -> None:
+    def show(self, chosen: Choices, route: Path | str | None, told: Json | None) -> None:
         """Bring what is said, and inputs that follow from others, up to date."""
         exhibit, grid, at = self._exhibit, self._exhibit.grid, self._handles
         as_it_is = replace(chosen, doors=(), inflation=None)
-        at["free"].content = texts.say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
-        panels = [exhibit.panel(chosen, number) for number in chosen.levels]
-        at["legend"].content = texts.write_legend(panels)
+        at["free"].content = say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
+        at["legend"].content = write_legend([exhibit.panel(chosen, n) for n in chosen.levels])
         at["verify"].visible = chosen.layer == DISAGREEMENTS
         at["verified"].visible = chosen.layer == DISAGREEMENTS and exhibit.report is not None
-        if exhibit.report is not None:
-            at["verified"].content = texts.say_report(exhibit.report)
+        at["verified"].content = say_report(exhibit)
         is_inspecting = chosen.click == INSPECT
         at["told"].visible, at["route"].visible = is_inspecting, not is_inspecting
-        at["told"].content = texts.say_cell(told, chosen.inflation)
-        at["route"].content = texts.say_route(chosen, route)
-        at["Clear"].visible = any((chosen.start, chosen.goal, chosen.inspected))
+        at["told"].content = say_cell(told, chosen.inflation)
+        at["route"].content = say_route(chosen, route)
+        at["clear"].visible = any((chosen.start, chosen.goal, chosen.inspected))
         if chosen.inflation is None:
             at["radius"].value = min(grid.agent_radius, float(at["radius"].max))
             at["clearance"].value = 0.0
-        at["As baked"].disabled = chosen.inflation is None
+        at["as baked"].disabled = chosen.inflation is None
         if "level" in at:
             at["level"].value = _level(list(at["level"].options), chosen)
         for number in range(len(grid.levels)):
@@ -241,3 +240,137 @@ def _unique(names: list[str]) -> list[str]:
         name if names.count(name) == 1 else f"{name} ({number})"
         for number, name in enumerate(names)
     ]
+
+
+# --- the words ------------------------------------------------------------------------------------
+
+
+def plain(text: object) -> str:
+    """Text as it is, on one line, whatever Markdown and HTML would make of it.
+
+    The page takes HTML in Markdown as it stands, scripts included. A line's end would begin a new
+    block, in which other rules hold.
+    """
+    return MARKED.sub(r"\\\1", " ".join(str(text).split()))
+
+
+def say_counts(now: Counts, before: Counts) -> str:
+    """How much is free, and how much is in the grid as it is."""
+    text = f"**{now.free:,} free cells**, {now.area:,.1f} m²"
+    if now != before:
+        return f"{text} — as baked: {before.free:,}"
+    return f"{text} — {now.free / now.cells:.0%} of the floor" if now.cells else text
+
+
+def say_grid(exhibit: Exhibit) -> str:
+    """What is shown: its name, its size, and a note."""
+    grid, size = exhibit.grid, f"{exhibit.grid.levels[0].lattice.cell_size:g}"
+    storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
+    text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {plain(size)} m"
+    return f"{text}\n\n{plain(exhibit.note)}" if exhibit.note else text
+
+
+def say_route(chosen: Choices, route: Path | str | None) -> str:
+    """The path between the clicks, why there is none, or what to click next."""
+    if route is None:
+        return HINT_GOAL if chosen.start is not None and chosen.goal is None else HINT_START
+    if isinstance(route, str):
+        return f"**No path**: {plain(route)}"
+    lines = [f"**{plain(f'{route.length:.2f}')} m**, cost {plain(f'{route.cost:.2f}')}"]
+    if route.rooms:
+        lines.append(f"Rooms: {_listed(route.rooms, ' → ')}")
+    if route.doors:
+        lines.append(f"Doors: {_listed(route.doors, ', ')}")
+    levels = list(dict.fromkeys(route.levels.tolist()))
+    if levels[1:]:
+        lines.append(f"Levels: {' → '.join(str(level) for level in levels)}")
+    return "\n\n".join(lines)
+
+
+def say_cell(facts: Json | None, inflation: tuple[float, float] | None) -> str:
+    """What there is to know of a cell, and why an agent can or can't stand there."""
+    if facts is None:
+        return HINT_INSPECT
+    room, floor, weight = facts["room"], facts["floor"], facts["weight"]
+    verdict = "**blocked**"
+    if facts["free"]:
+        verdict = "**free**: an agent can stand here"
+    elif facts["blockers"]:
+        verdict = f"**blocked** by {_listed(facts['blockers'], ', ')}"
+    elif floor is None:
+        verdict = "**no floor** here"
+    elif inflation is not None and not facts["occupied"]:
+        radius = plain(f"{inflation[0]:g}")
+        verdict = f"**blocked**: nearer to something than the radius, {radius} m"
+    name = (room["name"] or room["id"]) if isinstance(room, dict) else room
+    x, y = facts["center"]
+    rows = {
+        "Verdict": verdict,
+        "Clicked": _listed([facts["clicked"]], "") if facts["clicked"] else "",
+        "Room": "none" if name is None else plain(name),
+        "Floor": "none" if floor is None else f"{plain(f'{floor:.3f}')} m",
+        "Weight": "infinite" if weight is None else plain(f"{weight:g}"),
+        "Island": str(facts["island"] or "none"),
+        "Cell": f"level {facts['level']}, row {facts['row']}, col {facts['col']}",
+        "Centre": plain(f"{x:.3f}, {y:.3f}") + " m",
+    }
+    rows |= {key.capitalize(): _listed(facts[key], ", ") for key in ("doors", "objects", "walls")}
+    lines = [f"| {key} | {text} |" for key, text in rows.items() if text]
+    return "\n".join(["| | |", "|---|---|", *lines])
+
+
+def _listed(names: Sequence[str], between: str) -> str:
+    """Names in the letters of code.
+
+    Not between backquotes: there a backslash guards nothing, so that a table's cell, and the code
+    with it, would end at a ``|`` in the name.
+    """
+    shown = between.join(f"<code>{plain(name)}</code>" for name in names[:NAMES_SHOWN])
+    return f"{shown} and {len(names) - NAMES_SHOWN} more" if names[NAMES_SHOWN:] else shown
+
+
+def write_legend(panels: Sequence[Panel]) -> str:
+    """The legend of a layer's levels: their scales of values, and what colours mean.
+
+    Levels have scales of their own; those of the highest levels are written.
+    """
+    scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
+    parts = []
+    for title, scale in scales[:SCALES_SHOWN]:
+        ticks = "".join(
+            f'<span style="position:absolute;left:{100 * tick.position:.1f}%;'
+            f'transform:translateX(-{100 * tick.position:.0f}%)">{html.escape(tick.text)}</span>'
+            for tick in scale.ticks
+        )
+        parts.append(
+            f"<div>{html.escape(title if scales[1:] else scale.label)}</div>"
+            f'<div style="height:10px;border-radius:2px;margin-top:2px;'
+            f'background:linear-gradient(to right, {", ".join(scale.colors)})"></div>'
+            f'<div style="position:relative;height:18px">{ticks}</div>'
+        )
+    meanings = dict(entry for panel in panels for entry in panel.legend)
+    swatches = "".join(
+        f'<span style="display:inline-flex;align-items:center;margin-right:10px">'
+        f'<span style="width:11px;height:11px;border-radius:2px;margin-right:5px;'
+        f'border:1px solid rgba(128,128,128,.6);background:{color}"></span>'
+        f"{html.escape(meaning)}</span>"
+        for meaning, color in meanings.items()
+    )
+    body = "".join([*parts, f"<div>{swatches}</div>"])
+    return f'<div style="font-size:12px;line-height:1.5;padding:2px 12px 6px">{body}</div>'
+
+
+def say_report(exhibit: Exhibit) -> str:
+    """What a verification found; "" before one."""
+    report = exhibit.report
+    if report is None:
+        return ""
+    share = f"{report.checked:,} of {report.num_cells:,} cells"
+    if report.ok:
+        return f"Grid and scene agree, at {share}."
+    return f"Grid and scene **disagree at {len(report.findings)} places**, at {share}."
+
+
+def say_error(error: Exception) -> str:
+    """An error, in one line."""
+    return f"**Error**: {plain(' '.join(str(error).split()) or type(error).__name__)}"

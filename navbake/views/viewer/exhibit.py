@@ -13,17 +13,19 @@ from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
+from navbake.runtime.place import place_at
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
-from navbake.views.viewer.overlay import (
+from navbake.views.viewer.meshes import (
+    Drawing,
     Pick,
+    Surface,
+    cut_drawing,
     draw_overlay,
-    floor_under,
+    draw_scene,
     lay_carpet,
-    mesh_of,
     pick,
 )
-from navbake.views.viewer.scene_mesh import Drawing, Surface, cut_drawing, draw_scene
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -37,6 +39,7 @@ CLICKS = (INSPECT, ROUTE)
 """What a click may do."""
 RECENT = 6  # results of a kind that are kept, so that going back is fast
 SAMPLE = 20_000  # cells that are verified
+MOST_NAMES = 250  # names that are written at most, the largest rooms' first
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class Choices:
         opacity: of the layer, above 0, up to 1.
         click: what a click does, one of `CLICKS`.
         start, goal: of the path, None for none.
-        inspected: the cell that is told about, None for none.
+        inspected: the cell that is described, None for none.
     """
 
     levels: tuple[int, ...]
@@ -75,7 +78,7 @@ class Choices:
     def with_level(self, grid: NavGrid, number: int | None) -> Choices:
         """Look at one level from above, or at all of them: the scene is cut over the highest."""
         levels = tuple(range(len(grid.levels))) if number is None else (number,)
-        return replace(self, levels=levels, cut=cut_over(grid, levels))
+        return replace(self, levels=levels, cut=grid.levels[levels[-1]].ground + CUT_OVER)
 
     def with_door(self, grid: NavGrid, names: Sequence[str], state: str) -> Choices:
         """Put doors into a state; those that can't be in it stay as they are."""
@@ -101,80 +104,40 @@ class Choices:
         return replace(self, goal=found)
 
 
-def cut_over(grid: NavGrid, levels: Sequence[int]) -> float:
-    """Where the scene is cut so that one looks into the highest of some levels, world z [m]."""
-    return max(grid.levels[number].ground for number in levels) + CUT_OVER
-
-
-def first_choices(grid: NavGrid, layer: str = "occupancy") -> Choices:
-    """What is shown at first: all levels, cut over the highest one."""
-    levels = tuple(range(len(grid.levels)))
-    return Choices(levels, layer, cut=cut_over(grid, levels))
+def first_choices(grid: NavGrid) -> Choices:
+    """What is shown at first: the occupancy of all levels, cut over the highest one."""
+    return Choices(()).with_level(grid, None)
 
 
 def keep_choices(chosen: Choices, grid: NavGrid) -> Choices:
     """The same choices for another grid, such as a new bake: what it doesn't have is dropped."""
+
+    def on_grid(found: Pick | None) -> Pick | None:
+        """The cell of the other grid at the place of a click; None beside it."""
+        if found is None or found.cell.level >= len(grid.levels):
+            return None
+        cell = grid.cell_at(found.position, found.cell.level)
+        return None if cell is None else found._replace(cell=cell, geom=None)
+
     levels = tuple(number for number in chosen.levels if number < len(grid.levels))
     states = {door.id: door.states for door in grid.doors}
+    start = on_grid(chosen.start)
     return replace(
         chosen,
         levels=levels or tuple(range(len(grid.levels))),
         doors=tuple((name, state) for name, state in chosen.doors if state in states.get(name, ())),
-        inspected=_on(grid, chosen.inspected),
-        start=_on(grid, chosen.start),
-        goal=_on(grid, chosen.goal) if _on(grid, chosen.start) else None,
+        inspected=on_grid(chosen.inspected),
+        start=start,
+        goal=on_grid(chosen.goal) if start else None,
     )
 
 
-def _on(grid: NavGrid, found: Pick | None) -> Pick | None:
-    """The cell of another grid at the place of a click; None beside it."""
-    if found is None or found.cell.level >= len(grid.levels):
-        return None
-    try:
-        cell = grid.cell_at(found.position, found.cell.level)
-    except QueryError:
-        return None
-    return None if cell is None else found._replace(cell=cell, geom=None)
-
-
 class Counts(NamedTuple):
-    """How much of a grid is free.
-
-    Attributes:
-        free: free cells of all levels.
-        cells: all cells with a floor.
-        area: of the free ones [m²].
-    """
+    """How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
 
     free: int
     cells: int
     area: float
-
-
-class Route(NamedTuple):
-    """The path between two clicks.
-
-    Attributes:
-        path: None where there is none.
-        reason: why there is none; "" where there is one.
-    """
-
-    path: Path | None
-    reason: str = ""
-
-
-class Told(NamedTuple):
-    """What is told of a cell.
-
-    Attributes:
-        facts: as `navbake.views.describe.describe_cell` has them.
-        clicked: name of the geom that was clicked, None for none.
-        lit: what blocks the cell, or else was clicked: triangles, shape (n, 3, 3) [m].
-    """
-
-    facts: Json
-    clicked: str | None
-    lit: NDArray[np.float32]
 
 
 class Exhibit:
@@ -231,9 +194,7 @@ class Exhibit:
 
         def make() -> NavGrid:
             grid: NavGrid = self.grid.with_doors(dict(chosen.doors)) if chosen.doors else self.grid
-            if chosen.inflation is None:
-                return grid
-            inflated: NavGrid = grid.inflate(*chosen.inflation)
+            inflated: NavGrid = grid.inflate(*chosen.inflation) if chosen.inflation else grid
             return inflated
 
         return self._keep("grid", (chosen.doors, chosen.inflation), make)
@@ -247,33 +208,35 @@ class Exhibit:
         return Counts(sum(free), cells, sum(areas))
 
     def panel(self, chosen: Choices, number: int) -> Panel:
-        """The chosen layer of a level."""
+        """The chosen layer of a level; its occupancy until the scene is verified."""
         key = chosen.doors, chosen.inflation, chosen.layer, number, id(self.report)
         findings = None if self.report is None else self.report.findings
-
-        def make() -> Panel:
-            layer = chosen.layer
-            if layer == DISAGREEMENTS and findings is None:
-                layer = "occupancy"  # until the scene is verified
-            return make_panel(self.shown_grid(chosen), layer, number, findings=findings)
-
+        is_early = chosen.layer == DISAGREEMENTS and findings is None
+        layer = "occupancy" if is_early else chosen.layer
+        make = lambda: make_panel(self.shown_grid(chosen), layer, number, findings=findings)  # noqa: E731
         return self._keep(f"panel {number}", key, make)
 
     def overlay(self, chosen: Choices, number: int) -> bytes:
         """The chosen layer of a level, as it lies in the scene: GLB."""
         panel = self.panel(chosen, number)
-        key = id(panel), chosen.opacity
         # the panel is kept with its picture: an id counts as long as its object is there
         return self._keep(
             f"overlay {number}",
-            key,
+            (id(panel), chosen.opacity),
             lambda: (panel, draw_overlay(self.carpets[number], paint(panel), chosen.opacity)),
         )[1]
 
-    def is_covered(self, chosen: Choices, number: int, place: tuple[float, float, float]) -> bool:
-        """Whether a place on a level lies below the floor of a higher level that is shown."""
-        floors = (floor_under(self.grid, k, place)[1] for k in chosen.levels if k > number)
-        return any(floor > place[2] + self.grid.max_step for floor in floors)
+    def names(self, chosen: Choices) -> list[tuple[str, tuple[float, float, float]]]:
+        """Names on the shown levels and their places [m], but for those below another floor."""
+        found, levels = [], chosen.levels if chosen.with_names else ()
+        for number in levels:
+            for label in self.panel(chosen, number).labels:
+                here = [(k, place_at(self.grid, (label.x, label.y), k)) for k in levels]
+                floors = {k: p.floor for k, p in here if p is not None and p.floor is not None}
+                z = floors.get(number, self.grid.levels[number].ground)
+                if not any(k > number and f > z + self.grid.max_step for k, f in floors.items()):
+                    found.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
+        return [(text, place) for _, text, place in sorted(found)[:MOST_NAMES]]
 
     def drawing(self, chosen: Choices) -> Drawing | None:
         """The scene as triangles, its doors as chosen; None without a scene."""
@@ -284,23 +247,19 @@ class Exhibit:
         def make() -> Drawing:
             if not chosen.doors:
                 return draw_scene(scene, with_hidden=chosen.with_hidden)
-            # loads MuJoCo, which moves the doors
-            from navbake.verifier.source import pose_doors
+            from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
             grid: Any = self.grid.with_doors(dict(chosen.doors))
-            posed = pose_doors(scene, grid)
-            return draw_scene(
-                scene, data=posed.data, removed=posed.removed, with_hidden=chosen.with_hidden
-            )
+            posed, hidden = pose_doors(scene, grid), chosen.with_hidden
+            return draw_scene(scene, data=posed.data, removed=posed.removed, with_hidden=hidden)
 
         return self._keep("drawing", (chosen.doors, chosen.with_hidden), make)
 
     def surfaces(self, chosen: Choices) -> tuple[Surface, ...]:
         """What is drawn of the scene."""
-        drawing = self.drawing(chosen) if chosen.with_scene else None
+        drawing, height = self.drawing(chosen) if chosen.with_scene else None, chosen.cut
         if drawing is None:
             return ()
-        height = chosen.cut
         if height is None:
             return drawing.surfaces
         key = chosen.doors, chosen.with_hidden, height
@@ -308,48 +267,46 @@ class Exhibit:
 
     def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
         """The choices after a click along a ray: its origin and its direction."""
-        surfaces = self.surfaces(chosen)
-        return chosen.with_click(pick(self.grid, ray, surfaces, self.carpets, chosen.levels))
+        surfaces = [*self.surfaces(chosen), *(self.carpets[number] for number in chosen.levels)]
+        return chosen.with_click(pick(self.grid, ray, surfaces, chosen.levels))
 
-    def route(self, chosen: Choices) -> Route | None:
-        """The path between start and goal; None where one of them is missing."""
+    def route(self, chosen: Choices) -> Path | str | None:
+        """The path between start and goal, or why there is none; None where one is missing."""
         start, goal = chosen.start, chosen.goal
         if start is None or goal is None:
             return None
         key = chosen.doors, chosen.inflation
 
-        def make() -> Route:
+        def make() -> Path | str:
             finder = self._keep("finder", key, lambda: PathFinder(self.shown_grid(chosen)))
+            ends = start.position, goal.position
             try:
-                path = finder.find_path(start.position, goal.position)
-                if path is not None:
-                    return Route(path)
-                return Route(None, finder.why_not(start.position, goal.position) or "no path")
+                return finder.find_path(*ends) or finder.why_not(*ends) or "no path"
             except QueryError as error:
-                return Route(None, str(error))
+                return str(error)
 
         return self._keep("route", (*key, start.position, goal.position), make)
 
-    def tell(self, chosen: Choices) -> Told | None:
-        """What is to be told of the inspected cell, None for none."""
+    def tell(self, chosen: Choices) -> Json | None:
+        """What `describe_cell` says of the inspected cell, and the name of what was ``clicked``.
+
+        ``lit``: the triangles of what blocks the cell, or else was clicked, shape (n, 3, 3) [m].
+        None where no cell is inspected.
+        """
         found = chosen.inspected
         if found is None:
             return None
         x, y, _ = found.position
         facts = self.shown_grid(chosen).describe_cell(x, y, found.cell.level)
-        drawing = self.drawing(chosen)
-        if drawing is None:
-            return Told(facts, None, np.empty((0, 3, 3), np.float32))
-        clicked = None if found.geom is None else drawing.names[found.geom]
-        names = set(facts["blockers"])
-        geoms = [geom for geom, name in enumerate(drawing.names) if name in names]
-        if (
-            not geoms
-            and found.geom is not None
-            and clicked in [*facts["objects"], *facts["walls"], *facts["doors"]]
-        ):
-            geoms = [found.geom]
-        return Told(facts, clicked, mesh_of(drawing.surfaces, geoms))
+        drawing, clicked, lit = self.drawing(chosen), None, np.empty((0, 3, 3), np.float32)
+        if drawing is not None:
+            clicked = None if found.geom is None else drawing.names[found.geom]
+            geoms = [n for n, name in enumerate(drawing.names) if name in facts["blockers"]]
+            standing = [*facts["objects"], *facts["walls"], *facts["doors"]]
+            if not geoms and found.geom is not None and clicked in standing:
+                geoms = [found.geom]
+            lit = triangles_of(drawing, geoms)
+        return {**facts, "clicked": clicked, "lit": lit}
 
     def verify(self) -> None:
         """Compare a sample of the grid's cells with the scene, for the layer of disagreements."""
@@ -359,3 +316,9 @@ class Exhibit:
         from navbake.verifier.verify import Options, verify_scene
 
         self.report = verify_scene(self.grid, self.scene, Options(sample=SAMPLE), self.config)
+
+
+def triangles_of(drawing: Drawing, geoms: Sequence[int]) -> NDArray[np.float32]:
+    """The triangles of some geoms, shape (n, 3, 3), world frame [m]."""
+    own = [one.vertices[one.faces[np.isin(one.owners, geoms)]] for one in drawing.surfaces]
+    return np.concatenate([np.empty((0, 3, 3), np.float32), *own])

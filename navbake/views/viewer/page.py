@@ -13,32 +13,23 @@ import numpy as np
 
 from navbake.errors import NavbakeError
 from navbake.navgrid.colors import ROUTE, rgb_of
-from navbake.types import Float
-from navbake.views.viewer import texts
-from navbake.views.viewer.controls import Change, Controls, set_theme
-from navbake.views.viewer.exhibit import (
-    Choices,
-    Exhibit,
-    Route,
-    Told,
-    first_choices,
-    keep_choices,
-)
-from navbake.views.viewer.overlay import draw_surfaces, floor_under
+from navbake.runtime.paths import Path
+from navbake.types import Float, Json
+from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
+from navbake.views.viewer.exhibit import Choices, Exhibit, first_choices, keep_choices
+from navbake.views.viewer.meshes import draw_surfaces
 
 if TYPE_CHECKING:
     import viser
 
 LOG = logging.getLogger("navbake")
 
-SCENE, GRID, NAMES, PATH, LIT = "/scene", "/grid", "/names", "/path", "/lit"
 START_COLOR, GOAL_COLOR, LIT_COLOR = (47, 158, 68), rgb_of(ROUTE), (255, 146, 43)
 PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
 MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
 MARK_RADII = 0.06, 0.5  # least and greatest [m]
 GROWN = 0.006  # by which what is lit is larger than it is, so that it is seen [m]
-MOST_NAMES = 250  # names that are written at most, the largest rooms' first
 ELEVATION = math.radians(58)  # of the first camera over the horizon
 FIELD_OF_VIEW = math.radians(45)
 USUAL_ASPECT = 1.2
@@ -67,15 +58,14 @@ class Stage:
     """What is on the page of an exhibit; only what has changed is sent."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
-        self._shown: dict[str, Any] = {}
-        self._nodes: dict[str, Any] = {}
-        server.scene.set_up_direction("+z")
-        server.scene.world_axes.visible = False
-        server.scene.configure_default_lights(cast_shadow=False)
+        self._server, self._scene = server, server.scene
+        self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
+        self._scene.set_up_direction("+z")
+        self._scene.world_axes.visible = False
+        self._scene.configure_default_lights(cast_shadow=False)
 
     def place_camera(self, bounds: Float) -> None:
-        """Look at a box from the south and above, so that it fills the usual page."""
+        """Look at a box from the south and above, so that it fills the page."""
         camera = self._server.initial_camera
         place = find_camera(bounds, USUAL_ASPECT)
         camera.fov = FIELD_OF_VIEW
@@ -83,135 +73,95 @@ class Stage:
         camera.look_at = bounds.mean(axis=0)
         camera.position = place
 
-    def fit_camera(self, client: viser.ClientHandle, bounds: Float) -> None:
-        """Move the first camera of a page that is narrower than usual."""
-        if client.camera.aspect < USUAL_ASPECT:
-            client.camera.position = find_camera(bounds, client.camera.aspect)
-            client.camera.look_at = bounds.mean(axis=0)
+        def fit(client: viser.ClientHandle) -> None:
+            """Move the first camera of a page that is narrower than usual."""
+            if client.camera.aspect < USUAL_ASPECT:
+                client.camera.position = find_camera(bounds, client.camera.aspect)
+                client.camera.look_at = bounds.mean(axis=0)
+
+        self._server.on_client_connect(fit)
 
     def clear(self) -> None:
         """Take everything away."""
-        for name in list(self._nodes):
-            self._remove(name)
-        self._shown.clear()
+        for name in list(self._shown):
+            self._put(name, None, list)
 
     def show(
-        self, exhibit: Exhibit, chosen: Choices, route: Route | None, told: Told | None
+        self, exhibit: Exhibit, chosen: Choices, route: Path | str | None, told: Json | None
     ) -> None:
         """Bring the page up to date."""
-        surfaces = exhibit.surfaces(chosen)
-        drawing = exhibit.drawing(chosen)
+        surfaces, drawing = exhibit.surfaces(chosen), exhibit.drawing(chosen)
         textures = {} if drawing is None else drawing.textures
-        self._update(SCENE, surfaces, lambda: draw_surfaces(surfaces, textures))
+        self._put_glb("/scene", surfaces, lambda: draw_surfaces(surfaces, textures))
         for number in range(len(exhibit.grid.levels)):
-            name = f"{GRID}/{number}"
-            if number not in chosen.levels:
-                self._update(name, (), bytes)
-                continue
-            overlay = exhibit.overlay(chosen, number)
-            self._update(name, overlay, lambda overlay=overlay: overlay)  # type: ignore[misc]
-        self._write_names(exhibit, chosen)
-        self._draw_route(exhibit, chosen, route)
-        self._light(told)
-
-    def _update(self, name: str, content: Any, make: Callable[[], bytes]) -> None:
-        """Put a GLB on the page, where it is another than before; empty content takes it away."""
-        if self._shown.get(name) is content:
-            return
-        self._shown[name] = content
-        if not content:
-            self._remove(name)
-        elif name in self._nodes:
-            self._nodes[name].glb_data = make()
-        else:
-            self._nodes[name] = self._server.scene.add_glb(
-                name, make(), cast_shadow=False, receive_shadow=False
-            )
-
-    def _remove(self, name: str) -> None:
-        node = self._nodes.pop(name, None)
-        if node is not None:
-            node.remove()
-
-    def _replace(self, name: str, key: Any, nodes: Callable[[], Iterable[Any]]) -> None:
-        """Put other nodes under a name, where the key is another than before."""
-        if name in self._shown and self._shown[name] == key:
-            return
-        self._shown[name] = key
-        for old in [one for one in self._nodes if one.startswith(f"{name}/")]:
-            self._remove(old)
-        for number, node in enumerate(nodes()):
-            self._nodes[f"{name}/{number}"] = node
-
-    def _write_names(self, exhibit: Exhibit, chosen: Choices) -> None:
-        names = []
-        for number in chosen.levels if chosen.with_names else ():
-            for label in exhibit.panel(chosen, number).labels:
-                _, floor = floor_under(exhibit.grid, number, (label.x, label.y))
-                z = floor if math.isfinite(floor) else exhibit.grid.levels[number].ground
-                if not exhibit.is_covered(chosen, number, (label.x, label.y, z)):
-                    names.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
-        chosen_names = sorted(names)[:MOST_NAMES]
-        self._replace(
-            NAMES,
-            chosen_names,
-            lambda: [
-                self._server.scene.add_label(
-                    f"{NAMES}/{number}", text, position=place, anchor="center-center"
-                )
-                for number, (_, text, place) in enumerate(chosen_names)
-            ],
-        )
-
-    def _draw_route(self, exhibit: Exhibit, chosen: Choices, route: Route | None) -> None:
+            overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
+            self._put_glb(f"/grid/{number}", overlay, lambda overlay=overlay: overlay)  # type: ignore[misc]
+        names = exhibit.names(chosen)
+        self._put("/names", names, lambda: map(self._write_name, names))
         low, high = exhibit.bounds
         radius = float(np.clip(np.linalg.norm(high - low) * MARK, *MARK_RADII))
-        ends = [
-            (found.position, color)
-            for found, color in ((chosen.start, START_COLOR), (chosen.goal, GOAL_COLOR))
-            if found is not None
-        ]
-        path = None if route is None else route.path
-        scene = self._server.scene
+        clicks = (chosen.start, START_COLOR), (chosen.goal, GOAL_COLOR)
+        ends = [(found.position, color) for found, color in clicks if found is not None]
+        path = route if isinstance(route, Path) else None
+        self._put("/path", (ends, id(path)), lambda: self._draw_path(ends, radius, path))
+        lit = np.empty((0, 3, 3)) if told is None else told["lit"]
+        self._put("/lit", lit.tobytes(), lambda: self._light(lit.reshape(-1, 3)))
 
-        def draw() -> Iterable[Any]:
-            for number, ((x, y, z), color) in enumerate(ends):
-                yield scene.add_icosphere(
-                    f"{PATH}/{number}",
-                    radius,
-                    color,
-                    position=(x, y, z + radius),
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
-            if path is not None and len(path.positions) > 1:
-                lifted = path.positions + np.array([0, 0, PATH_LIFT])
-                points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
-                yield scene.add_line_segments(
-                    f"{PATH}/{len(ends)}",
-                    points,
-                    GOAL_COLOR,
-                    thickness=PATH_WIDTH,
-                    thickness_units="screen",
-                )
+    def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
+        """Put other nodes under a name, where the key is another than before."""
+        before, nodes = self._shown.get(name, (None, ()))
+        if before != key:
+            for node in nodes:
+                node.remove()
+            self._shown[name] = key, list(make())
 
-        self._replace(PATH, (ends, id(path)), draw)
+    def _put_glb(self, name: str, content: Any, make: Callable[[], bytes]) -> None:
+        """Put a GLB on the page, where it is another than before; empty content takes it away."""
+        before, nodes = self._shown.get(name, (None, []))
+        if before is content:
+            return
+        if not content:
+            self._put(name, content, list)
+        elif nodes:
+            nodes[0].glb_data = make()
+        else:
+            nodes = [self._scene.add_glb(name, make(), cast_shadow=False, receive_shadow=False)]
+        if content:
+            self._shown[name] = content, nodes
 
-    def _light(self, told: Told | None) -> None:
-        lit = None if told is None or not len(told.lit) else told.lit
-        key = None if lit is None else lit.tobytes()
+    def _write_name(self, name: tuple[str, tuple[float, float, float]]) -> Any:
+        text, place = name
+        at = "/".join(map(str, place))
+        return self._scene.add_label(f"/names/{at}", text, position=place, anchor="center-center")
 
-        def draw() -> Iterable[Any]:
-            if lit is None:
-                return
-            corners = lit.reshape(-1, 3)
+    def _draw_path(
+        self, ends: list[tuple[Any, tuple[int, int, int]]], radius: float, path: Path | None
+    ) -> Iterable[Any]:
+        for number, ((x, y, z), color) in enumerate(ends):
+            yield self._scene.add_icosphere(
+                f"/path/{number}",
+                radius,
+                color,
+                position=(x, y, z + radius),
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        if path is not None and len(path.positions) > 1:
+            lifted = path.positions + np.array([0, 0, PATH_LIFT])
+            points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
+            yield self._scene.add_line_segments(
+                "/path/line", points, GOAL_COLOR, thickness=PATH_WIDTH, thickness_units="screen"
+            )
+
+    def _light(self, corners: Float) -> Iterable[Any]:
+        """Draw triangles, each three corners, over what they are triangles of."""
+        if len(corners):
             middle = corners.mean(axis=0)
             half = np.maximum(np.abs(corners - middle).max(axis=0), GROWN)
-            grown = middle + (corners - middle) * (1 + GROWN / half)
-            yield self._server.scene.add_mesh_simple(
-                f"{LIT}/0",
-                grown,
-                np.arange(len(grown)).reshape(-1, 3),
+            yield self._scene.add_mesh_simple(
+                "/lit/0",
+                middle + (corners - middle) * (1 + GROWN / half),
+                np.arange(len(corners)).reshape(-1, 3),
                 color=LIT_COLOR,
                 opacity=0.75,
                 flat_shading=True,
@@ -219,8 +169,6 @@ class Stage:
                 cast_shadow=False,
                 receive_shadow=False,
             )
-
-        self._replace(LIT, key, draw)
 
 
 class Page:
@@ -245,7 +193,6 @@ class Page:
         self._stage = Stage(server)
         self._set_up(exhibit)
         self._stage.place_camera(exhibit.bounds)
-        server.on_client_connect(lambda client: self._stage.fit_camera(client, exhibit.bounds))
         server.scene.on_click()(self._click)
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
         self._thread.start()
@@ -275,14 +222,12 @@ class Page:
 
     def say(self, text: str) -> None:
         """Write a line at the top of the panel; none if empty; from any thread."""
-        self._do(lambda: self._controls.say(text))
 
-    def _do(self, act: Callable[[], Any]) -> None:
-        def keep(chosen: Choices) -> Choices:
-            act()
+        def write(chosen: Choices) -> Choices:
+            self._controls.say(text)
             return chosen
 
-        self.change(keep)
+        self.change(write)
 
     def close(self) -> None:
         """End the page's thread."""
@@ -296,42 +241,31 @@ class Page:
         self.change(lambda chosen: self.exhibit.click(chosen, ray))
 
     def _verify(self) -> None:
-        def compare() -> None:
+        def compare(chosen: Choices) -> Choices:
             self._controls.say("Comparing the grid with the scene…")
             self.exhibit.verify()
             self._controls.say("")
+            return chosen
 
-        self._do(compare)
+        self.change(compare)
 
     def _work(self) -> None:
-        self._guarded(self._show)
-        while True:
+        changes: list[Change] = []
+        while not self._is_done:
+            for change in [*changes, self._show]:
+                try:  # an error is shown, and the page lives on
+                    self.chosen = change(self.chosen)
+                except Exception as error:
+                    if not isinstance(error, NavbakeError):
+                        LOG.exception("the viewer failed to show something")
+                    self._controls.say(say_error(error))
             with self._wake:
-                if not self._changes:
-                    self._wake.wait_for(lambda: self._is_done or bool(self._changes))
-                if self._is_done:
-                    return
+                self._wake.wait_for(lambda: self._is_done or bool(self._changes))
                 changes, self._changes = self._changes, []
-            for change in changes:
-                self._guarded(lambda change=change: self._apply(change))  # type: ignore[misc]
-            self._guarded(self._show)
 
-    def _apply(self, change: Change) -> None:
-        self.chosen = change(self.chosen)
-
-    def _show(self) -> None:
-        exhibit, chosen = self.exhibit, self.chosen
-        route, told = exhibit.route(chosen), exhibit.tell(chosen)
+    def _show(self, chosen: Choices) -> Choices:
+        route, told = self.exhibit.route(chosen), self.exhibit.tell(chosen)
         with self.server.atomic():
-            self._stage.show(exhibit, chosen, route, told)
+            self._stage.show(self.exhibit, chosen, route, told)
             self._controls.show(chosen, route, told)
-
-    def _guarded(self, act: Callable[[], None]) -> None:
-        """Do something; an error is shown, and the page lives on."""
-        try:
-            act()
-        except NavbakeError as error:
-            self._controls.say(texts.say_error(error))
-        except Exception as error:
-            LOG.exception("the viewer failed to show something")
-            self._controls.say(texts.say_error(error))
+        return chosen

@@ -1,4 +1,8 @@
-"""`navbake.view`: a grid in its scene, in the browser."""
+"""`navbake.view`: a grid in its scene, in the browser.
+
+`exhibit.py` has what is chosen and what follows from that, without a browser, `meshes.py` turns
+scene and grid into triangles, `page.py` brings the page up to date, `controls.py` is its panel.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,14 @@ from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from navbake.errors import MissingDependencyError, NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
-from navbake.views.viewer import texts
+from navbake.views.viewer.controls import say_error
 from navbake.views.viewer.exhibit import Exhibit
 from navbake.views.viewer.page import Page
 
@@ -33,21 +37,10 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("navbake")
 MISSING = 'the viewer needs viser: pip install "navbake[view]"'
+TAKEN = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
 HOST, PORT = "127.0.0.1", 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 PERIOD = 0.5  # between two looks at files [s]
-
-
-class Reading(NamedTuple):
-    """Where an exhibit comes from, so that it can be read again.
-
-    Attributes:
-        read: reads or bakes it.
-        watch: its files; it is made before they are read, so that no change is missed meanwhile.
-    """
-
-    read: Callable[[], Exhibit]
-    watch: Watch
 
 
 class Viewer:
@@ -63,18 +56,14 @@ class Viewer:
         *,
         host: str = HOST,
         port: int = PORT,
-        reading: Reading | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self._server = open_server(host, port)
         self.url = url_of(self._server)
         self._closed = threading.Event()
         self.page = Page(self._server, exhibit)
-        self._watcher: threading.Thread | None = None
-        if reading is not None:
-            self._watcher = threading.Thread(
-                target=self._watch, args=(reading,), name="watch", daemon=True
-            )
-            self._watcher.start()
+        if watch is not None:
+            threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
 
     def show(
         self, grid: NavGrid | str | PathLike[str], scene: Any = None, *, data: Any = None
@@ -116,18 +105,17 @@ class Viewer:
     ) -> None:
         self.close()
 
-    def _watch(self, reading: Reading) -> None:
-        """Read again whatever has changed; what can't be read is told, and the last stays."""
+    def _watch(self, watch: Watch) -> None:
+        """Read again whatever has changed; what can't be read is said, and the last stays."""
         while not self._closed.wait(PERIOD):
             try:
-                if reading.watch.look():
-                    self.page.say(texts.CHANGED)
-                    self.page.exhibit_other(reading.read())
-            except NavbakeError as error:
-                self.page.say(texts.say_error(error))
+                if watch.look():
+                    self.page.say("Files have changed: baking again…")
+                    self.page.exhibit_other(watch.read())
             except Exception as error:  # whoever mends the file may mend this, too
-                LOG.exception("the viewer failed to read what has changed")
-                self.page.say(texts.say_error(error))
+                if not isinstance(error, NavbakeError):
+                    LOG.exception("the viewer failed to read what has changed")
+                self.page.say(say_error(error))
 
 
 def view(
@@ -203,16 +191,12 @@ def make_exhibit(
     return Exhibit(content, source.scene, config, note="; ".join(notes))
 
 
-def read_again(
+def watch_grid(
     grid: str | PathLike[str], scene: str | PathLike[str] | None, *, force: bool = False
-) -> Reading:
-    """Where the exhibit of a grid's file comes from, read again when grid or scene change."""
+) -> Watch:
+    """Reads the exhibit of a grid's file, again when grid or scene change."""
     named = [Path(path) for path in (grid, scene) if path is not None]
-    watch = Watch(lambda: find_files(named))
-    return Reading(lambda: make_exhibit(grid, scene, force=force), watch)
-
-
-# --- files that change -------------------------------------------------------------------------
+    return Watch(lambda: make_exhibit(grid, scene, force=force), lambda: find_files(named))
 
 
 def find_files(paths: Iterable[Path]) -> list[Path]:
@@ -227,18 +211,23 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
 class Watch:
     """Notices when files have changed and rest again: whoever writes them may take some time.
 
+    Made before the files are read first, it misses no change meanwhile.
+
     Args:
+        read: reads or bakes the exhibit.
         list_files: the files; called again after each change, for a scene may name others then.
     """
 
-    def __init__(self, list_files: Callable[[], Iterable[Path]]) -> None:
-        self._list_files = list_files
-        self._known = self._last = self._read()
+    def __init__(
+        self, read: Callable[[], Exhibit], list_files: Callable[[], Iterable[Path]]
+    ) -> None:
+        self.read, self._list_files = read, list_files
+        self._known = self._last = self._state_of(list_files())
 
-    def _read(self, files: Iterable[Path] | None = None) -> dict[Path, tuple[int, int] | None]:
+    def _state_of(self, files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
         """When each file was written, and its size; None for one that isn't there."""
         state: dict[Path, tuple[int, int] | None] = {}
-        for path in self._list_files() if files is None else files:
+        for path in files:
             try:
                 status = os.stat(path)
                 state[path] = status.st_mtime_ns, status.st_size
@@ -248,11 +237,11 @@ class Watch:
 
     def look(self) -> bool:
         """Whether the files are others than when this was last true, and as at the last look."""
-        now = self._read(self._known)
+        now = self._state_of(self._known)
         rests, self._last = now == self._last, now
         if not rests or now == self._known:
             return False
-        self._known = self._last = self._read()
+        self._known = self._last = self._state_of(self._list_files())
         return True
 
 
@@ -260,11 +249,7 @@ class Watch:
 
 
 def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
-    """Serve an empty page.
-
-    Args:
-        host: address of this machine to listen at; only this machine can reach loopback.
-        port: 0 for any that is free.
+    """Serve an empty page at an address of this machine; port 0 is any that is free.
 
     Raises:
         MissingDependencyError: viser is not installed.
@@ -281,7 +266,7 @@ def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
-        raise NavbakeError(_taken(host, port))
+        raise NavbakeError(TAKEN.format(host, port))
     # viser's own page can ask for a tunnel to its makers' server: nothing leaves this machine
     server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
     return server
@@ -312,19 +297,13 @@ def check_viser() -> None:
 
 def check_address(host: str, port: int) -> None:
     """Raise where nothing can listen at an address now."""
-    if not 0 <= port <= 65535:
-        raise NavbakeError(f"expected a port from 0 to 65535, got {port}")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.getaddrinfo(host or None, port)  # whose error is another than that of a port
         socket.create_server((host, port), family=family).close()
-    except (socket.gaierror, UnicodeError) as error:
-        raise NavbakeError(f"{host!r} is no address of this machine") from error
+    except (socket.gaierror, UnicodeError, OverflowError) as error:
+        raise NavbakeError(f"{host!r}, port {port}, is no address of this machine") from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise NavbakeError(_taken(host, port)) from error
+            raise NavbakeError(TAKEN.format(host, port)) from error
         raise NavbakeError(f"cannot listen at {host}, port {port}: {error.strerror}") from error
-
-
-def _taken(host: str, port: int) -> str:
-    return f"port {port} of {host} is in use: choose another one by --port, or 0 for any free one"

@@ -18,15 +18,13 @@ from PIL import Image
 import navbake
 from grid_maps import level_from
 from navbake.views.viewer.exhibit import first_choices
-from navbake.views.viewer.overlay import (
+from navbake.views.viewer.meshes import (
     FLAT,
     LIFT,
-    Part,
+    Surface,
     draw_overlay,
     lay_carpet,
     make_glb,
-    pick,
-    write_png,
 )
 from navbake.views.viewer.view import make_exhibit
 from viewer_scenes import room_exhibit
@@ -41,7 +39,7 @@ def read(content):
 
 def test_triangles_and_colors_are_read_as_they_were_written():
     colors = np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 1]], dtype=np.float32)
-    (mesh,) = read(make_glb([Part(VERTICES, FACES, colors)])).geometry.values()
+    (mesh,) = read(make_glb([Surface(VERTICES, FACES, colors=colors)])).geometry.values()
     np.testing.assert_array_equal(mesh.vertices, VERTICES)
     np.testing.assert_array_equal(mesh.faces, FACES)
 
@@ -49,7 +47,7 @@ def test_triangles_and_colors_are_read_as_they_were_written():
 def test_a_picture_lies_as_it_was_laid():
     picture = np.arange(4 * 2 * 3, dtype=np.uint8).reshape(2, 4, 3)
     uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], dtype=np.float32)
-    content = make_glb([Part(VERTICES, FACES, uv=uv, picture=0)], [write_png(picture)])
+    content = make_glb([Surface(VERTICES, FACES, uv=uv, texture=0)], {0: picture})
     (mesh,) = read(content).geometry.values()
     np.testing.assert_array_equal(np.asarray(mesh.visual.material.baseColorTexture), picture)
     # trimesh counts v from below
@@ -57,7 +55,7 @@ def test_a_picture_lies_as_it_was_laid():
 
 
 def test_nothing_is_a_file_too():
-    empty = Part(VERTICES, FACES[:0])
+    empty = Surface(VERTICES, FACES[:0])
     assert not read(make_glb([empty])).geometry
     assert len(make_glb([])) % 4 == 0
 
@@ -65,9 +63,9 @@ def test_nothing_is_a_file_too():
 def test_what_shines_through_says_so():
     clear = np.tile(np.array([1, 1, 1, 0.5], dtype=np.float32), (4, 1))
     for part, mode in (
-        (Part(VERTICES, FACES), b"OPAQUE"),
-        (Part(VERTICES, FACES, clear), b"BLEND"),
-        (Part(VERTICES, FACES, opacity=0.5), b"BLEND"),
+        (Surface(VERTICES, FACES), b"OPAQUE"),
+        (Surface(VERTICES, FACES, colors=clear), b"BLEND"),
+        (Surface(VERTICES, FACES, opacity=0.5), b"BLEND"),
     ):
         assert b'"alphaMode":"' + mode in make_glb([part])
 
@@ -166,8 +164,7 @@ def down(x, y):
 
 def pick_in(exhibit, ray, **choices):
     chosen = replace(first_choices(exhibit.grid), cut=None, **choices)
-    surfaces = exhibit.surfaces(chosen)
-    return pick(exhibit.grid, ray, surfaces, exhibit.carpets, chosen.levels)
+    return exhibit.click(chosen, ray).inspected
 
 
 def test_the_floor_is_a_cell_and_a_table_is_the_cell_below(room):

@@ -16,9 +16,7 @@ from browser import (
     strangers_of,
     wait_until,
 )
-from navbake.views.viewer import texts
-from navbake.views.viewer.exhibit import Told
-from navbake.views.viewer.texts import HINT_GOAL
+from navbake.views.viewer.controls import HINT_GOAL, plain, say_cell
 from navbake.views.viewer.view import close_server, open_server, url_of
 from viewer_page import ViewerPage, run_view
 from viewer_scenes import write_room
@@ -141,11 +139,11 @@ def test_names_from_files_do_not_run():
     facts = dict.fromkeys(("floor", "weight", "island", "level", "row", "col"), 0)
     facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
     facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
-    told = Told(facts, NASTY[0], np.empty((0, 3, 3), np.float32))
+    facts |= {"clicked": NASTY[0]}
     server = open_server(port=0)
     try:
-        server.gui.add_markdown(texts.say_cell(told, None))
-        server.gui.add_markdown(f"**{texts.plain(NASTY[1])}** shown")
+        server.gui.add_markdown(say_cell(facts, None))
+        server.gui.add_markdown(f"**{plain(NASTY[1])}** shown")
         with open_browser(900, 640) as driver:
             driver.get(url_of(server))
             text = lambda: driver.execute_script("return document.body.innerText")  # noqa: E731

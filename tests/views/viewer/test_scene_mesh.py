@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from navbake.views.viewer.scene_mesh import Drawing, Surface, cut_drawing, draw_scene
+from navbake.views.viewer.meshes import Drawing, Surface, cut_drawing, draw_scene
 from viewer_scenes import room_exhibit
 
 # whole millimetres or so: a corner is in the plane of a cut or clearly beside it

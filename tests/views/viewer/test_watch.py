@@ -7,7 +7,7 @@ import pytest
 from browser import wait_until
 from grid_maps import level_from
 from navbake.views.viewer.exhibit import Exhibit
-from navbake.views.viewer.view import Reading, Viewer, Watch, find_files, read_again
+from navbake.views.viewer.view import Viewer, Watch, find_files, watch_grid
 
 
 def write(path, text):
@@ -69,6 +69,10 @@ def test_a_broken_or_missing_file_names_none(tmp_path):
     ]  # fmt: skip
 
 
+def read_nothing():
+    raise AssertionError
+
+
 def touch(path, text):
     path.write_text(text)
     state = path.stat()
@@ -77,7 +81,7 @@ def touch(path, text):
 
 def test_a_change_counts_once_when_it_rests(tmp_path):
     path = write(tmp_path / "a.yaml", "a")
-    watch = Watch(lambda: [path])
+    watch = Watch(read_nothing, lambda: [path])
     assert not watch.look()
     touch(path, "ab")
     assert not watch.look()  # may be written still
@@ -91,7 +95,7 @@ def test_a_change_counts_once_when_it_rests(tmp_path):
 
 def test_files_that_a_change_adds_are_watched_then(tmp_path):
     path, other = write(tmp_path / "a.yaml", "a"), write(tmp_path / "b", "b")
-    watch = Watch(lambda: [path, other] if "b" in path.read_text() else [path])
+    watch = Watch(read_nothing, lambda: [path, other] if "b" in path.read_text() else [path])
     touch(path, "b")
     assert [watch.look(), watch.look()] == [False, True]
     touch(other, "changed")
@@ -100,10 +104,10 @@ def test_files_that_a_change_adds_are_watched_then(tmp_path):
 
 def test_what_changes_while_it_is_read_first_is_read_again(tmp_path):
     level_from("..").save(tmp_path / "a.grid.json")
-    reading = read_again(tmp_path / "a.grid.json", None)
+    watch = watch_grid(tmp_path / "a.grid.json", None)
     level_from("..\n..").save(tmp_path / "a.grid.json")
-    assert not reading.watch.look() and reading.watch.look()
-    assert reading.read().grid.levels[0].shape == (2, 2)
+    assert not watch.look() and watch.look()
+    assert watch.read().grid.levels[0].shape == (2, 2)
 
 
 def test_the_watch_goes_on_after_any_error(tmp_path, caplog):
@@ -114,8 +118,8 @@ def test_the_watch_goes_on_after_any_error(tmp_path, caplog):
         asked.append(path.read_text())
         raise MemoryError("no space")
 
-    reading = Reading(read, Watch(lambda: [path]))
-    with Viewer(Exhibit(level_from("..")), port=0, reading=reading):
+    watch = Watch(read, lambda: [path])
+    with Viewer(Exhibit(level_from("..")), port=0, watch=watch):
         for text in ("ab", "abc"):
             touch(path, text)
             wait_until(lambda text=text: asked[-1:] == [text], "another look")

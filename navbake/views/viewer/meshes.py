@@ -1,0 +1,567 @@
+"""What the viewer draws as triangles: a MuJoCo scene, the layers of levels; what a click meets.
+
+The geoms of a scene are merged by how they look. All is sent as binary glTF (GLB). Source: Khronos
+Group, glTF 2.0 Specification, and its extension ``KHR_materials_unlit``.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from navbake.formats.mesh_files import Buffer
+from navbake.lazy import lazy
+from navbake.navgrid.cells import Cell
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.runtime.place import place_at
+from navbake.types import Bool, Float, Int, Json
+
+if TYPE_CHECKING:
+    from navbake.baker.scene.scene import Scene
+
+Image = lazy("PIL.Image")  # which the command line's start does without
+creation = lazy("trimesh.creation")  # a page without a scene does without
+graph = lazy("trimesh.graph")
+intersections = lazy("trimesh.intersections")
+trimesh = lazy("trimesh")
+
+SHOWN_GROUPS = 3  # MuJoCo's viewers show the geoms of the groups 0 to 2
+ENDLESS = 1.5  # an endless plane is drawn so much larger than what stands on it
+QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+# up to so many round geoms: corners of a circle; a page without a graphics card draws some 100,000
+# triangles smoothly
+CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
+SHARP = 1.2  # an edge between faces at this angle is drawn as one [rad]
+CAP_SHADE = 0.35  # light of a cut face, by that of its geom
+FLUSH = 1e-6  # a triangle that lies in the plane of a cut stays: trimesh would drop it [m]
+MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
+LIGHT = 0.2, 0.3, 0.16, 0.8  # from everywhere, and on what faces along x, y and z
+
+# mjtGeom: numbers of the file format, the same in all versions
+PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
+ROUND = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER)
+# which of a geom's sizes stretch its unit solid along x, y and z
+SIZES = {SPHERE: (0, 0, 0), CAPSULE: (0, 0, 0), CYLINDER: (0, 0, 1)}
+SIZES |= {ELLIPSOID: (0, 1, 2), BOX: (0, 1, 2)}
+RGB, RGBA = 1, 7  # mjtTextureRole: which textures of a material are its colour
+FLAT_TEXTURE = 0  # mjtTexture: a picture, not the six sides of a cube
+NO_COLOR = np.array([0.5, 0.5, 0.5, 1], dtype=np.float32)  # rgba of a geom that states none
+
+LIFT = 0.012  # by which the grid lies over the floor, so that it is seen [m]
+FLAT = 0.01  # how far a layer may be off the floor [m]
+MOST = 200_000  # rectangles of a level; with more, FLAT is doubled until it is enough
+STEEPEST = 1.0  # rise of a rectangle by its length
+OVERLAP = 0.002  # of a cell, by which rectangles overlap: none shows through between them
+MAX_SIDE = 4096  # pixels of a picture that any browser takes; of more cells, several are one
+BELOW = 0.05  # a floor so much over what was clicked is still under it [m]
+NEAREST, MIPMAPS, CLAMP = 9728, 9987, 33071  # how pictures are sampled
+
+
+class Surface(NamedTuple):
+    """Triangles that are drawn alike.
+
+    Attributes:
+        vertices: shape (n, 3), world frame [m].
+        faces: indices into `vertices`, shape (m, 3).
+        geom: of each vertex, shape (n,), int32; None for what is no geom.
+        colors: of each vertex, 0 to 1, linear light and opacity, shape (n, 4); None for white.
+        uv: of each vertex on its picture, from the upper left corner, shape (n, 2); None without.
+        texture: id of the picture, -1 for none.
+        is_round: shaded as a round surface, else as flat triangles.
+        opacity: of all of it; below 1, what is behind shines through.
+    """
+
+    vertices: NDArray[Any]
+    faces: NDArray[Any]
+    geom: NDArray[np.int32] | None = None
+    colors: NDArray[Any] | None = None
+    uv: NDArray[Any] | None = None
+    texture: int = -1
+    is_round: bool = False
+    opacity: float = 1.0
+
+    @property
+    def owners(self) -> Int:
+        """The geom of each triangle, -1 for none."""
+        geom = np.full(len(self.vertices), -1) if self.geom is None else self.geom
+        owners: Int = geom[self.faces[:, 0]].astype(np.int64)
+        return owners
+
+
+class Drawing(NamedTuple):
+    """A scene as triangles.
+
+    Attributes:
+        surfaces: what is drawn.
+        textures: pictures by MuJoCo's texture id, shape (height, width, 3 or 4), uint8.
+        bounds: lower and upper corner of all, world frame, shape (2, 3) [m].
+        names: of each geom as grids name it, by geom id.
+        solid: whether a geom is one convex piece, so that a cut through it can be closed.
+        has_hidden: some geoms are drawn only with hidden ones.
+    """
+
+    surfaces: tuple[Surface, ...]
+    textures: dict[int, NDArray[np.uint8]]
+    bounds: Float
+    names: tuple[str, ...]
+    solid: Bool
+    has_hidden: bool
+
+
+def draw_scene(
+    scene: Scene, *, data: Any = None, removed: Collection[int] = (), with_hidden: bool = False
+) -> Drawing:
+    """Make triangles of a scene.
+
+    Drawn is what MuJoCo's viewers draw: geoms of the groups 0 to 2 that aren't clear; all groups
+    where these hold nothing. Textures of meshes are drawn; other geoms have the mean colour of
+    theirs.
+
+    Args:
+        scene: a loaded scene.
+        data: its mujoco.MjData in another pose.
+        removed: ids of geoms that are left out.
+        with_hidden: draw the other groups, too.
+    """
+    model, data = scene.model, scene.data if data is None else data
+    plain, textured, texture = _find_looks(model)
+    drawn = (plain[:, 3] > 0) & ~np.isin(np.arange(model.ngeom), list(removed))
+    in_groups = drawn & (model.geom_group < SHOWN_GROUPS)
+    has_hidden = bool(in_groups.any() and (drawn & ~in_groups).any())
+    if has_hidden and not with_hidden:
+        drawn = in_groups
+    pieces = [
+        *_draw_solids(model, data, drawn, plain[:, 3] < 1),
+        *_draw_others(scene, data, drawn, texture),
+    ]
+    bounds = _bounds_of(pieces)
+    planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
+    pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
+    alike: dict[tuple[bool, bool, int], list[Surface]] = {}
+    for piece in pieces:
+        is_clear = bool(plain[piece.owners[0], 3] < 1)
+        alike.setdefault((is_clear, piece.is_round, piece.texture), []).append(piece)
+    surfaces = []
+    for (_, is_round, number), some in sorted(alike.items(), key=lambda one: one[0]):
+        vertices, faces = trimesh.util.append_faces(
+            [piece.vertices for piece in some], [piece.faces for piece in some]
+        )
+        geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
+        uv = [piece.uv for piece in some if piece.uv is not None]
+        surfaces.append(
+            Surface(
+                vertices.astype(np.float32),
+                faces.astype(np.uint32),
+                geom,
+                (textured if uv else plain)[geom],
+                np.concatenate(uv) if uv else None,
+                number,
+                is_round,
+            )
+        )
+    used = {one.texture for one in surfaces if one.texture >= 0}
+    textures = {number: _read_texture(model, number) for number in used}
+    solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
+    roots = model.body_rootid[model.geom_bodyid].tolist()
+    names = [  # as grids name geoms: by the topmost body, or itself where it hangs on the world
+        model.body(root).name or f"body {root}" if root else model.geom(geom).name or f"geom {geom}"
+        for geom, root in enumerate(roots)
+    ]
+    return Drawing(tuple(surfaces), textures, _bounds_of(pieces), tuple(names), solid, has_hidden)
+
+
+def _draw_solids(model: Any, data: Any, drawn: Bool, clear: Bool) -> Iterator[Surface]:
+    """Boxes, spheres and the like, all of a kind at once, opaque and clear ones apart."""
+    count = int(np.isin(model.geom_type[drawn], ROUND).sum())
+    corners = next(corners for most, corners in CORNERS if count <= most)
+    for (kind, sizes), is_clear in product(SIZES.items(), (False, True)):
+        geoms = np.flatnonzero(drawn & (model.geom_type == kind) & (clear == is_clear))
+        if not len(geoms):
+            continue
+        unit = _unit_of(kind, corners)
+        local = unit.vertices * model.geom_size[geoms][:, None, sizes]
+        if kind == CAPSULE:  # its halves lie apart
+            local[..., 2] += np.sign(unit.vertices[:, 2]) * model.geom_size[geoms, 1, None]
+        turns = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+        placed = (local @ turns + data.geom_xpos[geoms][:, None]).reshape(-1, 3)
+        first = (np.arange(len(geoms)) * len(unit.vertices))[:, None, None]
+        owners = np.repeat(geoms, len(unit.vertices)).astype(np.int32)
+        yield Surface(placed, (unit.faces + first).reshape(-1, 3), owners, is_round=kind in ROUND)
+
+
+def _unit_of(kind: int, corners: int) -> Any:
+    """The solid of size 1; the halves of a capsule lie on each other."""
+    if kind == BOX:
+        return creation.box((2, 2, 2))
+    if kind == CYLINDER:  # its round side and its flat ends are shaded apart
+        return graph.smooth_shade(creation.cylinder(1, 2, corners), SHARP, facet_minarea=None)
+    if kind != CAPSULE:
+        return creation.uv_sphere(count=[corners // 2, corners])
+    unit = creation.capsule(2, 1, count=[corners, corners])
+    unit.vertices[:, 2] -= np.sign(unit.vertices[:, 2]) * (1 - 1e-9)  # the sign stays
+    return unit
+
+
+def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterator[Surface]:
+    """Meshes, height fields, and the exact parts of a mesh file."""
+    model = scene.model
+    for geom in np.flatnonzero(drawn).tolist():
+        kind, number, uv = int(model.geom_type[geom]), int(model.geom_dataid[geom]), None
+        if geom in scene.parts:  # in the world frame already
+            part = scene.parts[geom]
+            yield _piece(geom, np.asarray(part.vertices), np.asarray(part.faces))
+            continue
+        if kind == HFIELD:
+            vertices, faces = _hfield_triangles(model, number)
+        elif kind >= MESH and number >= 0:
+            mesh, has_uv = model.mesh(number), int(textures[geom]) >= 0
+            first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+            vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
+            end = start + int(mesh.facenum[0])
+            faces = model.mesh_face[start:end]
+            if has_uv and model.mesh_texcoordnum[number]:
+                # corners that share a place needn't share one on the texture
+                corners = model.mesh_facetexcoord[start:end].ravel() + mesh.texcoordadr[0]
+                uv, vertices = model.mesh_texcoord[corners], vertices[faces.ravel()]
+                faces = np.arange(len(vertices)).reshape(-1, 3)
+        else:
+            continue
+        placed = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        piece = _piece(geom, placed, faces)
+        yield piece if uv is None else piece._replace(uv=uv, texture=int(textures[geom]))
+
+
+def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
+    return Surface(vertices, faces, np.full(len(vertices), geom, np.int32))
+
+
+def _hfield_triangles(model: Any, hfield: int) -> tuple[Float, NDArray[Any]]:
+    """The upper side of a height field, in its geom's frame."""
+    rows, cols = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
+    first = int(model.hfield_adr[hfield])
+    half_x, half_y, top = (float(v) for v in model.hfield_size[hfield, :3])
+    z = model.hfield_data[first : first + rows * cols].astype(np.float64) * top
+    x, y = np.meshgrid(np.linspace(-half_x, half_x, cols), np.linspace(-half_y, half_y, rows))
+    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+    quads = np.stack([corner, corner + 1, corner + cols + 1, corner + cols], axis=1)
+    return np.stack([x.ravel(), y.ravel(), z], axis=1), quads[:, QUAD].reshape(-1, 3)
+
+
+def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
+    """A plane's rectangle; where it is endless, as far as what else there is, and some more."""
+    rotation, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    middle = ((bounds.mean(axis=0) - position) @ rotation)[:2]
+    reach = ENDLESS * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
+    half = model.geom_size[geom, :2]
+    middle, half = np.where(half <= 0, middle, 0.0), np.where(half <= 0, reach, half)
+    corners = np.zeros((4, 3))
+    corners[:, :2] = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return _piece(geom, corners @ rotation.T + position, QUAD)
+
+
+def _bounds_of(pieces: Sequence[Surface]) -> Float:
+    nothing = np.array([[-1.0, -1, -1], [1, 1, 1]])
+    corners = np.concatenate([piece.vertices for piece in pieces]) if pieces else nothing
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], Int]:
+    """How geoms look, as MuJoCo's own viewers have it, by geom id.
+
+    A geom with a material has the material's colour, unless it states one of its own.
+
+    Returns:
+        Linear light, times the mean of its texture if it has one, and opacity, shape (n, 4); the
+        same for triangles that lie on their texture; MuJoCo's id of a texture that meshes with
+        coordinates lie on, -1 for none.
+    """
+    rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
+    material = np.array(model.geom_matid, dtype=np.int64)
+    taken = (material >= 0) & (rgba == NO_COLOR).all(axis=1)
+    texture = np.full(len(rgba), -1, dtype=np.int64)
+    if model.nmat:
+        rgba[taken] = model.mat_rgba[material[taken]]
+        ids = np.asarray(model.mat_texid).reshape(model.nmat, -1)
+        own = np.where(ids[:, RGB] >= 0, ids[:, RGB], ids[:, RGBA])
+        texture = np.where(material >= 0, own[material], -1)
+    textured = _to_linear(rgba)
+    plain = textured.copy()
+    for one in np.unique(texture[texture >= 0]).tolist():
+        mean = _read_texture(model, one)[..., :3].reshape(-1, 3).mean(axis=0) / 255
+        plain[texture == one, :3] *= _to_linear(mean)
+    flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == FLAT_TEXTURE))
+    return plain, textured, np.where(flat, texture, -1)
+
+
+def _read_texture(model: Any, texture: int) -> NDArray[np.uint8]:
+    """A texture's picture, shape (height, width, 3 or 4), its upper row first."""
+    shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    first, count = int(model.tex_adr[texture]), int(np.prod(shape, dtype=np.int64))
+    picture = np.asarray(model.tex_data[first : first + count]).reshape(shape)
+    return np.repeat(picture, 3, axis=2) if shape[2] == 1 else picture
+
+
+def _to_linear(color: NDArray[Any]) -> NDArray[np.float32]:
+    """Linear light of colours as screens take them (sRGB), shape (..., 3 or 4); opacity stays."""
+    color = np.asarray(color, dtype=np.float32)
+    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    linear[..., 3:] = color[..., 3:]
+    return linear.astype(np.float32)
+
+
+# --- what of it is below a height -----------------------------------------------------------------
+
+
+def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
+    """The surfaces below a height [m], world z.
+
+    A triangle across the plane is replaced by its lower part. Cut boxes, cylinders and so on get
+    a face there, darker than they are; meshes and height fields stay open.
+    """
+    kept: list[Surface] = []
+    for surface in drawing.surfaces:
+        z = surface.vertices[:, 2]
+        if not len(z) or float(z.max()) <= height:
+            kept.append(surface)
+        else:
+            parts = _cut_surface(surface, height), _close(surface, height, drawing.solid)
+            kept += [part for part in parts if len(part.faces)]
+    return tuple(kept)
+
+
+def _cut_surface(surface: Surface, height: float) -> Surface:
+    corners = surface.vertices[surface.faces]
+    # slivers have no area, but places on them can't be told by their corners
+    whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any(axis=1)
+    faces, vertices = surface.faces[whole].astype(np.int64), surface.vertices.astype(np.float64)
+    # geom, colour and place on the texture of a corner go along; geom and colour are a triangle's
+    columns = surface.geom, surface.colors, surface.uv
+    along = [column for column in columns if column is not None]
+    vertices, faces, more = intersections.slice_faces_plane(
+        vertices, faces, [0, 0, -1], [0, 0, height + FLUSH], uv=np.column_stack(along)
+    )
+    vertices[:, 2] = np.minimum(vertices[:, 2], height)
+    more = more.astype(np.float32)
+    return surface._replace(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.uint32),
+        geom=np.rint(more[:, 0]).astype(np.int32),
+        colors=more[:, 1:5],
+        uv=None if surface.uv is None else more[:, 5:],
+    )
+
+
+def _close(surface: Surface, height: float, solid: Bool) -> Surface:
+    """Faces over cut solids: each a fan round its middle, for a section of one is convex."""
+    assert surface.geom is not None and surface.colors is not None
+    chosen = surface.faces[solid[surface.owners]]
+    mesh = trimesh.Trimesh(surface.vertices, chosen, process=False)
+    lines, faces = intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height], return_faces=True)
+    geoms, number = np.unique(surface.geom[chosen[faces, 0]], return_inverse=True)
+    sums = [np.bincount(number, lines[:, :, axis].mean(axis=1)) for axis in range(3)]
+    middle = (np.stack(sums) / np.bincount(number)).T[number]
+    vertices = np.concatenate([lines, middle[:, None]], axis=1).reshape(-1, 3).astype(np.float32)
+    shade = np.array([CAP_SHADE, CAP_SHADE, CAP_SHADE, 1], dtype=np.float32)
+    return Surface(
+        vertices,
+        np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
+        np.repeat(geoms[number], 3).astype(np.int32),
+        np.repeat(surface.colors[chosen[faces, 0]] * shade, 3, axis=0),
+    )
+
+
+# --- the layers of levels, and what is sent -------------------------------------------------------
+
+
+def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST) -> Surface:
+    """The floor of a level, on which its layers are laid: a rectangle where it is even.
+
+    Args:
+        with_holes: draw nothing where there is no floor; else these cells lie at its ground.
+        most: how many rectangles there may be, unless single cells are more.
+    """
+    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+
+    floor, size = level.floor.astype(np.float64), level.lattice.cell_size
+    shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
+    heights = np.where(np.isnan(floor), level.ground, floor)
+    flatness, span = FLAT, float(np.ptp(heights))
+    while True:
+        labels = shown.astype(np.int32)
+        bounds, planes = cover_planes(labels, heights, flatness, STEEPEST * size)
+        if len(bounds) <= most or flatness > span:
+            break
+        flatness *= 2
+    row0, col0, row1, col1 = bounds.T
+    # counter-clockwise from above
+    row = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * OVERLAP
+    col = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * OVERLAP
+    down, right = row - row0[:, None] - 0.5, col - col0[:, None] - 0.5  # from the first centre
+    z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:] + LIFT + flatness
+    x, y = level.lattice.x_min + col * size, level.lattice.y_max - row * size
+    first = (np.arange(len(row)) * 4)[:, None, None]
+    uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
+    return Surface(
+        np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float32),
+        (QUAD + first).reshape(-1, 3).astype(np.uint32),
+        uv=uv.astype(np.float32),
+        texture=0,
+    )
+
+
+def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) -> bytes:
+    """A layer of a level as GLB: a colour for each cell, shape (height, width, 3)."""
+    picture = Image.fromarray(rgb)
+    picture = picture.reduce(-(-max(picture.size) // MAX_SIDE))
+    return make_glb([carpet._replace(opacity=opacity)], {0: np.asarray(picture)})
+
+
+def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
+    """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
+
+    The light comes from above, from the south-west and, weaker, from the south; both sides of a
+    triangle are alike. It is in the colours, so that a browser has only these to draw, which it
+    does smoothly without a graphics card, too.
+    """
+    lit = []
+    for one in surfaces:
+        assert one.colors is not None
+        if not one.is_round and len(one.faces) <= MOST_FLAT:  # edges are sharp
+            corners = one.faces.ravel()
+            one = one._replace(
+                vertices=one.vertices[corners],
+                faces=np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+                colors=one.colors[corners],
+                uv=None if one.uv is None else one.uv[corners],
+            )
+        mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
+        share = (LIGHT[0] + np.abs(mesh.vertex_normals) @ LIGHT[1:])[:, None]
+        colors = one.colors * np.where([True, True, True, False], share, 1.0)
+        lit.append(one._replace(colors=colors))
+    return make_glb(lit, textures)
+
+
+def make_glb(
+    surfaces: Sequence[Surface], pictures: Mapping[int, NDArray[np.uint8]] | None = None
+) -> bytes:
+    """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
+    buffer, primitives, materials = Buffer(), list[Json](), list[Json]()
+    used = sorted({one.texture for one in surfaces if one.uv is not None and len(one.faces)})
+    for one in surfaces:
+        if not len(one.faces):
+            continue
+        is_clear = one.opacity < 1
+        attributes = {"POSITION": buffer.add_positions(one.vertices)}
+        if one.colors is not None:
+            steps = np.round(np.clip(one.colors, 0, 1) * 65535).astype(np.uint16)
+            attributes["COLOR_0"] = buffer.add_vectors(steps, normalized=True)
+            is_clear |= bool((one.colors[:, 3] < 1).any())
+        look: Json = {"baseColorFactor": [1.0, 1.0, 1.0, one.opacity]}
+        if one.uv is not None:
+            attributes["TEXCOORD_0"] = buffer.add_vectors(one.uv)
+            look["baseColorTexture"] = {"index": used.index(one.texture)}
+        material: Json = {"alphaMode": "BLEND" if is_clear else "OPAQUE", "doubleSided": True}
+        material |= {"pbrMetallicRoughness": look, "extensions": {"KHR_materials_unlit": {}}}
+        indices = buffer.add_indices(one.faces)
+        primitive = {"attributes": attributes, "indices": indices, "material": len(materials)}
+        primitives.append(primitive)
+        materials.append(material)
+    document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
+    if primitives:
+        document |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
+        document |= {"meshes": [{"primitives": primitives}], "materials": materials}
+    document |= {"images": [], "textures": []}  # left out where they are empty
+    for place, number in enumerate(used):
+        content = io.BytesIO()  # packed fast rather than small: it stays on this machine
+        Image.fromarray((pictures or {})[number]).save(content, "PNG", compress_level=1)
+        view = buffer.add_bytes(content.getvalue())
+        document["images"].append({"bufferView": view, "mimeType": "image/png"})
+        document["textures"].append({"source": place, "sampler": 0})
+        sampler = {"magFilter": NEAREST, "minFilter": MIPMAPS, "wrapS": CLAMP, "wrapT": CLAMP}
+        document["samplers"] = [sampler]
+    return buffer.pack(document)
+
+
+# --- what a click meets ---------------------------------------------------------------------------
+
+
+class Pick(NamedTuple):
+    """What a click has met.
+
+    Attributes:
+        cell: level, row and column.
+        position: world x, y of the click, and z of the cell's floor, or of the level's ground
+            where it has none [m].
+        geom: id of the geom that was clicked, None where it was the grid itself.
+    """
+
+    cell: Cell
+    position: tuple[float, float, float]
+    geom: int | None
+
+
+def pick(
+    grid: NavGrid,
+    ray: tuple[ArrayLike, ArrayLike],
+    surfaces: Sequence[Surface],
+    levels: Collection[int],
+) -> Pick | None:
+    """Find the cell under a click, on one of the levels that are shown; None for none.
+
+    The cell is the one below the nearest thing, be it a geom or the grid. Of several levels it is
+    the one whose floor is the nearest below; where none has a floor there, whose ground is.
+
+    Args:
+        ray: origin [m] and direction of the line of sight, world frame.
+        surfaces: what is drawn of the scene, and of the levels after that.
+        levels: which levels are shown.
+    """
+    origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
+    distance, geom = np.inf, -1
+    for surface in surfaces:
+        found, triangle = _meet(origin, direction, surface.vertices[surface.faces])
+        if found <= distance and np.isfinite(found):
+            distance, geom = found, int(surface.owners[triangle])
+    if not np.isfinite(distance):
+        return None
+    x, y, z = (origin + distance * direction).tolist()
+    # by whether there is a floor, whether it is below, and how far
+    ranked = []
+    for number in sorted(levels):
+        place = place_at(grid, (x, y), number)
+        if place is not None:
+            under = grid.levels[number].ground if place.floor is None else place.floor
+            rank = place.floor is None, z - under < -BELOW, abs(z - under)
+            ranked.append((rank, place.cell, under))
+    if not ranked:
+        return None
+    _, cell, under = min(ranked)
+    return Pick(cell, (x, y, under), None if geom < 0 else geom)
+
+
+def _meet(origin: Float, direction: Float, corners: NDArray[np.float32]) -> tuple[float, int]:
+    """How far the nearest of some triangles is on a ray, and which it is; infinite for none.
+
+    Algorithm: Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
+    """
+    if not len(corners):
+        return np.inf, -1
+    first = corners[:, 0].astype(np.float64)
+    along, across = corners[:, 1] - first, corners[:, 2] - first
+    normal = np.cross(direction, across)
+    volume = (along * normal).sum(axis=1)
+    away = origin - first
+    turned = np.cross(away, along)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
+        u = (away * normal).sum(axis=1) / volume
+        v = turned @ direction / volume
+        distance = (across * turned).sum(axis=1) / volume
+        met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    distance = np.where(met, distance, np.inf)
+    nearest = int(np.argmin(distance))
+    return float(distance[nearest]), nearest
