@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
-from navbake.baker.scene.names import all_names, body_name
+from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import open_file
 from navbake.config.keywords import config_with, memory_config
 from navbake.config.scene import ExcludeSettings
@@ -21,46 +21,17 @@ from navbake.known_names import find_near, suggest
 WILDCARDS = re.compile(r"([*?[])")
 
 
-class BakeInput(NamedTuple):
-    """The settings of a bake, and its scene where that is loaded already.
-
-    Attributes:
-        config: all settings.
-        opened: the scene's model; None where the bake loads the file of the settings.
-    """
-
-    config: BakeConfig
-    opened: OpenScene | None
-
-
-class LeftOut(NamedTuple):
-    """What `bake` is told to leave out of the scene.
-
-    Attributes:
-        exclude: `bodies`, `geoms` and `movable`, as of `scene.exclude`; things may be given by
-            name, by id, by pattern, or as MuJoCo's own views of them.
-        robot: a body, or several, left out with all that hangs on them; no pattern.
-    """
-
-    exclude: Mapping[str, Any] | None = None
-    robot: Any = None
-
-
 def take_input(
     scene: Any,
     data: Any,
     settings: Mapping[str, Any],
-    left_out: LeftOut | None = None,
+    exclude: Mapping[str, Any] | None = None,
+    robot: Any = None,
     limits: CompileLimits | None = None,
-) -> BakeInput:
-    """Take what `navbake.bake` is given.
+) -> tuple[BakeConfig, OpenScene | None]:
+    """Take what `navbake.bake` is given, see there; `limits` are for MuJoCo to compile a file.
 
-    Args:
-        scene: a scene in memory, or settings; see `navbake.bake`.
-        data: the mujoco.MjData with the pose of a scene in memory, or None.
-        settings: sections of settings, by name.
-        left_out: what is left out besides.
-        limits: MuJoCo compiles the scene's file within these.
+    Returns all settings; and the scene's model, None where the bake loads the settings' file.
 
     Raises:
         ConfigError: what is given is wrong, or names what isn't there.
@@ -84,61 +55,52 @@ def take_input(
                 "`mujoco.MjSpec.from_string` makes a model of it"
             )
         config = config_with(scene, settings)
-    if left_out is None or (left_out.exclude is None and left_out.robot is None):
-        return BakeInput(config, opened)
+    if exclude is None and robot is None:
+        return config, opened
     # whether there are such bodies is seen in the model, which the bake then has no need to load
     opened = opened or open_file(config.scene, limits)
-    return BakeInput(_leave_out(config, opened.model, left_out), opened)
-
-
-def _leave_out(config: BakeConfig, model: Any, left_out: LeftOut) -> BakeConfig:
-    """The settings with what is left out besides, as patterns of `scene.exclude`."""
-    bodies = [body_name(model, body) for body in range(model.nbody)]
-    geoms = [names.geom for names in all_names(model).geoms]
-    given = _check_exclude(left_out.exclude)
-    own = config.scene.exclude
-    robots = [] if left_out.robot is None else _listed(left_out.robot)
-    exclude = ExcludeSettings(
+    names = all_names(opened.model)
+    geoms = [geom.geom for geom in names.geoms]
+    given, own = _check_exclude(exclude), config.scene.exclude
+    excluded = ExcludeSettings(
         bodies=[
             *own.bodies,
-            *(_pattern_of(one, bodies, "body", "exclude") for one in _listed(given["bodies"])),
-            *(_pattern_of(one, bodies, "body", "robot") for one in robots),
+            *_patterns_of(given["bodies"], names.bodies, "body", "exclude"),
+            *_patterns_of([] if robot is None else robot, names.bodies, "body", "robot"),
         ],
-        geoms=[
-            *own.geoms,
-            *(_pattern_of(one, geoms, "geom", "exclude") for one in _listed(given["geoms"])),
-        ],
+        geoms=[*own.geoms, *_patterns_of(given["geoms"], geoms, "geom", "exclude")],
         movable=own.movable if given["movable"] is None else given["movable"],
     )
-    scene = config.scene.model_copy(update={"exclude": exclude})
-    return config.model_copy(update={"scene": scene})
+    changed = config.scene.model_copy(update={"exclude": excluded})
+    return config.model_copy(update={"scene": changed}), opened
 
 
 def _check_exclude(given: Mapping[str, Any] | None) -> dict[str, Any]:
     taken: dict[str, Any] = {"bodies": [], "geoms": [], "movable": None}
-    if given is None:
-        return taken
-    if not isinstance(given, Mapping):
+    if given is not None and not isinstance(given, Mapping):
         raise ConfigError(
             f"expected `exclude` as {{'bodies': […], 'geoms': […]}}, got {type(given).__name__}"
         )
-    for key, value in given.items():
+    for key in given or ():
         if key not in taken:
             near = find_near(key, taken)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise ConfigError(f"unknown key `{key}` of `exclude`: {hint}it has {', '.join(taken)}")
-        taken[key] = value
+    taken |= given or {}
     if not isinstance(taken["movable"], bool | None):
         raise ConfigError(f"expected true or false as `exclude.movable`, got {taken['movable']!r}")
     return taken
 
 
-def _listed(given: Any) -> Sequence[Any]:
+def _patterns_of(given: Any, names: Sequence[str], kind: str, keyword: str) -> list[str]:
+    """Patterns of bodies or geoms, of which one or several are given."""
     given = given.tolist() if isinstance(given, np.ndarray) else given
-    return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        given = [given]
+    return [_pattern_of(one, names, kind, keyword) for one in given]
 
 
-def _pattern_of(given: Any, names: list[str], kind: str, keyword: str) -> str:
+def _pattern_of(given: Any, names: Sequence[str], kind: str, keyword: str) -> str:
     """The pattern of one body or geom by its name or id, or the pattern that is given."""
     what = f"expected the name or id of a {kind} in `{keyword}`"
     first = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene

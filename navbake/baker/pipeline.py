@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from navbake.baker.arguments import LeftOut, take_input
+from navbake.baker.arguments import take_input
 from navbake.baker.assemble import build_grid
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.scene.isolated import CompileLimits
@@ -116,7 +116,7 @@ def bake(
         >>> path = finder.find_path(finder.random_point(), finder.random_point())
     """
     limits = CompileLimits() if isolate else None
-    config, opened = take_input(scene, data, settings, LeftOut(exclude, robot), limits)
+    config, opened = take_input(scene, data, settings, exclude, robot, limits)
     grid = run_bake(config, threads=threads, limits=limits, opened=opened).grid
     for warning in grid.warnings:
         warnings.warn(warning, BakeWarning, stacklevel=2)
@@ -176,13 +176,8 @@ def _verified(
     from navbake.verifier.verify import Options, verify_scene
 
     report = verify_scene(grid, stages.scene, Options(sample=sample), stages.config)
-    found = len(report.findings)
-    verified = {
-        "sample": sample,
-        "cells": report.checked,
-        "disagreements": found,
-        "digest": report.digest,
-    }
+    found, looked = len(report.findings), {"sample": sample, "cells": report.checked}
+    verified = {**looked, "disagreements": found, "digest": report.digest}
     own: Json = {**grid.navbake, "verified": verified}
     if found:
         places = f"{found} place{'s' if found > 1 else ''}, with {report.checked} cells looked at"

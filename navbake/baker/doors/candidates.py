@@ -88,8 +88,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
             under = geoms_of_bodies(model, body, int(ends[body]))
             geoms[body] = under[counted[under]]
     leaves = _find_leaves(scene, {body: geoms[body] for body in searched})
-    found: list[int] = []
-    end = 0  # of the bodies of the last candidate
+    found, end = list[int](), 0  # and the end of the bodies of the last candidate
     for body, own in geoms.items():
         if body >= end and len(own) and (matches[body] or body in leaves):
             found.append(body)
@@ -104,12 +103,9 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
         positions = {} if joint < 0 else _positions(scene, joint)
         candidates.append(DoorCandidate(name, joint_id, geoms[body], positions, joint, named))
     used = {pattern for body in found for pattern in matches[body]}
-    warnings = []
-    for pattern in settings.patterns:
-        if pattern not in used:
-            matched = [body for body in geoms if pattern in matches[body]]
-            warnings.append(_warn_unmatched(pattern, names, matched, geoms))
-    return candidates, warnings
+    unused = [pattern for pattern in settings.patterns if pattern not in used]
+    of_patterns = {p: [body for body in geoms if p in matches[body]] for p in unused}
+    return candidates, [_warn_unmatched(p, names, of_patterns[p], geoms) for p in unused]
 
 
 def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> set[int]:
@@ -117,15 +113,14 @@ def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> set[int]:
     mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
     mask[np.concatenate([np.empty(0, dtype=np.int64), *geoms.values()])] = True
     extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
-    found = set()
-    for body, own in geoms.items():
-        if len(own):
-            leaf = largest_side(extents, own)
-            is_tall = extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
-            is_wide = MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
-            if is_tall and is_wide and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING:
-                found.add(body)
-    return found
+    sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
+    return {
+        body
+        for body, leaf in sides.items()
+        if extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
+        and MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
+        and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING
+    }
 
 
 def _positions(scene: Scene, joint: int) -> dict[str, float]:

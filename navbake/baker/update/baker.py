@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.baker.arguments import LeftOut, take_input
+from navbake.baker.arguments import take_input
 from navbake.baker.assemble import build_grid
 from navbake.baker.clock import StageClock
 from navbake.baker.scene.scene import open_file
@@ -93,7 +93,7 @@ class Baker:
         threads: int | None = None,
         **settings: Unpack[SettingKeywords],
     ) -> None:
-        config, opened = take_input(scene, data, settings, LeftOut(exclude, robot))
+        config, opened = take_input(scene, data, settings, exclude, robot)
         opened = opened or open_file(config.scene)
         self._config, self._opened, self._threads = config, opened, threads
         self._lock = threading.Lock()

@@ -98,24 +98,16 @@ class FollowedScene:
             return self._load(data)
         digest = start_digest(model, data, was.parts, self._names)
         counted = np.array([geom for geom in moved.tolist() if was.choices[geom].counted], np.int64)
-        parts = was.parts
+        every, mask = np.zeros((2, model.ngeom), dtype=np.bool_)
+        every[moved], mask[counted] = True, True
         shapes, boxes, owner = was.shapes, np.empty((0, 6)), np.empty(0, dtype=np.int64)
         if len(counted):
-            asked = counted.tolist()
-            new = collect_shapes(model, data, was.choices, parts, asked, was.meshes).shapes
-            mask = np.zeros(model.ngeom, dtype=np.bool_)
-            mask[counted] = True
+            chosen = was.choices, was.parts, counted.tolist(), was.meshes
+            new = collect_shapes(model, data, *chosen).shapes
             shapes = _with(was.shapes, new, mask)
             boxes, owner = _join_boxes(was.shapes.only(mask), new)
-        scene = replace(
-            was,
-            shapes=shapes,
-            bounds=shapes.bounds if len(counted) else was.bounds,
-            digest="",
-            data=data,
-        )
-        every = np.zeros(model.ngeom, dtype=np.bool_)
-        every[moved] = True
+        bounds = shapes.bounds if len(counted) else was.bounds
+        scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)
         return Moved(scene, counted, boxes, owner, every, digest)
 
     def _may_count_otherwise(self, moved: Int, data: Any) -> bool:
@@ -143,22 +135,19 @@ def _poses_of(data: Any) -> Float:
 def _with(shapes: Shapes, new: Shapes, changed: Bool) -> Shapes:
     """The shapes with new ones in place of those of the geoms that are marked."""
     solids, planes, triangles = shapes.solids, shapes.planes, shapes.triangles
-    if len(new.solids.geom):
-        at = np.searchsorted(solids.geom, new.solids.geom)
-        solids = Solids(*(_put(old, at, now) for old, now in zip(solids, new.solids, strict=True)))
-    if len(new.planes.geom):
-        at = np.searchsorted(planes.geom, new.planes.geom)
-        pos, mat = _put(planes.pos, at, new.planes.pos), _put(planes.mat, at, new.planes.mat)
-        planes = planes._replace(pos=pos, mat=mat)
-    if len(new.triangles.geom):
-        here = np.flatnonzero(changed[triangles.geom])
-        triangles = Triangles(
-            *(_put(old, here, now) for old, now in zip(triangles, new.triangles, strict=True))
-        )
-    return Shapes(solids, planes, triangles, shapes.endless)
+    at = np.searchsorted(solids.geom, new.solids.geom)
+    solids = Solids(*(_put(old, at, now) for old, now in zip(solids, new.solids, strict=True)))
+    at = np.searchsorted(planes.geom, new.planes.geom)
+    pos, mat = _put(planes.pos, at, new.planes.pos), _put(planes.mat, at, new.planes.mat)
+    at = np.flatnonzero(changed[triangles.geom])
+    pairs = zip(triangles, new.triangles, strict=True)
+    triangles = Triangles(*(_put(old, at, now) for old, now in pairs))
+    return Shapes(solids, planes._replace(pos=pos, mat=mat), triangles, shapes.endless)
 
 
 def _put(old: Any, at: Int, new: Any) -> Any:
+    if not len(at):
+        return old
     copy = old.copy()
     copy[at] = new
     return copy

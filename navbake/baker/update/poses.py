@@ -16,6 +16,8 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.types import Float
 
+PARTS = "qpos", "mocap_pos", "mocap_quat"  # of a data, that a pose is
+
 
 class Poses:
     """Two datas of a model, of which one is in the pose of now, and the other becomes the next."""
@@ -39,11 +41,8 @@ class Poses:
             check_data(self._model, data, self._name)
             source = data
         pose = self._next
-        pose.qpos[:], pose.mocap_pos[:], pose.mocap_quat[:] = (
-            source.qpos,
-            source.mocap_pos,
-            source.mocap_quat,
-        )
+        for part in PARTS:
+            getattr(pose, part)[:] = getattr(source, part)
         for name, placed in (bodies or {}).items():
             self._place_body(pose, name, placed)
         for name, position in (joints or {}).items():
@@ -54,8 +53,8 @@ class Poses:
 
     def copy(self) -> tuple[Float, Float, Float]:
         """The joint positions of now, the mocap bodies' positions, and their quaternions."""
-        qpos, position, quaternion = self._kept
-        return qpos.copy(), position.copy(), quaternion.copy()
+        qpos, position, quaternion = (part.copy() for part in self._kept)
+        return qpos, position, quaternion
 
     def keep(self) -> None:
         """Let the next pose be the one of now."""
@@ -102,7 +101,7 @@ class Poses:
         pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
 
     def _check_finite(self, pose: Any) -> None:
-        if all(np.isfinite(part).all() for part in (pose.qpos, pose.mocap_pos, pose.mocap_quat)):
+        if all(np.isfinite(part).all() for part in _pose_of(pose)):
             return
         bad = np.flatnonzero(~np.isfinite(pose.qpos))
         what = "a mocap body"
@@ -113,8 +112,8 @@ class Poses:
         raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
-def _pose_of(data: Any) -> tuple[Float, Float, Float]:
-    return data.qpos.copy(), data.mocap_pos.copy(), data.mocap_quat.copy()
+def _pose_of(data: Any) -> tuple[Float, ...]:
+    return tuple(getattr(data, part).copy() for part in PARTS)
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

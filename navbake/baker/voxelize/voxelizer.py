@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.baker.arguments import LeftOut, take_input
+from navbake.baker.arguments import take_input
 from navbake.baker.columns import cast_columns, split_rows, tile_shapes, tiles_of_rows
 from navbake.baker.kernels.voxels import Voxels, fill_voxels
 from navbake.baker.scene.pose import data_of_qpos, pose_model
@@ -128,7 +128,7 @@ class Voxelizer:
                     raise ConfigError(f"expected `{name}` where the scene is loaded, this one is")
             self.scene = scene
         else:
-            config, opened = take_input(scene, data, settings, LeftOut(exclude, robot))
+            config, opened = take_input(scene, data, settings, exclude, robot)
             exclusions = config.scene.exclude
             bodies = [*exclusions.bodies, *([ignore] if isinstance(ignore, str) else ignore)]
             update = {"exclude": exclusions.model_copy(update={"bodies": bodies})}
