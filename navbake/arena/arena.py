@@ -30,10 +30,9 @@ def place_squares(
     corner: ArrayLike | None = None,
     shape: Sequence[int] | None = None,
 ) -> Lattice:
-    """Lay the squares of an arena over a level.
+    """Lay the squares of an arena over a level; they may reach beyond it.
 
     Args:
-        level: what the squares cover; they may reach beyond it.
         square: edge of a square [m], > 0.
         corner: the arena's lower left corner, x and y, world frame [m]; the level's if None.
         shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
@@ -77,25 +76,20 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     square isn't in it.
     """
     lattice = level.lattice
-    filled = np.pad(level.occupancy != 0, 1, constant_values=True)
-    # a summed-area table (Crow 1984): the sum over any rectangle from its four corners; the
-    # padding stands for what lies beside the level
-    sums = np.zeros((filled.shape[0] + 1, filled.shape[1] + 1), dtype=np.int64)
-    sums[1:, 1:] = filled.cumsum(axis=0).cumsum(axis=1)
-    size = squares.cell_size / lattice.cell_size
-    left = (squares.x_min - lattice.x_min) / lattice.cell_size
-    top = (lattice.y_max - squares.y_max) / lattice.cell_size
-    row0, row1 = _spans(top, size, squares.height, lattice.height)
-    col0, col1 = _spans(left, size, squares.width, lattice.width)
+    filled = np.pad(level.occupancy != 0, 1, constant_values=True)  # beside the level, too
+    # a summed-area table (Crow 1984): the sum over any rectangle from its four corners
+    sums = np.pad(filled.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+    def spans(first: float, count: int, limit: int) -> tuple[Int, Int]:
+        """The cells under each square along an axis, from and to, in the padded array."""
+        edges = (first + np.arange(count + 1) * squares.cell_size) / lattice.cell_size
+        start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
+        end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
+        start = np.clip(start, 0, limit + 1)
+        return start, np.clip(np.maximum(end, start + 1), 1, limit + 2)
+
+    row0, row1 = spans(lattice.y_max - squares.y_max, squares.height, lattice.height)
+    col0, col1 = spans(squares.x_min - lattice.x_min, squares.width, lattice.width)
     row0, row1 = row0[:, None], row1[:, None]
     inside: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
     return inside > 0
-
-
-def _spans(first: float, size: float, count: int, limit: int) -> tuple[Int, Int]:
-    """The cells under each square along an axis, from and to, in an array padded by one."""
-    edges = first + np.arange(count + 1) * size
-    start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
-    end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
-    start = np.clip(start, 0, limit + 1)
-    return start, np.clip(np.maximum(end, start + 1), 1, limit + 2)

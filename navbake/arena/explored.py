@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,32 +56,15 @@ class ExploredMap:
 
     @classmethod
     def from_descriptor(
-        cls,
-        part1: str,
-        part2: str,
-        shape: Sequence[int] = ARENA,
-        *,
-        square: float = SQUARE,
-        corner: Sequence[float] = (0.0, 0.0),
+        cls, part1: str, part2: str, shape: Sequence[int] = ARENA, **squares: Any
     ) -> ExploredMap:
-        """Go on from a map descriptor.
-
-        Raises:
-            FormatError: the descriptor is wrong, see `navbake.arena.map_descriptor.decode`.
-        """
-        own = cls(shape, square=square, corner=corner)
+        """Go on from a map descriptor, see `navbake.arena.map_descriptor.decode`."""
+        own = cls(shape, **squares)
         own.explored, own.obstacles = decode(part1, part2, shape)
         return own
 
     def enter(self, x: float, y: float) -> None:
-        """Note that the agent is in the square at a position: it is explored, and free.
-
-        Args:
-            x, y: world position [m].
-
-        Raises:
-            QueryError: the position is beside the arena.
-        """
+        """Note that the agent is in the square at a world position [m]: explored, and free."""
         row, col = self._square_at(x, y)
         self.explored[row, col], self.obstacles[row, col] = True, False
 
@@ -154,7 +138,7 @@ class ExploredMap:
         return encode(self.explored, self.obstacles)
 
     def __str__(self) -> str:
-        """Draw the map: ``?`` unexplored, ``.`` free, ``#`` obstacle."""
+        """Draw the map, see `navbake.arena.map_descriptor.draw`."""
         return draw(self.explored, self.obstacles)
 
     def _square_at(self, x: float, y: float) -> tuple[int, int]:
@@ -176,13 +160,12 @@ class ExploredMap:
         With `beyond`, the square that holds or follows the ray's end comes with the ray's
         length or more, once.
         """
-        size = self.lattice.cell_size
+        size, counts = self.lattice.cell_size, (self.lattice.width, self.lattice.height)
         # in squares from here on, columns and rows; rows run against y
-        start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size  # cols, rows
+        start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
         way = np.array([np.cos(angle), -np.sin(angle)])
         far = (length + (2 * HAIR if beyond else 0.0)) / size
         stops = [np.array([0.0, far])]
-        counts = self.lattice.width, self.lattice.height
         for place, speed, count in zip(start, way, counts, strict=True):
             if abs(speed) > 1e-12:
                 # the arena's own grid lines only: a ray that leaves it never returns
@@ -198,8 +181,7 @@ class ExploredMap:
         if beyond and len(starts):
             last = (rows == rows[-1]) & (cols == cols[-1])
             starts = np.where(last, np.maximum(starts, length), starts)
-        inside = (rows >= 0) & (rows < self.lattice.height)
-        inside &= (cols >= 0) & (cols < self.lattice.width)
+        inside = (rows >= 0) & (rows < counts[1]) & (cols >= 0) & (cols < counts[0])
         return rows[inside], cols[inside], starts[inside]
 
 

@@ -44,8 +44,9 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
         raise FormatError(f"expected explored and obstacles of one shape (rows, cols), got {both}")
     # the format goes from the bottom row up, arrays from the top row down
     squares, content = known[::-1].ravel(), filled[::-1].ravel()
-    part1 = np.concatenate([PAD, squares, PAD])
-    return _to_hex(part1), _to_hex(content[squares])
+    parts = np.concatenate([PAD, squares, PAD]), content[squares]
+    part1, part2 = (np.packbits(bits.astype(np.uint8)).tobytes().hex().upper() for bits in parts)
+    return part1, part2
 
 
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
@@ -76,8 +77,19 @@ def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, 
     if bits[count:].any():
         raise FormatError("expected 0s after the closing 11 of part 1, got others")
     explored = bits[2 : count - 2].astype(np.bool_)
+    known = int(explored.sum())
+    content, got = _from_hex(part2, "part 2")
+    digits, whole = -(-known // 4), 2 * -(-known // 8)
+    if got not in (digits, whole):
+        expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
+        squares = f"the {known} squares that part 1 has explored"
+        got_what = f"{got}: {'more' if got > whole else 'fewer'} than it has"
+        raise FormatError(f"expected {expected} digits in part 2 for {squares}, got {got_what}")
+    if content[known:].any():
+        why = "it is longer than the squares that part 1 has explored"
+        raise FormatError(f"expected 0s after the {known} bits of part 2, got more: {why}")
     obstacles = np.zeros(rows * cols, dtype=np.bool_)
-    obstacles[explored] = _read_part2(part2, int(explored.sum()))
+    obstacles[explored] = content[:known]
     return explored.reshape(rows, cols)[::-1].copy(), obstacles.reshape(rows, cols)[::-1].copy()
 
 
@@ -86,20 +98,6 @@ def draw(explored: ArrayLike, obstacles: ArrayLike) -> str:
     known, filled = _flags(explored, "explored"), _flags(obstacles, "obstacles")
     marks = np.where(known, np.where(filled, OBSTACLE, FREE), UNEXPLORED)
     return "\n".join("".join(row) for row in marks)
-
-
-def _read_part2(part2: str, count: int) -> Bool:
-    bits, got = _from_hex(part2, "part 2")
-    digits, whole = -(-count // 4), 2 * -(-count // 8)
-    if got not in (digits, whole):
-        expected = f"{whole}" if digits == whole else f"{whole} (or {digits})"
-        squares = f"the {count} squares that part 1 has explored"
-        got_what = f"{got}: {'more' if got > whole else 'fewer'} than it has"
-        raise FormatError(f"expected {expected} digits in part 2 for {squares}, got {got_what}")
-    if bits[count:].any():
-        why = "it is longer than the squares that part 1 has explored"
-        raise FormatError(f"expected 0s after the {count} bits of part 2, got more: {why}")
-    return bits[:count].astype(np.bool_)
 
 
 def _flags(values: ArrayLike, name: str) -> Bool:
@@ -125,17 +123,12 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
     return rows, cols
 
 
-def _to_hex(bits: NDArray[np.generic]) -> str:
-    return np.packbits(bits.astype(np.uint8)).tobytes().hex().upper()
-
-
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
     """The bits, filled up to a full byte, and how many digits there are."""
     if not isinstance(text, str):
         raise FormatError(f"expected {name} as a string of hexadecimal digits, got {text!r}")
     digits = text.strip()
-    for digit in digits:
-        if digit not in hexdigits:
-            raise FormatError(f"expected hexadecimal digits in {name}, got {digit!r}")
+    if odd := digits.strip(hexdigits):
+        raise FormatError(f"expected hexadecimal digits in {name}, got {odd[0]!r}")
     data = bytes.fromhex(digits + "0" * (len(digits) % 2))
     return np.unpackbits(np.frombuffer(data, dtype=np.uint8)), len(digits)

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 from urllib.parse import unquote
 
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
@@ -32,7 +32,7 @@ class Files(Protocol):
     """Where a scene's files are looked for."""
 
     def has(self, path: Path) -> bool:
-        """Whether there is such a file."""
+        """Whether there is such a file; a pipe or a folder is none."""
 
     def bring(self, path: Path) -> None:
         """Make a file that is there ready for reading."""
@@ -42,7 +42,6 @@ class FilesHere:
     """The files of this machine."""
 
     def has(self, path: Path) -> bool:
-        """Whether there is such a file; a pipe or a folder is none."""
         return os.path.isfile(path)
 
     def bring(self, path: Path) -> None:
@@ -52,9 +51,7 @@ class FilesHere:
 HERE = FilesHere()
 
 
-class _Element(NamedTuple):
-    tag: str
-    attributes: dict[str, str]
+_Element = tuple[str, dict[str, str]]  # tag and attributes
 
 
 def find_inputs(
@@ -75,20 +72,24 @@ def find_inputs(
         missing: whether to list, of a file that is nowhere, all places where it may be.
     """
     elements = _read_elements(scene, files) if scene.suffix.lower() in XML_SUFFIXES else []
-    if elements and elements[0].tag == "robot":
-        names = [e.attributes.get("filename", "") for e in elements if e.tag == "mesh"]
-        found = {
-            path
-            for name in names
-            for path in _choose(mesh_places(scene, name), files, missing, first=True)
-        }
+    found: set[Path] = set()
+
+    def choose(places: Iterable[Path], first: bool = False) -> None:
+        places = list(places)
+        there = [place for place in places if files.has(place)]
+        found.update((there[:1] if first else there) or (places if missing else []))
+
+    if elements and elements[0][0] == "robot":
+        for tag, attributes in elements:
+            if tag == "mesh":
+                choose(mesh_places(scene, attributes.get("filename", "")), first=True)
     else:
-        named = _places_in_mjcf(scene, elements, files, looks)
-        found = {path for places in named for path in _choose(places, files, missing)}
+        for places in _places_in_mjcf(scene, elements, files, looks):
+            choose(places)
     for mesh in [scene, *found]:
         if mesh.suffix.lower() == ".gltf" and files.has(mesh):
-            for places in _buffer_places(mesh, files):
-                found.update(_choose(places, files, missing))
+            for uri in _buffer_names(mesh, files):
+                choose(mesh.parent / name for name in {uri, uri.strip(), unquote(uri)})
     return [scene, *sorted(found - {scene})]
 
 
@@ -103,15 +104,6 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
     for first in range(len(bare.parts)):
         for folder in folders:
             yield folder.joinpath(*bare.parts[first:])
-
-
-def _choose(
-    places: Iterable[Path], files: Files, missing: bool, *, first: bool = False
-) -> list[Path]:
-    """Those places, or the first, where a file is; all of them if `missing` and there is none."""
-    places = list(places)
-    found = [place for place in places if files.has(place)]
-    return (found[:1] if first else found) or (places if missing else [])
 
 
 def _places_in_mjcf(
@@ -167,18 +159,15 @@ def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Pa
     return list(paths)
 
 
-def _buffer_places(mesh: Path, files: Files) -> Iterator[list[Path]]:
-    """For each buffer of a glTF file that is a file, the paths that it may mean."""
+def _buffer_names(mesh: Path, files: Files) -> list[str]:
+    """What the buffers of a glTF file that are files are called there."""
     files.bring(mesh)
     try:
-        uris = [
-            str(each["uri"]) for each in json.loads(mesh.read_bytes())["buffers"] if "uri" in each
-        ]
+        buffers = json.loads(mesh.read_bytes())["buffers"]
+        uris = [str(each["uri"]) for each in buffers if "uri" in each]
     except (OSError, ValueError, RecursionError, LookupError, TypeError):
-        return
-    for uri in uris:
-        if not uri.startswith("data:") and "\0" not in unquote(uri):
-            yield [mesh.parent / name for name in {uri, uri.strip(), unquote(uri)}]
+        return []
+    return [uri for uri in uris if not uri.startswith("data:") and "\0" not in unquote(uri)]
 
 
 def _slashed(name: str) -> str:
@@ -195,15 +184,12 @@ def _read_elements(path: Path, files: Files) -> list[_Element]:
         content = COMMENT.sub(b"", path.read_bytes())
     except OSError:
         return []
+
+    def text(value: bytes) -> str:
+        """A name as the system's calls give it, also where it is no UTF-8."""
+        return html.unescape(value.decode(errors="surrogateescape"))
+
     return [
-        _Element(
-            _text(tag),
-            {_text(key): _text(one or two) for key, one, two in ATTRIBUTE.findall(attributes)},
-        )
+        (text(tag), {text(key): text(a or b) for key, a, b in ATTRIBUTE.findall(attributes)})
         for tag, attributes in ELEMENT.findall(content)
     ]
-
-
-def _text(value: bytes) -> str:
-    """A name as the system's calls give it, also where it is no UTF-8."""
-    return html.unescape(value.decode(errors="surrogateescape"))
