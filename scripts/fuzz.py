@@ -41,13 +41,13 @@ from navbake.batch.scenes import list_jobs
 from navbake.config.settings import load_config
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox
-from navbake.formats.geojson import read_room_outlines
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap
 from navbake.formats.procthor import encode_procthor
 from navbake.formats.scene_files import find_inputs
+from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import read_voxels
 from navbake.navgrid.grid import NavGrid
 from navbake.views.describe import describe

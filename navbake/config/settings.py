@@ -45,7 +45,7 @@ from navbake.config.field_types import (
 from navbake.config.scene import ExcludeSettings, SceneSettings, is_memory_path
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
-from navbake.formats.geojson import read_room_outlines
+from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
 

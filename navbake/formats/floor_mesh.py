@@ -1,25 +1,44 @@
-"""The walkable floor of a grid as a mesh: a few quads in place of one for each cell."""
+"""The walkable floor of a grid as a mesh: a few quads in place of one for each cell.
+
+It is written as binary glTF (.glb) and Wavefront OBJ here rather than by trimesh, which has no
+groups in an OBJ and no primitives of one object in a GLB: a level is an object, a room a material
+or a group of it.
+
+Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
+import struct
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
+from navbake._version import __version__
 from navbake.errors import QueryError
+from navbake.formats.source import Files
 from navbake.navgrid.colors import FREE, color_rooms, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import FARTHEST
-from navbake.types import Float, Int
+from navbake.types import Float, Int, Json
 
 TOLERANCE = 0.001  # [m]
 MAX_SLOPE = 45.0  # of files that state none [deg]
 SLACK = 1e-6  # of the steepest slope: what rounding makes of it
 NO_ROOM = "no room"
+COMPONENTS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
+VERTICES, INDICES = 34962, 34963  # targets of buffer views
+UPS = ("y", "z")
+VERTEX = "v %.10g %.10g %.10g %.3f %.3f %.3f\n"
+FACE = "f %d %d %d\nf %d %d %d\n"
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,4 +180,157 @@ def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
         colors = color_rooms(grid, number)[level.indices]
         colors[0] = rgb_of(FREE)
         found.append(colors)
+    return found
+
+
+# ---------------------------------------------------------------- files
+
+
+class Buffer:
+    """The one buffer of a GLB, and the tables of what lies where in it."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._views: list[Json] = []
+        self._accessors: list[Json] = []
+
+    def add_bytes(self, content: bytes, target: int | None = None) -> int:
+        """Append bytes, and return the number of their buffer view."""
+        view = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(content)}
+        self._views.append(view if target is None else {**view, "target": target})
+        self._data += content + bytes(-len(content) % 4)
+        return len(self._views) - 1
+
+    def add_indices(self, faces: NDArray[np.uint32]) -> int:
+        """Append indices into vertices, any shape, and return the number of their accessor."""
+        return self._add(np.ravel(faces), "SCALAR", INDICES)
+
+    def add_vectors(self, values: NDArray[Any], **more: Any) -> int:
+        """Append a vector for each vertex, (n, 2), (n, 3) or (n, 4), float32 or uint16; likewise.
+
+        `more` are further entries of the accessor.
+        """
+        return self._add(values, f"VEC{values.shape[1]}", VERTICES, **more)
+
+    def add_positions(self, vertices: NDArray[np.float32]) -> int:
+        """Append vertices, shape (n, 3), n > 0; glTF demands the bounds of these."""
+        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
+        return self.add_vectors(vertices, min=low, max=high)
+
+    def _add(self, values: NDArray[Any], shape: str, target: int, **more: Any) -> int:
+        values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        view = self.add_bytes(values.tobytes(), target)
+        component = COMPONENTS[values.dtype]
+        entry = {"bufferView": view, "componentType": component, "count": len(values)}
+        self._accessors.append({**entry, "type": shape, **more})
+        return len(self._accessors) - 1
+
+    def pack(self, document: Json) -> bytes:
+        """The content of a GLB file; what is empty in its document is left out, as glTF demands."""
+        tables = {"accessors": self._accessors, "bufferViews": self._views}
+        if self._data:
+            tables["buffers"] = [{"byteLength": len(self._data)}]
+        asset = {"version": "2.0", "generator": f"navbake {__version__}"}
+        whole = {"asset": asset, "scene": 0, **document, **tables}
+        text = orjson.dumps({key: value for key, value in whole.items() if value not in ([], {})})
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text
+        if self._data:
+            chunks += struct.pack("<I4s", len(self._data), b"BIN\0") + self._data
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Files:
+    """Make a GLB of a grid's walkable floor; see `make_floor_mesh` for its quads.
+
+    y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
+    name, whose origin is the outer corner of the level's cell 0 on its ground; each room a material
+    by its name, in its colour of the pictures.
+
+    Args:
+        path: the file.
+        tolerance: see `make_floor_mesh` [m].
+    """
+    mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
+    scenes = [{"nodes": list(range(len(mesh.levels)))}]
+    document: Json = {"scenes": scenes, "nodes": [], "meshes": [], "materials": []}
+    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+        x, y, z = level.origin
+        node: Json = {"name": level.name, "translation": [x, z, 0.0 - y]}
+        document["nodes"].append(node)
+        if not len(level.room):
+            continue
+        node["mesh"], primitives = len(document["meshes"]), list[Json]()
+        document["meshes"].append({"name": level.name, "primitives": primitives})
+        east, north, up = (level.vertices - level.origin).T
+        turned = np.stack([east, up, 0.0 - north], axis=1).astype(np.float32)
+        for room in np.unique(level.room).tolist():
+            # its quads in a row
+            first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
+            faces = level.faces[: 2 * (end - first)].astype(np.uint32)
+            name, materials = level.rooms[room], document["materials"]
+            primitives.append(
+                {
+                    "attributes": {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])},
+                    "indices": buffer.add_indices(faces),
+                    "material": len(materials),
+                    "extras": {"room": name},
+                }
+            )
+            color = [*(_linear(c) for c in colors[room].tolist()), 1.0]
+            looks = {"baseColorFactor": color, "metallicFactor": 0.0}
+            materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
+    return {path: buffer.pack(document)}
+
+
+def _linear(value: int) -> float:
+    """A part of a colour from sRGB, 0 to 255, to linear, 0 to 1 (IEC 61966-2-1)."""
+    share = value / 255
+    return round(share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4, 6)
+
+
+def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:
+    """Make an OBJ of a grid's walkable floor; see `make_floor_mesh` for its quads.
+
+    Each level is an object, each room a group of it, and each vertex has the colour of its room
+    after its position, which most programs read and the others skip. The format separates names by
+    spaces, so each character of a name that is no letter, digit, ``.`` or ``-`` becomes ``_``.
+
+    Args:
+        path: the file.
+        tolerance: see `make_floor_mesh` [m].
+        up: ``y``: ``(x, z, -y)`` of the world, as Recast, Unity and most programs take it; or
+            ``z``: the world's own x, y, z. Metres.
+
+    Raises:
+        QueryError: an argument is out of its range.
+    """
+    if up not in UPS:
+        raise QueryError(f"expected y or z as up, got {up!r}")
+    mesh = make_floor_mesh(grid, tolerance)
+    lines = [f"# the walkable floor of a navbake grid, in metres, {up} up\n"]
+    done, levels, groups = 0, set[str](), set[str]()
+    for level, colors in zip(mesh.levels, color_mesh(grid, mesh), strict=True):
+        lines.append(f"o {_own_name(level.name, levels)}\n")
+        x, y, z = level.vertices.T
+        z = np.round(z, 6)  # drops the noise of float32
+        points = np.stack([x, z, 0.0 - y] if up == "y" else [x, y, z], axis=1)
+        shades = colors[np.repeat(level.room, 4)] / 255
+        values = np.hstack([points, shades]).ravel().tolist()
+        lines.append((VERTEX * len(points)) % tuple(values))
+        faces = level.faces + done + 1  # counted from 1 through the file
+        for room in np.unique(level.room).tolist():
+            own = faces[np.repeat(level.room == room, 2)].ravel().tolist()
+            lines.append(f"g {_own_name(level.rooms[room], groups)}\n")
+            lines.append((FACE * (len(own) // 6)) % tuple(own))
+        done += len(points)
+    return {path: "".join(lines).encode()}
+
+
+def _own_name(name: str, used: set[str]) -> str:
+    """A name as OBJ takes it; what would be a second one gets a number."""
+    plain = re.sub(r"[^\w.\-]", "_", name) or "_"
+    numbered = (plain if k == 1 else f"{plain}_{k}" for k in itertools.count(1))
+    found = next(name for name in numbered if name not in used)
+    used.add(found)
     return found

@@ -30,7 +30,6 @@ from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
-from navbake.formats.geojson import read_room_outlines
 from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import (
@@ -44,6 +43,7 @@ from navbake.formats.occupancy import (
     level_from_values,
     values_of,
 )
+from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, path_name, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
@@ -315,7 +315,7 @@ def encode_mask(
         has_limits: whether it is the speed filter, whose zones have limits.
         image: ``pgm`` or ``png``; ``pgm`` if None.
         zone: which rooms and polygons.
-        zones: a GeoJSON file of polygons, see `navbake.formats.geojson.read_room_outlines`.
+        zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
 
     Raises:
         FormatError: nothing has such a name, a limit is none, or a polygon holds no cell's centre

@@ -24,9 +24,8 @@ from navbake.types import Bool, Json
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from navbake.formats.cell_graph import CellGraph
     from navbake.formats.floor_mesh import FloorMesh
-    from navbake.formats.room_graph import RoomGraph
+    from navbake.formats.graphs import CellGraph, RoomGraph
     from navbake.formats.shapes import Shape
     from navbake.navgrid.block_state import Block
     from navbake.runtime.place import Place
@@ -328,7 +327,7 @@ class Operations:
     def to_geojson(self, kinds: Collection[str] = KINDS) -> Json:
         """The same as a GeoJSON FeatureCollection; `convert` writes it.
 
-        See `navbake.formats.geojson.to_geojson`.
+        See `navbake.formats.shapes.to_geojson`.
 
         Args:
             kinds: which features: ``room``, ``walkable``, ``door``.
@@ -350,8 +349,8 @@ class Operations:
         Each gives itself `to_networkx`; of cells, `matrix` is for scipy.
 
         Args:
-            kind: ``cells``, see `navbake.formats.cell_graph.make_cell_graph`; or ``rooms``,
-                see `navbake.formats.room_graph.make_room_graph`.
+            kind: ``cells``, see `navbake.formats.graphs.make_cell_graph`; or ``rooms``,
+                see `navbake.formats.graphs.make_room_graph`.
             cut_corners: let diagonal steps pass blocked corners; of ``cells``.
 
         Raises:

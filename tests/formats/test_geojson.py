@@ -13,7 +13,7 @@ import shapely
 import navbake
 from grid_maps import level_from
 from navbake.errors import FormatError, MissingDependencyError
-from navbake.formats.geojson import read_room_outlines
+from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.rooms import measure_rooms
 from project_paths import GOLDEN
 

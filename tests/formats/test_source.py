@@ -9,7 +9,7 @@ import pytest
 import navbake
 from navbake.errors import ConfigError, FormatError, NavbakeError
 from navbake.formats.binvox import encode_binvox
-from navbake.formats.geojson import read_room_outlines
+from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import names_path
 from navbake.voxels.grid import VoxelGrid
 

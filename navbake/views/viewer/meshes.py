@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.mesh_files import Buffer
+from navbake.formats.floor_mesh import Buffer
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
