@@ -25,7 +25,7 @@ from navbake.batch.products import (
     OWN,
     RECORD,
     THUMBNAIL,
-    Product,
+    make_product,
     write_thumbnail,
 )
 from navbake.batch.settings import Job, settings_of, urls_in
@@ -72,7 +72,7 @@ class Plan(NamedTuple):
     folder: Folder
     settings: Json
     overrides: tuple[str, ...] = ()
-    products: tuple[Product, ...] = ()
+    products: tuple[str, ...] = ()
     thumbnail: bool = False
     has_table: bool = False
 
@@ -150,7 +150,7 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror | None) -> Scene:
     stated = {
         "settings": config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}}),
         "scene": config.inputs[0].name,  # which the grid states
-        "products": [str(product) for product in plan.products],
+        "products": list(plan.products),
         "version": __version__,
         "files": sorted(files),
     }
@@ -266,14 +266,14 @@ def stamp() -> str:
     return now.replace("+00:00", "Z")
 
 
-def prepare(products: Iterable[Product], thumbnail: bool) -> None:
+def prepare(products: Iterable[str], thumbnail: bool) -> None:
     """Make all of a sample, so that no scene pays for loading what that needs."""
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:
         for product in products:
             with suppress(NavbakeError):  # the scenes will say what is wrong
-                product.make(grid, config, folder)
+                make_product(product, grid, config, folder)
         if thumbnail:
             write_thumbnail(grid, folder)
         write_navgrid(grid, folder / GRID)
@@ -311,7 +311,7 @@ def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig
     """Write all that is asked for, the grid last; size and digest of each file by its name."""
     with scratch_folder() as folder:
         for product in plan.products:
-            product.make(grid, config, folder)
+            make_product(product, grid, config, folder)
         write_navgrid(grid, folder / GRID)
         files = {name: describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:

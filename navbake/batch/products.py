@@ -31,28 +31,8 @@ OWN = re.compile(
 )
 
 
-class Product(NamedTuple):
-    """One thing to make of each scene, as ``inflated:0.3`` asks for it.
-
-    Attributes:
-        kind: one of `KINDS`.
-        values: what stands after its name, between colons; numbers in their shortest form.
-    """
-
-    kind: str
-    values: tuple[str, ...]
-
-    def make(self, grid: NavGrid, config: BakeConfig, folder: Path) -> None:
-        """Write its files, each whole or not at all."""
-        KINDS[self.kind].make(grid, config, self.values, folder)
-
-    def __str__(self) -> str:
-        """As `parse_products` reads it."""
-        return ":".join((self.kind, *self.values))
-
-
-def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
-    """Read ``KIND`` or ``KIND:VALUE:…``, each once, in an order that doesn't depend on the given.
+def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
+    """Check ``KIND`` or ``KIND:VALUE:…``; each once, numbers in their shortest form, sorted.
 
     So the same products in another order are known to be made already.
 
@@ -60,19 +40,25 @@ def parse_products(texts: Sequence[str]) -> tuple[Product, ...]:
         ConfigError: there is no such kind, or its values are wrong.
         MissingDependencyError: what it needs is not installed.
     """
-    products = []
+    products = set()
     for text in texts:
         name, *values = text.split(":")
         kind = KINDS.get(name)
         if kind is None or not kind.least <= len(values) <= kind.most:
             wanted = kind.usage if kind else f"one of {', '.join(k.usage for k in KINDS.values())}"
             raise ConfigError(f"expected {wanted} to make, got {text!r}")
-        products.append(Product(name, kind.check(values, text)))
-    distinct = tuple(dict.fromkeys(products))
-    if sum(product.kind == "picture" for product in distinct) > 1:
-        asked = ", ".join(str(product) for product in distinct if product.kind == "picture")
+        products.add(":".join((name, *kind.check(values, text))))
+    pictures = sorted(product for product in products if product.startswith("picture"))
+    if len(pictures) > 1:
+        asked = ", ".join(pictures)
         raise ConfigError(f"expected one picture, with all its layers, to make, got {asked}")
-    return tuple(sorted(distinct))
+    return tuple(sorted(products))
+
+
+def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> None:
+    """Write the files of a product, each whole or not at all."""
+    name, *values = product.split(":")
+    KINDS[name].make(grid, config, values, folder)
 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:

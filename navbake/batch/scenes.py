@@ -13,7 +13,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any
 
 from navbake.batch.products import OWN
 from navbake.batch.settings import Job, check_shared, merge, nest, of_id
@@ -44,15 +44,6 @@ MAX_BYTES = 200  # of a part of an id; file systems take 255
 WANTED = "expected a scene, settings, a list or a pattern, got"
 
 
-class _Entry(NamedTuple):
-    """A scene whose id may not be known yet."""
-
-    id: str | None
-    source: str
-    settings: Json
-    place: str
-
-
 def list_jobs(sources: Iterable[str]) -> list[Job]:
     """List the scenes that some sources name, in their order.
 
@@ -76,10 +67,8 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     if not found:
         raise ConfigError("expected at least one scene, got none")
     jobs = [
-        Job(name, entry.source, merge(entry.settings, of_id(name)), entry.place)
-        if entry.id is not None
-        else Job(name, entry.source, entry.settings, entry.place)
-        for name, entry in zip(_name(found), found, strict=True)
+        job._replace(id=name, settings=merge(job.settings, of_id(name)) if job.id else job.settings)
+        for name, job in zip(_name(found), found, strict=True)
     ]
     for job in jobs:
         check_id(job.id, job.place)
@@ -143,18 +132,18 @@ def _check_unique(jobs: list[Job]) -> None:
             )
 
 
-def _name(found: list[_Entry]) -> list[str]:
+def _name(found: list[Job]) -> list[str]:
     """The id of each entry: its own, or the end of its path that no other has."""
     paths = [_parts_of(entry.source) for entry in found]
     depths = [1] * len(found)
     while True:
         names = [
-            entry.id if entry.id is not None else "/".join(parts[-depth:])
+            entry.id or "/".join(parts[-depth:])
             for entry, parts, depth in zip(found, paths, depths, strict=True)
         ]
         counts = Counter(map(fold_name, names))
         longer = [
-            depth + (entry.id is None and counts[fold_name(name)] > 1 and depth < len(parts))
+            depth + (not entry.id and counts[fold_name(name)] > 1 and depth < len(parts))
             for entry, parts, depth, name in zip(found, paths, depths, names, strict=True)
         ]
         if longer == depths:
@@ -170,7 +159,7 @@ def _parts_of(source: str) -> tuple[str, ...]:
     return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
 
 
-def _expand(source: str) -> Iterator[_Entry]:
+def _expand(source: str) -> Iterator[Job]:
     """The scenes that a source names."""
     name = shown(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
@@ -191,15 +180,15 @@ def _expand(source: str) -> Iterator[_Entry]:
         if not paths:
             raise ConfigError(f"expected files that match {name}, got none")
         for path in paths:
-            yield _Entry(None, path, {}, shown(path))
+            yield Job("", path, {}, shown(path))
     else:
-        yield _Entry(None, source, {}, name)
+        yield Job("", source, {}, name)
 
 
 # ---------------------------------------------------------------- lists
 
 
-def _read_list(source: str) -> Iterator[_Entry]:
+def _read_list(source: str) -> Iterator[Job]:
     """The scenes of a list, each with the place of its row for messages."""
     name = shown(source)
     kind = PurePosixPath(name).suffix.lower()
@@ -213,7 +202,7 @@ def _read_list(source: str) -> Iterator[_Entry]:
         raise ConfigError(f"expected at least one scene in {name}, got none")
 
 
-def _entry(row: Json, folder: Folder, place: str) -> _Entry:
+def _entry(row: Json, folder: Folder, place: str) -> Job:
     row = _without_nones(row)
     given = [key for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(row[given[0]], str):
@@ -236,7 +225,7 @@ def _entry(row: Json, folder: Folder, place: str) -> _Entry:
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
-    return _Entry(None if name is None else str(name), join(folder, path), settings, place)
+    return Job("" if name is None else str(name), join(folder, path), settings, place)
 
 
 def _without_nones(row: Mapping[str, Any]) -> Json:

@@ -21,7 +21,8 @@ class Job(NamedTuple):
     """One scene of a batch.
 
     Attributes:
-        id: unique in the batch; the folder of what is made of it, parts between slashes.
+        id: unique in the batch; the folder of what is made of it, parts between slashes. Empty
+            while it isn't known yet.
         source: the path or URL of the scene, or of its settings (YAML).
         settings: what replaces the batch's settings for it, by section.
         place: where it stands in a list, for messages.

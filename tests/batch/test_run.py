@@ -248,7 +248,7 @@ def test_a_user_s_file_is_replaced_whole_or_stays(scenes, here, monkeypatch):
     Path("out/first").mkdir(parents=True)
     Path("out/first/report.html").write_text("mine")
     with monkeypatch.context() as patch:
-        patch.setattr(products.Product, "make", Mock(side_effect=NavbakeError("broken")))
+        patch.setattr(job_module, "make_product", Mock(side_effect=NavbakeError("broken")))
         assert run(ALL[0], products=["nav2", "report"])[1].count("failed") == 1
     assert os.listdir("out/first") == ["report.html"]
     assert Path("out/first/report.html").read_text() == "mine"
@@ -296,7 +296,7 @@ def test_names_of_products_are_known_as_ours(tmp_path, num_levels):
     for product in products.parse_products([*texts, "voxels:1", "report"]):
         folder = tmp_path / str(product).replace(":", "-")
         folder.mkdir()
-        product.make(grid, config, folder)
+        products.make_product(product, grid, config, folder)
         assert os.listdir(folder) and all(map(products.OWN.fullmatch, os.listdir(folder)))
 
 
@@ -678,14 +678,14 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
     """Else the first scene pays for loading it."""
     made, folders = [], []
 
-    class Fake:
-        def make(self, grid, config, folder):
-            made.append(len(grid.rooms))
-            folders.append(folder)
-            raise ConfigError("it can't be made of the sample")
+    def make(product, grid, config, folder):
+        made.append(len(grid.rooms))
+        folders.append(folder)
+        raise ConfigError("it can't be made of the sample")
 
+    monkeypatch.setattr(job_module, "make_product", make)
     monkeypatch.setattr(job_module, "write_thumbnail", lambda grid, folder: folders.append(folder))
     job_module.prepare((), True)
-    job_module.prepare((Fake(),), True)
+    job_module.prepare(("report",), True)
     assert len(folders) == 3 and len(made) == 1 and made[0] > 1
     assert not any(folder.exists() for folder in folders)
