@@ -90,9 +90,8 @@ def check_weights(facts: Facts) -> Iterator[Found]:
 def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
     """The cells of a level that have something within reach [m] for which they may be closed.
 
-    That is a cell that is occupied or has no floor, a floor more than a step higher or lower, a
-    floor of another level less than the agent's height away, or the edge of the level. They are
-    looked for in a square, so that more cells have a reason than an inflation closes, never less.
+    An occupied cell, none, a floor more than a step off, one of another level less than the agent's
+    height away, or the edge: looked for in a square, so that none is missed.
     """
     level = grid.levels[number]
     cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))

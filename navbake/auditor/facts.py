@@ -27,12 +27,7 @@ SLACK = 1e-6  # metres that a step may be over the highest one
 
 
 class Steps(NamedTuple):
-    """Marked cells of a level beside each other that lie more than a step apart.
-
-    Attributes:
-        down: flat ids of those whose neighbour in the next row does.
-        right: of those whose neighbour in the next column does.
-    """
+    """Flat ids of marked cells that lie more than a step beside the next row's, or column's."""
 
     down: Int
     right: Int
@@ -57,16 +52,10 @@ def find_steps(mask: Bool, floor: Float, limit: float) -> Steps:
 def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[Int32]:
     """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
 
-    Neighbours by an edge hang together unless there is a step between them; so do the ends of a
-    link. These are the parts of an image, unlike in a bake: a check shares no code with what it
-    checks. Where there are steps, the image has a pixel for each pair of neighbours.
-
-    Of parts of one size, that with the lowest cell comes first.
-
-    Args:
-        masks: the marked cells of each level, shape (height, width).
-        steps: between them, see `find_steps`.
-        links: level, cell, level and cell of each, shape (n, 4).
+    Neighbours by an edge hang together unless there is a step between them (see `find_steps`), and
+    so do the ends of a link (level, cell, level, cell), shape (n, 4). These are the parts of an
+    image, which shares no code with a bake. Of parts of one size, that with the lowest cell comes
+    first.
     """
     parts, count = list[Int32](), 1
     for mask, between in zip(masks, steps, strict=True):
@@ -99,25 +88,14 @@ def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[In
 
 
 class Inflation(NamedTuple):
-    """What a grid's metadata say under `inflation`.
+    """What a grid's metadata say under `inflation`; None for nothing, and for nothing wrong."""
 
-    Attributes:
-        reach: how far from a cell's centre may be what closed it [m]; None if nothing is said of
-            any inflation.
-        broken: what is wrong with it, in words; None if nothing is.
-    """
-
-    reach: float | None
-    broken: str | None
+    reach: float | None  # how far from a cell's centre may be what closed it [m]
+    broken: str | None  # what is wrong, in words
 
 
 class Facts:
-    """Layers and parts of a grid, each found when a check first asks for it.
-
-    Attributes:
-        grid: the grid, without what is blocked for a while.
-        levels: its levels.
-    """
+    """Layers and parts of a grid without its blocks, each found when it is first needed."""
 
     def __init__(self, grid: GridBase) -> None:
         self.grid: GridBase = grid.without_blocks()

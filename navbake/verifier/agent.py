@@ -16,17 +16,12 @@ MOST_RADIUS = 10_000.0  # for which a grid can be inflated [m]
 
 
 class Agent(NamedTuple):
-    """For whom the grid is.
-
-    Attributes:
-        height, radius, step: as baked [m].
-        min_up: least z of a floor's unit normal.
-    """
+    """For whom the grid is: height, radius and step as baked [m]."""
 
     height: float
     radius: float
     step: float
-    min_up: float
+    min_up: float  # least z of a floor's unit normal
 
     @classmethod
     def of(cls, grid: GridBase) -> Agent:
@@ -64,19 +59,11 @@ def _is_within(value: Any, least: float, most: float) -> bool:
 
 
 class Inflation(NamedTuple):
-    """What was done to a grid for a larger agent.
+    """What was done to a grid for a larger agent."""
 
-    Attributes:
-        radius: of the cylinder that stands on free cells [m]; None for the baked footprint.
-        reach: how far from the centre of a cell that was closed the reason may be [m]; 0 where
-            nothing was closed.
-        by_centres: whether that is an occupied cell of any kind, as in the mode ``minos``, which
-            measures to the centres of cells.
-    """
-
-    radius: float | None = None
-    reach: float = 0.0
-    by_centres: bool = False
+    radius: float | None = None  # of the cylinder on free cells [m]; None for the baked footprint
+    reach: float = 0.0  # how far from a closed cell's centre the reason may be [m]
+    by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
 
 
 def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[str]]:

@@ -23,19 +23,12 @@ SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 class Unknown(NamedTuple):
-    """A place to stand that no level has.
-
-    Attributes:
-        cell: row and column on the level where it was looked for.
-        place: world x, y, z [m].
-        geom: the name of the geom to stand on.
-        is_step: whether a step joins it to the floor of a free cell.
-    """
+    """A place to stand that no level has."""
 
     cell: tuple[int, int]
     place: Vector3
     geom: str
-    is_step: bool
+    is_step: bool  # whether a step joins it to the floor of a free cell
 
 
 def rounding(*coordinates: float) -> float:
@@ -187,26 +180,18 @@ Node = tuple[int, int, int]
 class Sheet:
     """What a search from one place found.
 
-    Attributes:
-        place: where it began, x, y, z [m].
-        geom: the name of the geom there.
-        reached: whether steps lead to a floor of the grid.
-        area: [m²].
-        inner: of that, what is farther from the outline than floors are shrunk by.
-        over: of the area, what lies over a place to stand that isn't its own.
-        walls, drops, edges: how many edges of its outline have a wall, drop to another floor; and
-            all. What drops to the sheet itself, as beside its own stairs, makes it no top.
+    What drops to the sheet itself, as beside its own stairs, makes it no top.
     """
 
     place: Vector3
     geom: str
-    reached: bool = False
+    reached: bool = False  # whether steps lead to a floor of the grid
     area: float = 0.0
-    inner: float = 0.0
-    over: float = 0.0
-    walls: int = 0
-    drops: int = 0
-    edges: int = 0
+    inner: float = 0.0  # of the area, what is farther from the outline than floors are shrunk by
+    over: float = 0.0  # of the area, what lies over a place to stand that isn't its own
+    walls: int = 0  # edges of its outline with a wall,
+    drops: int = 0  # that drop to another floor,
+    edges: int = 0  # and all
 
     def why_floor(self, min_area: float) -> str | None:
         """Why it is a floor by itself, in words; None if it isn't."""

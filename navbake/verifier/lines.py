@@ -34,12 +34,7 @@ class Surface(NamedTuple):
 
 
 class Line(NamedTuple):
-    """What a vertical line meets.
-
-    Attributes:
-        surfaces: the crossings, lowest first.
-        solid: the stretches inside of something solid: lower and upper end [m].
-    """
+    """What a vertical line meets: crossings, lowest first, and stretches inside of solids [m]."""
 
     surfaces: list[Surface]
     solid: list[tuple[float, float]]
@@ -106,15 +101,11 @@ class Lines:
     def faces_up_beside(
         self, at: Vector3, off: float, reach: float = CRACK, *, min_up: float = np.inf
     ) -> bool:
-        """Whether a surface faces up within reach of a place, where a line may run through a crack.
+        """Whether a surface faces up within reach of a place [m]: its line may run through a crack.
 
-        Lines are cast at some places beside it.
-
-        Args:
-            at: the place [m].
-            off: how far above or below it the surface may be [m].
-            min_up: least z of the normal of floors that count also between these lines, where
-                their slope may take them.
+        It may be `off` above or below. Lines are cast at some places beside it; floors whose normal
+        has a z of at least `min_up` count also between these lines, where their slope may take
+        them.
         """
         x, y, z = at
         beyond = np.array([reach + RIM, reach + RIM, off])

@@ -39,15 +39,7 @@ UPRIGHT = 1e-9  # least z of a unit normal, up or down, of what a vertical line 
 
 @dataclass(eq=False)
 class Obstacle:
-    """One convex solid, plane, height field, or part of a mesh.
-
-    Attributes:
-        geom: id of the scene's geom that it belongs to.
-        kind: CONVEX, HALF_SPACE, HEIGHT_FIELD, or a part's SHEET, SOLID, CAVITY or UNCLEAR.
-        shape: FCL's object, in its place.
-        low, high: its box, world frame [m]; infinite for half-spaces.
-        points: corners of a hull, world frame, shape (n, 3) [m]; None for all else.
-    """
+    """One convex solid, plane, height field, or part of a mesh."""
 
     geom: int
     kind: str
@@ -69,15 +61,9 @@ class Obstacle:
 class Obstacles:
     """All obstacles, numbered as the geoms of a MuJoCo model that holds nothing else.
 
-    Attributes:
-        items: obstacle i is geom i of the model.
-        names: of the scene's geoms, by id.
-        model, data: the MuJoCo model; two more geoms, a box and a cylinder, are to probe with, and
-            behind them are those of `facing`.
-        facing: of each surface of a mesh, the model's geoms with its triangles that face up, and
-            with those that face down: where two lie in one place, a ray meets only one of them.
-        low, high: boxes of all, shape (n, 3) [m].
-        pos, mat, size: poses and sizes of the model's geoms, its own arrays.
+    Behind them the model has a box and a cylinder to probe with, and the geoms of `facing`: of each
+    surface of a mesh, its triangles that face up, and those that face down, because where two lie
+    in one place, a ray meets only one of them.
     """
 
     items: list[Obstacle]
@@ -146,11 +132,7 @@ def _reach(kind: int, size: Float, way: Float) -> float:
 
 
 def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> Obstacles:
-    """Make the obstacles of the geoms that count.
-
-    Args:
-        data: the pose; doors may stand otherwise than in the scene's own.
-        left_out: ids of geoms that are not there.
+    """Make the obstacles of the geoms that count, but for some, in a pose that doors may change.
 
     Raises:
         SceneError: MuJoCo can't compile them.
@@ -163,15 +145,7 @@ def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> 
 
 
 class _Piece(NamedTuple):
-    """What an obstacle is made of, in its geom's frame.
-
-    Attributes:
-        kind: see `Obstacle`.
-        shape: FCL's.
-        geom: what MuJoCo's geom is made of.
-        points: corners; None for what has none.
-        triangles: those of a surface that vertical lines cross, by its points.
-    """
+    """What an obstacle is made of, in its geom's frame."""
 
     kind: str
     shape: Any
@@ -401,10 +375,6 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
     A part is what hangs together over edges. It encloses a volume where each of its edges is met
     as often in one direction as in the other. What only might enclose one (edges that are met
     twice, but in one direction) is unclear: there, only its surface is judged.
-
-    Args:
-        vertices: shape (n, 3) [m].
-        faces: shape (m, 3), counter-clockwise from outside.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.reshape(-1)[faces]

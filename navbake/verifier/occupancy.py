@@ -20,28 +20,20 @@ MEASURED = 100  # findings of a kind whose depth or gap is measured
 
 
 class _Touched(NamedTuple):
-    """What touches the volumes over cells, each of shape (n,).
+    """What touches the volumes over cells, each of shape (n,)."""
 
-    Attributes:
-        by: an obstacle that does, -1 for none.
-        part: the number of the volume's part that it touches.
-        disputed: where the libraries contradict each other.
-    """
-
-    by: Int
-    part: Int
-    disputed: Bool
+    by: Int  # an obstacle that does, -1 for none
+    part: Int  # the number of the volume's part that it touches
+    disputed: Bool  # where the libraries contradict each other
 
 
 class OccupancyCheck:
     """Checks the cells of levels.
 
     A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
-    cell's, made larger by it, must touch something, or lie inside of something.
-
-    Attributes:
-        num_groundless: blocked cells that touch nothing, of levels that state no floors, where the
-            scene has no place to stand at the level's ground.
+    cell's, made larger by it, must touch something, or lie inside of something. `num_groundless`
+    counts those that touch nothing, of levels that state no floors, where the scene has no place to
+    stand at the level's ground.
     """
 
     def __init__(

@@ -24,15 +24,9 @@ HALVINGS = 14  # of an interval of at most `FARTHEST`: to a tenth of a millimetr
 
 
 class Column(NamedTuple):
-    """An upright prism: a box, which may be turned round the vertical, or a cylinder.
+    """An upright prism: a box, which may be turned round the vertical, or a cylinder [m]."""
 
-    Attributes:
-        half_x, half_y: half-sizes of the box [m]; of a cylinder both are its radius.
-        half_z: half of its height [m].
-        is_round: whether it is a cylinder.
-    """
-
-    half_x: float
+    half_x: float  # of a cylinder both are its radius
     half_y: float
     half_z: float
     is_round: bool

@@ -21,28 +21,17 @@ TINY = 1e-10  # share of a radius by which a square only touches a disc; less th
 
 @dataclass(frozen=True)
 class LevelSample:
-    """Cells of one level.
-
-    Attributes:
-        number: the level.
-        level: its grid.
-        rows, cols: of the cells, shape (n,).
-        xy: their centres, shape (n, 2), world frame [m].
-        floor: their floors, NaN for none [m].
-        free: whether an agent can stand there.
-        occupied: whether the layer of the occupancy says so; an inflation leaves it as baked.
-        states_floors: whether the grid states floors of cells; else all are at the ground.
-    """
+    """Cells of one level, shape (n,)."""
 
     number: int
     level: SceneGrid2D
     rows: Int
     cols: Int
     xy: Float
-    floor: Float
-    free: Bool
-    occupied: Bool
-    states_floors: bool
+    floor: Float  # NaN for none [m]
+    free: Bool  # whether an agent can stand there
+    occupied: Bool  # as the layer says; an inflation leaves it as baked
+    states_floors: bool  # whether the grid states floors of cells; else all are at the ground
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -177,17 +166,11 @@ def _offsets(radius: float) -> list[tuple[int, int]]:
 
 
 class Part(NamedTuple):
-    """One part of the volume over each cell: a square's or a disc's.
+    """One part of the volume over each cell: a square's or a disc's."""
 
-    Attributes:
-        half: half of its edge, or its radius [m].
-        is_round: whether it is a disc's.
-        low, high: the heights between which nothing may touch, of each cell [m].
-    """
-
-    half: float
-    is_round: bool
-    low: Float
+    half: float  # half of its edge, or its radius [m]
+    is_round: bool  # whether it is a disc's
+    low: Float  # the heights between which nothing may touch [m]
     high: Float
 
     def column(self, cell: int) -> Column:
@@ -201,11 +184,8 @@ def volume_over(
 ) -> list[Part]:
     """The volume over each cell: its square as baked, joined with a disc.
 
-    The disc is that of the bake, from a step above the floor to the agent's height; or one for a
-    larger agent, between the heights that all floors under it leave free.
-
-    Args:
-        radius: of a larger agent [m]; None for the baked footprint.
+    The disc is that of the bake, from a step above the floor to the agent's height; or one for the
+    radius of a larger agent [m], between the heights that all floors under it leave free.
     """
     half, floor = sample.level.lattice.cell_size / 2, sample.floor
     square = Part(half, False, floor + agent.step, floor + agent.height)

@@ -37,19 +37,12 @@ class NoSceneError(QueryError):
 
 
 class Source(NamedTuple):
-    """The scene that a grid is compared with.
-
-    Attributes:
-        scene: the loaded scene.
-        config: the settings that it was loaded with.
-        are_known: whether these are the settings of the bake, as far as the grid tells.
-        notes: what the user should know of them.
-    """
+    """The scene that a grid is compared with."""
 
     scene: Scene
-    config: BakeConfig
-    are_known: bool
-    notes: list[str]
+    config: BakeConfig  # that it was loaded with
+    are_known: bool  # whether they are those of the bake, as far as the grid tells
+    notes: list[str]  # what the user should know of them
 
 
 def find_source(
@@ -153,19 +146,12 @@ HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE
 
 
 class DoorPose(NamedTuple):
-    """How the doors stand.
+    """How the doors stand."""
 
-    Attributes:
-        data: MuJoCo's data with the doors' joints moved.
-        removed: ids of the geoms of removed doors.
-        geoms: ids of the geoms of all doors: no floor is one of them.
-        unknown: ids of doors that the scene doesn't have.
-    """
-
-    data: Any
-    removed: set[int]
-    geoms: set[int]
-    unknown: list[str]
+    data: Any  # with the doors' joints moved
+    removed: set[int]  # ids of the geoms of removed doors
+    geoms: set[int]  # and of all doors: no floor is one of them
+    unknown: list[str]  # ids of doors that the scene doesn't have
 
 
 def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:

@@ -22,20 +22,13 @@ LEVEL = 1e-4  # pieces whose floors differ by less are swept as one [m]
 
 
 class Piece(NamedTuple):
-    """A straight part of a path on one floor.
-
-    Attributes:
-        a, b: its ends from above, shape (2,) [m].
-        floor: [m].
-        low, high: the lowest and the highest floor under the cylinder, within a step [m].
-        level: the level.
-    """
+    """A straight part of a path on one floor, from above."""
 
     a: Float
     b: Float
     floor: float
-    low: float
-    high: float
+    low: float  # the lowest floor under the cylinder, within a step [m]
+    high: float  # and the highest
     level: int
 
 

@@ -118,14 +118,9 @@ def verify_scene(
     config: BakeConfig | None,
     notes: Sequence[str] = (),
 ) -> VerifyReport:
-    """Compare a grid with a loaded scene.
+    """Compare a grid with a loaded scene, with the settings of the bake, where they are known.
 
-    Args:
-        config: the settings of the bake, where they are known.
-        notes: what the report is to say first.
-
-    Raises:
-        QueryError, FormatError: as of `verify`.
+    Notes come first in the report. Raises as `verify`.
     """
     content: Any = grid.without_blocks()
     agent, doors = Agent.of(content), pose_doors(scene, content)

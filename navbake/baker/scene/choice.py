@@ -17,18 +17,11 @@ MeshMode = Literal["hull", "surface", "shell"]
 
 
 class Choice(NamedTuple):
-    """What becomes of one geom.
+    """What becomes of one geom."""
 
-    Attributes:
-        counted: whether it takes part in the bake.
-        reason: why.
-        mesh: as what it counts if it is a mesh: its convex hull, its own triangles, or a shell
-            of them that encloses nothing.
-    """
-
-    counted: bool
+    counted: bool  # whether it takes part in the bake
     reason: str
-    mesh: MeshMode
+    mesh: MeshMode  # as what, if it is a mesh; a shell encloses nothing
 
 
 def choose_geoms(
@@ -45,12 +38,8 @@ def choose_geoms(
     MuJoCo's viewers draw, and no stand-in, which is a geom that can collide on a body that has
     drawn geoms of another group that can't; the world's own geoms are no stand-ins.
 
-    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless the hull
-    hides room for an agent to stand in.
-
-    Args:
-        hides_room: tells of a geom that is a mesh whether its hull does.
-        ground: the geom that `scene.ground` added; it counts, whatever the settings say.
+    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless
+    `hides_room` says that it hides room for an agent. `ground` counts whatever the settings say.
 
     Returns:
         A choice for each geom, by its id, and what the user should know, one line each.

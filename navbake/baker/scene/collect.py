@@ -34,13 +34,7 @@ TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box 
 
 
 class GeomTriangles(NamedTuple):
-    """The triangles of one geom, what they enclose, see `Triangles`, and its `GeomReport.shape`.
-
-    Attributes:
-        vertices: shape (n, 3) [m].
-        faces: indices into `vertices`, shape (m, 3).
-        part, closed: shape (m,).
-    """
+    """The triangles of one geom, what they enclose, see `Triangles`, and its `GeomReport.shape`."""
 
     vertices: Float
     faces: Int32
@@ -115,13 +109,9 @@ def collect_shapes(
     only: Iterable[int] | None = None,
     meshes: MeshTriangles | None = None,
 ) -> Collected:
-    """Gather the geometry of the geoms that count.
+    """Gather the geometry of the geoms that count, of all or of some ids, ascending.
 
-    Args:
-        choices: what becomes of each geom, by its id.
-        parts: exact meshes by geom id, world frame (the model has none of these).
-        only: ids of the geoms to look at, ascending; all if None.
-        meshes: what is known of the model's meshes; nothing if None.
+    Exact meshes by geom id are in the world's frame, and none of the model's.
 
     Raises:
         SceneError: a geom that counts stands at no finite place, or is broken.

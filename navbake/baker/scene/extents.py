@@ -16,12 +16,8 @@ DIRECTIONS = 180
 class Extents(NamedTuple):
     """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted.
 
-    Attributes:
-        center: x, y of the middles, shape (n, 2), float64 [m].
-        across: unit vectors along the shorter sides, shape (n, 2), float64.
-        thin: the shorter sides, shape (n,), float64 [m].
-        long: the longer sides, shape (n,), float64 [m].
-        low, high: heights of bottom and top, shape (n,), float64 [m].
+    Middles and unit vectors along the shorter sides, (n, 2); shorter and longer sides, heights of
+    bottom and top, (n,) [m].
     """
 
     center: Float
@@ -102,14 +98,9 @@ def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:
 
 
 def find_facing(corners: Float, group: Int32, num: int) -> Float:
-    """The angle, modulo a right one, that most upright faces of each group look at [rad].
+    """The angle, modulo a right one, that most upright faces of each group look at, (num,) [rad].
 
-    Args:
-        corners: of triangles, shape (m, 3, 3) [m].
-        group: the group of each triangle, a number below `num`, shape (m,).
-
-    Returns:
-        Shape (num,), float64.
+    Takes corners of triangles, (m, 3, 3) [m], and the group of each, below `num`, (m,).
     """
     count, size = len(group), num * DIRECTIONS
     way, weight, off = np.empty(count, np.int32), np.empty(count), np.empty(count)

@@ -41,9 +41,9 @@ class HiddenRoom:
 
         Room is what a vertical line has free inside of the hull over at least the agent's height:
         over a surface that faces up, or under one that faces down, or where the mesh has none at
-        all; but not inside of the mesh's closed parts, and not behind its front, as under the top
-        of a rock without a bottom. It has to be as large as a floor (`floors.min_area` after
-        `floors.shrink`). Furniture is too small for that, which its box alone tells.
+        all; but not inside of the mesh's closed parts, nor behind its front. It has to be as large
+        as a floor (`floors.min_area` after `floors.shrink`). Its box alone tells that furniture is
+        not.
         """
         if not self.is_large(geom):
             return False

@@ -55,7 +55,6 @@ def load_isolated(
 
     Raises:
         SceneError: MuJoCo crashed, or took more time or memory than it may; or as `load_model`.
-        ConfigError: as `load_model`.
     """
     scene = Path(settings.path)
     with scratch_folder() as place:

@@ -28,9 +28,6 @@ def prepare_obj(path: Path) -> bytes:
 
     trimesh counts relative indices from the end of the file, not from where they stand, and
     passes over lines that are indented.
-
-    Raises:
-        SceneError: a face counts from 0, or from before the first vertex.
     """
     text = _as_utf8(path.read_bytes()).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = text.replace(b"\\\n", b" ")
@@ -183,9 +180,8 @@ UNREAD = {
 def check_gltf(path: Path) -> None:
     """Refuse a glTF or GLB file that trimesh would read as something else.
 
-    Raises:
-        SceneError: it is cut off or none, uses an extension that changes its shape, or numbers
-            that trimesh reads wrongly (normalized, sparse).
+    It is cut off or none, uses an extension that changes its shape, or numbers that trimesh reads
+    wrongly (normalized, sparse).
     """
     try:
         data = path.read_bytes()

@@ -41,13 +41,10 @@ OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_m
 
 
 class MeshPart(NamedTuple):
-    """One named piece of a mesh file.
+    """One named piece of a mesh file; faces are counter-clockwise from outside.
 
-    Attributes:
-        name: as the file has it; unique in what `read_mesh_parts` and `take_mesh_parts` give.
-        vertices: shape (n, 3), float64: the file's own frame and unit from a reader, the world's
-            [m] from `read_mesh_parts` and `take_mesh_parts`.
-        faces: shape (m, 3), int32, indices into `vertices`, counter-clockwise from outside.
+    Its name is the file's, and unique in what `read_mesh_parts` and `take_mesh_parts` return, which
+    is in the world's frame [m]; from a reader it is in the file's own frame and unit.
     """
 
     name: str
@@ -63,11 +60,6 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     vertical axis (a DAE's ``<up_axis>``, glTF's y up) counts for nothing: files are wrong about
     it too often, so `up` alone decides. Triangles without area, unused vertices and parts without
     triangles are dropped. The parts' names are unique.
-
-    Args:
-        path: an OBJ, PLY, STL, GLB, GLTF or DAE file.
-        up: the file's vertical axis, "z" or "y".
-        unit: metres per unit of the file (of a DAE: per metre of the file), > 0.
 
     Raises:
         SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
@@ -89,17 +81,10 @@ def is_mesh_scene(scene: Any) -> bool:
 
 
 def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
-    """Take a trimesh.Scene or trimesh.Trimesh as named parts in the world frame.
+    """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_mesh_parts` a file.
 
-    Parts are named by the scene graph's nodes. For the rest, see `read_mesh_parts`; what the
-    scene says of its unit counts for nothing, as `unit` decides. The scene stays as it is.
-
-    Args:
-        path: what errors call the scene, and whose stem parts without a name of their own get.
-        up, unit: as of `read_mesh_parts`.
-
-    Raises:
-        SceneError: as `read_mesh_parts`.
+    Parts are named by the scene graph's nodes, or by the stem of the path, which errors name. What
+    the scene says of its unit counts for nothing, as `unit` decides.
     """
     with _silence():
         whole = scene if isinstance(scene, trimesh.Scene) else trimesh.Scene(scene)

@@ -45,15 +45,7 @@ def mujoco_version() -> str:
 
 
 class OpenScene(NamedTuple):
-    """A scene's compiled model, before geoms are chosen.
-
-    Attributes:
-        model: the mujoco.MjModel.
-        parts: the exact meshes of a mesh scene by geom id, see `Scene.parts`.
-        ground: the geom of `scene.ground`; None without.
-        warnings: of MuJoCo as it compiled, and of what was left out.
-        data: its mujoco.MjData in the pose to bake; None for the pose that the settings ask for.
-    """
+    """A scene's compiled mujoco.MjModel, before geoms are chosen."""
 
     model: Any
     parts: dict[int, MeshPart]
@@ -65,16 +57,11 @@ class OpenScene(NamedTuple):
 def load_model(
     settings: SceneSettings, warnings: list[str]
 ) -> tuple[Any, dict[int, MeshPart], int | None]:
-    """The compiled mujoco.MjModel of a scene file, and the exact meshes of a mesh scene.
+    """The compiled model of a scene file, the exact meshes of a mesh scene, and its ground.
 
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
-    other geoms and bodies keep their ids.
-
-    Args:
-        warnings: what `catch_warnings` collects; a part of the reason where MuJoCo fails.
-
-    Returns:
-        The model, meshes by geom id, see `Scene.parts`, and the geom of `scene.ground`.
+    other geoms and bodies keep their ids; its geom is None without. Where MuJoCo fails, `warnings`,
+    which `catch_warnings` collects, are a part of the reason.
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
@@ -263,14 +250,9 @@ def name_of(scene: Any) -> str:
 def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     """The model of a scene in memory, in the pose of a data; neither is changed.
 
-    A spec is compiled as a copy. MuJoCo warned of a model when that was compiled, so these
-    warnings are known of specs alone.
-
-    Args:
-        scene: what `is_in_memory` takes.
-        data: a mujoco.MjData of the model, whose joint positions and mocap bodies are the pose;
-            None for the pose that the settings ask for.
-        settings: of the scene; their path is what errors call it.
+    A spec is compiled as a copy. MuJoCo warned of a model when that was compiled, so these warnings
+    are known of specs alone. Of the data, a mujoco.MjData of the model, joint positions and mocap
+    bodies are the pose; without, the settings say it. Errors name the settings' path.
 
     Raises:
         SceneError: a spec does not compile, or a mesh is broken.
@@ -305,11 +287,8 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
 def check_data(model: Any, data: Any, name: str) -> None:
     """Check that a mujoco.MjData fits a model, by its numbers of things and its joints.
 
-    Args:
-        name: what an error calls the model's scene.
-
     Raises:
-        ConfigError: it is none, or of another model.
+        ConfigError: it is none, or of another model than that of a scene's name.
     """
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")

@@ -21,20 +21,12 @@ THICKNESS = 1e-6
 
 @dataclass(frozen=True)
 class MeshParts:
-    """The triangles of a mesh by what they enclose.
+    """The triangles of a mesh by what they enclose."""
 
-    Attributes:
-        faces: the triangles without copies and without those of two corners at one place, shape
-            (m, 3), indices into the mesh's vertices.
-        part: of each, 0 for what encloses nothing, 1, 2, … for closed parts, shape (m,), int32.
-        closed: of each, OPEN_SURFACE or CLOSED_SURFACE, shape (m,), uint8.
-        num_turned: how many triangles of closed parts faced in and were turned.
-    """
-
-    faces: NDArray[np.integer[Any]]
-    part: Int32
-    closed: NDArray[np.uint8]
-    num_turned: int
+    faces: NDArray[np.integer[Any]]  # without copies and without those of two corners at one place
+    part: Int32  # of each, 0 for what encloses nothing, 1, 2, … for closed parts
+    closed: NDArray[np.uint8]  # of each, OPEN_SURFACE or CLOSED_SURFACE
+    num_turned: int  # triangles of closed parts that faced in and were turned
 
     @property
     def kind(self) -> str:
@@ -59,10 +51,6 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
 
     Triangles that face to the other side than most of the area that they hang together with, over
     edges at which two triangles meet, are taken as turned; in a closed part they are.
-
-    Args:
-        vertices: shape (n, 3), float64 [m].
-        faces: shape (m, 3), indices, counter-clockwise from the front.
     """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
     number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()

@@ -234,16 +234,10 @@ def digest_names(model: Any) -> DigestedNames:
 def start_digest(
     model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
 ) -> Callable[[], str]:
-    """Start the sha256 of what the bake can see of a posed model, wherever it was loaded from.
+    """Start the sha256 of what the bake can see of a posed model; returns what waits for its hex.
 
     Small arrays become one, which is hashed on another thread: a hash lets go of Python's lock for
     each that it is given, and to get that back takes longer than the hash.
-
-    Args:
-        names: the model's, where they are known.
-
-    Returns:
-        What waits for the digest, and returns it.
     """
     begun, sites, joints = names or digest_names(model)
     digest, left = begun.copy(), bytearray()

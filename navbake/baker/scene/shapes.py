@@ -21,15 +21,9 @@ FAR = 1e4
 
 
 class Solids(NamedTuple):
-    """Spheres, capsules, ellipsoids, cylinders and boxes.
+    """Spheres, capsules, ellipsoids, cylinders and boxes: MuJoCo's ids, types, poses and sizes.
 
-    Attributes:
-        geom: MuJoCo's geom id, shape (n,), int32.
-        kind: MuJoCo's geom type, shape (n,), int32.
-        pos: centres, shape (n, 3), float64 [m].
-        mat: rotation matrices, row-major, shape (n, 9), float64.
-        size: MuJoCo's sizes (half-lengths, radii), shape (n, 3), float64 [m].
-        bounds: exact boxes round them, shape (n, 6), float64: lower corner, upper corner [m].
+    `mat` is row-major, (n, 9); `bounds` are exact boxes, (n, 6): lower corner, upper corner [m].
     """
 
     geom: Int32
@@ -41,13 +35,7 @@ class Solids(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """Infinite planes: half-spaces, solid behind their normal (the third column of `mat`).
-
-    Attributes:
-        geom: MuJoCo's geom id, shape (n,), int32.
-        pos: a point on each, shape (n, 3), float64 [m].
-        mat: rotation matrices, row-major, shape (n, 9), float64.
-    """
+    """Infinite planes: half-spaces, solid behind their normal, the third column of `mat`."""
 
     geom: Int32
     pos: Float
@@ -132,12 +120,7 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 
 
 def find_reach(kind: Int32, way: Float, size: Float) -> Float:
-    """How far solids reach from their centres along unit vectors in their own frames, (n,) [m].
-
-    Args:
-        kind, size: fields of `Solids`.
-        way: shape (n, 3), float64.
-    """
+    """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
     along = np.abs(way)
     flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
     tall = along[:, 2] * size[:, 1]
@@ -165,15 +148,9 @@ def plane_triangles(half: Float) -> Float:
 def height_field_triangles(heights: Float, size: Float) -> Float:
     """A height field as a closed mesh in its geom's frame: top, four sides and bottom.
 
-    Its cells are split from their lower corner to their upper one, as MuJoCo's rays and
-    collisions split them.
-
-    Args:
-        heights: shape (rows, cols), 0 to 1, row 0 at the smallest y.
-        size: MuJoCo's (x half, y half, top, base) [m].
-
-    Returns:
-        Corners, shape (m, 3, 3), float64, counter-clockwise from outside [m].
+    Its cells are split from their lower corner to their upper one, as MuJoCo's rays and collisions
+    split them. Takes heights of 0 to 1, row 0 at the smallest y, and MuJoCo's size (x half, y half,
+    top, base) [m]; returns corners, (m, 3, 3), counter-clockwise from outside [m].
     """
     rows, cols = heights.shape
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))

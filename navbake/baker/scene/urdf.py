@@ -17,12 +17,8 @@ def read_urdf(
     hang on a fixed joint keep their bodies and names, both against MuJoCo's defaults.
 
     Where a mesh is looked for: `navbake.formats.scene_files.mesh_places`. A visual whose mesh is
-    missing is left out where visuals don't count: the file discards them, or it has collision
-    geometry and `geoms` counts that.
-
-    Args:
-        geoms: `scene.geoms` of the settings.
-        warnings: receives what is left out.
+    missing is left out, with a warning, where visuals don't count: the file discards them, or it
+    has collision geometry and `scene.geoms` counts that.
 
     Raises:
         SceneError: the file is no XML, or a mesh is missing that counts.

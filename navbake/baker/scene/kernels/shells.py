@@ -46,12 +46,9 @@ def _hash(points, i):
 def weld_points(points, num_shares, number, first, end):
     """Number points so that equal ones have equal numbers: each has that of the first one.
 
-    A hash table with open addressing over the coordinates' bits for each share of the points,
-    which their hashes tell. Looks at the shares ``range(first, end)``.
-
-    Args:
-        points: the bits of the coordinates, (n, 3) uint64.
-        number: receives the numbers, (n,) int32.
+    A hash table with open addressing over the coordinates' bits, (n, 3) uint64, for each share of
+    the points, which their hashes tell. Writes the numbers, (n,) int32, for ``range(first, end)``
+    of the shares.
     """
     num, shares = points.shape[0], np.uint64(num_shares)
     for share in range(first, end):
@@ -92,16 +89,11 @@ def sort_keys(keys, num):
 
 @kernel
 def list_edges(faces, num):
-    """Number the undirected edges of triangles.
-
-    Args:
-        faces: corners of each triangle, numbers of points below `num`, no two of one triangle the
-            same, (m, 3) int32.
+    """Number the undirected edges of triangles, (m, 3) int32, of distinct points below `num`.
 
     Returns:
-        edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the next
-            one, (3 m,) int32.
-        start, half: the half-edges of each edge, ragged, ascending, int32.
+        The edge of each half-edge 3 f + k, from corner k of triangle f to the next one, (3 m,)
+        int32; and the half-edges of each edge, ragged, ascending, int32: `start` and `half`.
     """
     # the half-edges by the lower one of their two points, ragged
     end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
@@ -155,12 +147,8 @@ def _are_neighbours(faces, h, g):
 def find_shells(faces, start, half):
     """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
 
-    Args:
-        faces, start, half: see `list_edges`.
-
-    Returns:
-        By triangle, the lowest triangle that it hangs together with over edges, (m,) int32; and
-        whether that part is such a shell, (m,) bool.
+    Takes `list_edges`' arguments and results. Returns by triangle the lowest one that it hangs
+    together with over edges, (m,) int32; and whether that part is such a shell, (m,) bool.
     """
     is_shell = np.ones(faces.shape[0], np.bool_)
     part = np.arange(faces.shape[0]).astype(np.int32)
@@ -220,13 +208,9 @@ def find_cavities(part, corners, facing_in, order, point, box, encloses):
     than down, and where its box is inside of the other's.
 
     Args:
-        part: of each triangle, ascending, (m,) int32; those of parts that enclose something.
-        corners: of these triangles, (m, 3, 3) float64 [m].
-        facing_in: the parts that face in, by their points from west to east, int64.
-        order: the x of these points, ascending, float64 [m].
-        point: a point of each part, (parts, 3) float64 [m].
-        box: of each part, (parts, 6) float64 [m].
-        encloses: by part, bool.
+        part, corners: of the triangles that enclose something, by part, (m,) and (m, 3, 3) [m].
+        facing_in, order: the parts that face in, from west to east, and the x of their points [m].
+        point, box, encloses: by part, (parts, 3), (parts, 6) float64 [m] and (parts,) bool.
     """
     total = np.zeros(facing_in.shape[0], np.int64)
     for t in range(part.shape[0]):

@@ -37,12 +37,7 @@ def take_corners(vertices, faces, corners, first, end):
 
 @kernel(nogil=True, **UNCOUNTED)
 def measure_boxes(corners, bounds, first, end):
-    """Write the boxes round the triangles ``range(first, end)``: lower corner, upper corner [m].
-
-    Args:
-        corners: (m, 3, 3) float64 [m].
-        bounds: receives the boxes, (m, 6) float64.
-    """
+    """Write the boxes round the triangles ``range(first, end)``: lower, upper corner [m]."""
     for t in range(first, end):
         for k in range(3):
             a, b, c = corners[t, 0, k], corners[t, 1, k], corners[t, 2, k]
@@ -73,14 +68,7 @@ def is_upright(corners, t):
 
 @kernel
 def check_faces(vertices, faces, smallest):
-    """Mark triangles that are larger than nothing, and the vertices that these use.
-
-    Args:
-        smallest: twice the area that a triangle has to have more than [m²].
-
-    Returns:
-        has_area, (m,) bool, and is_used, (n,) bool.
-    """
+    """Mark triangles of more than half of `smallest` [m²], and the vertices that these use."""
     has_area = np.empty(faces.shape[0], np.bool_)
     is_used = np.zeros(vertices.shape[0], np.bool_)
     for f in range(faces.shape[0]):
@@ -104,15 +92,11 @@ def measure_areas(vertices, faces):
 
 @kernel(nogil=True, **UNCOUNTED)
 def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
-    """Measure each part of a mesh: volume, area, box and largest triangle.
+    """Measure the parts of a mesh, whose numbers are those of its triangles, some taken as turned.
 
-    Args:
-        turned: whether a triangle is to be taken as turned, (m,) bool.
-        part: of each triangle, a number below num, (m,) int32.
-        sums: receives volume, positive where the part faces out, and area, (2, num) float64 of 0.
-        box: receives lower and upper corner, (num, 6) float64 of inf and -inf.
-        best: twice the area of the largest triangle so far, (num,) float64 below 0.
-        largest: receives that triangle, the last one of several, (num,) int64.
+    Writes into `sums` the volume, positive where the part faces out, and the area, (2, num) of 0;
+    into `box` lower and upper corner, (num, 6) of inf and -inf; into `best` and `largest` twice the
+    area of the largest triangle, (num,) below 0, and that triangle, the last one of several.
     """
     volume, area = sums[0], sums[1]
     origin = vertices[faces[0, 0]]
@@ -137,12 +121,8 @@ def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
 def find_ways(corners, directions, way, weight, off, first, end):
     """Find where the upright part of triangles' faces looks, modulo a right angle.
 
-    Args:
-        corners: of triangles, (m, 3, 3) float64 [m].
-        directions: how many are told apart over a right angle.
-        way: receives the direction nearest to it, -1 for level triangles, (m,) int32.
-        weight: receives twice the area as seen from the side, (m,) float64 [m²].
-        off: receives how far it is off the direction, (m,) float64 [rad].
+    Writes the nearest of so many directions, -1 for level triangles, (m,) int32; twice the area as
+    seen from the side [m²]; and how far it is off the direction [rad], (m,) float64.
     """
     step = RIGHT / directions
     for t in range(first, end):
@@ -163,11 +143,8 @@ def find_ways(corners, directions, way, weight, off, first, end):
 def measure_spans(corners, group, way, low, high):
     """How far groups of triangles reach: along their ways, along what is left of these, and up.
 
-    Args:
-        corners: see `find_ways`.
-        group: of each triangle, a number below that of the ways, (m,) int32.
-        way: a horizontal unit vector for each group, (num, 2) float64.
-        low, high: receive how far, (num, 3) float64 of inf and -inf [m].
+    Takes a horizontal unit vector for each group, (num, 2), and writes into `low` and `high`, (num,
+    3) of inf and -inf [m].
     """
     for t in range(corners.shape[0]):
         g = group[t]
