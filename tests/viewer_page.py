@@ -26,7 +26,7 @@ class ViewerPage:
     @property
     def text(self) -> str:
         """All that can be read on the panel."""
-        return str(self.driver.execute_script("return document.body.innerText"))
+        return str(self.driver.execute_script("return document.body?.innerText ?? ''"))
 
     def wait_for(self, text: str, seconds: float = 30.0) -> str:
         """Wait until the panel says something, and return all of it."""

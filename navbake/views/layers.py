@@ -15,26 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import QueryError
+from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.colors import (
-    ACROSS,
-    DARKER,
-    DOOR,
-    DOORWAY,
-    DOWN,
-    FREE,
-    MARKS,
-    NO_FLOOR,
-    OCCUPIED,
-    ROOMS,
-    UP,
-    WALL,
-    choose_colors,
-    color_rooms,
-    darkened,
-    find_neighbours,
-    rgb_of,
-)
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
@@ -46,7 +28,7 @@ RELIEF = 0.04  # a step that is lit or shaded well [m]
 RELIEF_SLOPE = 0.3  # or one of a cell, at this slope, so that large cells of hills aren't all dark
 LIT, SHADED = 0.3, 0.35  # most that relief mixes white or black into a colour
 MAX_SIDE = 400  # cells of a room that are looked at for a name's place, along its longer side
-OCCUPANCY = {"free": FREE, "occupied": OCCUPIED, "no floor": NO_FLOOR}
+OCCUPANCY = {"free": colors.FREE, "occupied": colors.OCCUPIED, "no floor": colors.NO_FLOOR}
 DISAGREEMENTS = "disagreements"  # the layer that shows what a verification found
 
 # From 0.22 to 1, at places whose colours look equally far apart to people who see no red, no green,
@@ -88,7 +70,7 @@ class ColorScale(NamedTuple):
     def bar(self, count: int) -> NDArray[np.uint8]:
         """Colours at equal distances along the bar, lowest value first, shape (count, 3)."""
         where = np.linspace(0.0, len(self.colors) - 1, count)
-        rgb = np.array([rgb_of(color) for color in self.colors], dtype=np.float64)
+        rgb = np.array([colors.rgb_of(color) for color in self.colors], dtype=np.float64)
         mixed = [np.interp(where, np.arange(len(rgb)), channel) for channel in rgb.T]
         return np.round(np.stack(mixed, axis=1)).astype(np.uint8)
 
@@ -161,14 +143,14 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
     if panel.values is None or panel.scale is None:
         return panel.rgb
     shown = np.isfinite(panel.values)
-    colors = panel.scale.color(panel.values[shown])
+    painted = panel.scale.color(panel.values[shown])
     if panel.relief:
         lit = light_of(panel.values, panel.relief)[shown][:, None]
         share = np.where(lit > 0, lit * LIT, -lit * SHADED)
-        colors = np.round(colors * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
-    painted = panel.rgb.copy()
-    painted[shown] = colors
-    return painted
+        painted = np.round(painted * (1 - share) + (lit > 0) * 255 * share).astype(np.uint8)
+    rgb = panel.rgb.copy()
+    rgb[shown] = painted
+    return rgb
 
 
 def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
@@ -254,7 +236,7 @@ def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
     kind = np.where(level.free, 0, np.where(np.isnan(level.floor_height), 2, 1)).astype(np.uint8)
     there = np.bincount(kind.ravel(), minlength=len(OCCUPANCY)) > 0
     legend = [entry for n, entry in enumerate(OCCUPANCY.items()) if n == 0 or there[n]]
-    palette = np.array([rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
+    palette = np.array([colors.rgb_of(color) for color in OCCUPANCY.values()], dtype=np.uint8)
     return palette[kind], tuple(legend)
 
 
@@ -268,10 +250,10 @@ def _show_occupancy(grid: NavGrid, number: int) -> Panel:
 
 def _show_floor(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    rgb = np.full((*level.shape, 3), rgb_of(NO_FLOOR), dtype=np.uint8)
+    rgb = np.full((*level.shape, 3), colors.rgb_of(colors.NO_FLOOR), dtype=np.uint8)
     metres = level.floor_height * np.float32(level.unit)
     scale = height_scale(metres[np.isfinite(metres)], "z [m]")
-    legend = (("no floor", NO_FLOOR),) if np.isnan(metres).any() else ()
+    legend = (("no floor", colors.NO_FLOOR),) if np.isnan(metres).any() else ()
     step = max(RELIEF, RELIEF_SLOPE * level.lattice.cell_size)
     return Panel(_titled("floor height [m]", scale), rgb, metres, scale, legend, relief=step)
 
@@ -307,12 +289,12 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
     islands = islands_of(grid)
     level, island = grid.levels[number], islands[number]
     count = max(int(each.max(initial=0)) for each in islands)
-    reach = math.ceil(WALL / level.lattice.cell_size)
+    reach = math.ceil(colors.WALL / level.lattice.cell_size)
     # an island may span several levels, and has one colour on all of them
-    pairs = set().union(*(find_neighbours(each, reach) for each in islands))
-    palette = np.array([rgb_of(color) for color in ROOMS], dtype=np.uint8)
+    pairs = set().union(*(colors.find_neighbours(each, reach) for each in islands))
+    palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
     rgb, legend = _occupancy(level)
-    rgb[level.free] = palette[choose_colors(count, pairs, len(palette))[island[level.free]]]
+    rgb[level.free] = palette[colors.choose_colors(count, pairs, len(palette))[island[level.free]]]
     return Panel("islands", rgb, legend=legend[1:])
 
 
@@ -322,13 +304,13 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     Doors that stand in the way and doorways have a colour of their own.
     """
     level = grid.levels[number]
-    rooms = color_rooms(grid, number)
-    colors = np.stack([darkened(rooms), rooms], axis=1).reshape(-1, 3)
-    colors[:2] = rgb_of(OCCUPIED), rgb_of(FREE)
-    rgb = colors.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
-    rgb[np.isnan(level.floor_height)] = rgb_of(NO_FLOOR)
-    rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
-    rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
+    rooms = colors.color_rooms(grid, number)
+    palette = np.stack([colors.darkened(rooms), rooms], axis=1).reshape(-1, 3)
+    palette[:2] = colors.rgb_of(colors.OCCUPIED), colors.rgb_of(colors.FREE)
+    rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
+    rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
+    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
+    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
     return rgb
 
 
@@ -337,12 +319,12 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
     index, free, no_floor = level.room_index, level.free, np.isnan(level.floor_height)
     doors, doorways = (doorway_cells(grid, number, blocked=blocked) for blocked in (True, False))
     entries = {
-        ("no room", OCCUPIED): (index == 0) & ~free & ~no_floor,
-        ("no floor", NO_FLOOR): no_floor,
-        ("free, no room", FREE): (index == 0) & free,
-        ("darker: occupied", DARKER): (index > 0) & ~free,
-        ("door", DOOR): doors,
-        ("doorway", DOORWAY): doorways & ~doors,
+        ("no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
+        ("no floor", colors.NO_FLOOR): no_floor,
+        ("free, no room", colors.FREE): (index == 0) & free,
+        ("darker: occupied", colors.DARKER): (index > 0) & ~free,
+        ("door", colors.DOOR): doors,
+        ("doorway", colors.DOORWAY): doorways & ~doors,
     }
     legend = tuple(entry for entry, cells in entries.items() if cells.any())
     labels, lines = _label_rooms(grid, number), find_door_lines(grid, number)
@@ -387,9 +369,9 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
 
 def _show_doors(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
-    rgb[doorway_cells(grid, number, blocked=False)] = rgb_of(DOORWAY)
-    rgb[doorway_cells(grid, number, blocked=True)] = rgb_of(DOOR)
-    legend = (("door", DOOR), ("doorway", DOORWAY), *legend)
+    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
+    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
+    legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
     lines = find_door_lines(grid, number)
     widths = [f"{line.width:.1f} m" for line in lines]
     labels = tuple(
@@ -404,10 +386,14 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(level)
     ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
-    for color, way in ((ACROSS, 0), (UP, 1), (DOWN, -1)):
+    for color, way in ((colors.ACROSS, 0), (colors.UP, 1), (colors.DOWN, -1)):
         cells = ends[np.sign(ends[:, 2] - number) == way, 1]
-        rgb[np.divmod(cells, level.width)] = rgb_of(color)
-    ways = (("leads up", UP), ("leads down", DOWN), ("steep, same level", ACROSS))
+        rgb[np.divmod(cells, level.width)] = colors.rgb_of(color)
+    ways = (
+        ("leads up", colors.UP),
+        ("leads down", colors.DOWN),
+        ("steep, same level", colors.ACROSS),
+    )
     return Panel("links", rgb, legend=(*ways, *legend))
 
 
@@ -420,14 +406,14 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
     for finding in here:
         row, col = finding.cell or level.lattice.rows_cols(finding.position)
         if 0 <= row < level.height and 0 <= col < level.width:
-            rgb[row, col] = rgb_of(kinds[finding.kind])
+            rgb[row, col] = colors.rgb_of(kinds[finding.kind])
     title = f"{len(here)} disagreement{'' if len(here) == 1 else 's'}"
     return Panel(title, rgb, legend=(*kinds.items(), *legend))
 
 
 def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
     """A colour for each kind of mark."""
-    return {kind: MARKS[n % len(MARKS)] for n, kind in enumerate(sorted(set(kinds)))}
+    return {kind: colors.MARKS[n % len(colors.MARKS)] for n, kind in enumerate(sorted(set(kinds)))}
 
 
 LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {

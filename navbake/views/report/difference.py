@@ -23,7 +23,7 @@ SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
 
 # what became of a cell, in the order of what a reader wants to know first; colours are told apart
 # by hue and by lightness, whatever colours one sees
-CHANGE_COLORS = {
+COLORS = {
     "became free": "#009e73",
     "became blocked": "#d55e00",
     "floor moved": "#0072b2",
@@ -31,15 +31,12 @@ CHANGE_COLORS = {
     "other weight": "#e69f00",
     "only in the first": "#6f5f4f",
     "only in the second": "#56b4e9",
-}
-ALIKE_COLORS = {
     "free in both": "#f7f3e8",
     "blocked in both": "#9aa2b1",
     "no floor in both": "#d9dde3",
 }
-CHANGES, ALIKE = tuple(CHANGE_COLORS), tuple(ALIKE_COLORS)
-COLORS = CHANGE_COLORS | ALIKE_COLORS
-ONLY = ("only in the first", "only in the second")
+CHANGES = tuple(COLORS)[:7]  # the others are alike in both
+ONLY = CHANGES[5:]
 
 Row = tuple[str, str, str]
 """What differs, and how the first and the second grid have it."""
@@ -84,14 +81,11 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     ]
     area = f"{areas[0]:.2f} to {areas[1]:.2f} m² ({areas[1] - areas[0]:+.2f})"
     num_changed = sum(sum(count.values()) for count in counts)
-    facts = [("first", names[0]), ("second", names[1])]
-    facts += [
-        ("cells that changed", f"{num_changed:,}"),
-        *([("free area", area)] if levels else []),
-    ]
+    facts = {"first": names[0], "second": names[1], "cells that changed": f"{num_changed:,}"}
+    facts |= {"free area": area} if levels else {}
     return {
         "name": "difference",
-        "facts": facts,
+        "facts": [*facts.items()],
         "warnings": warnings,
         "levels": [_show_level(*each) for each in zip(levels, called, strict=True)],
         "tables": [made for made in tables if made["rows"]],
@@ -121,7 +115,7 @@ class LevelDifference(NamedTuple):
     Attributes:
         first, second: their numbers.
         lattice: the cells of the first one's lattice that cover both.
-        change: what became of each cell: the number of its entry in `CHANGES` + `ALIKE`, uint8.
+        change: what became of each cell: the number of its entry in `COLORS`, uint8.
         rooms: pairs of rooms that are the same, and their intersection over union.
     """
 

@@ -16,16 +16,8 @@ from navbake.runtime.paths import Path
 from navbake.runtime.place import place_at
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
-from navbake.views.viewer.meshes import (
-    Drawing,
-    Pick,
-    Surface,
-    cut_drawing,
-    draw_overlay,
-    draw_scene,
-    lay_carpet,
-    pick,
-)
+from navbake.views.viewer import meshes
+from navbake.views.viewer.meshes import Drawing, Pick, Surface
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -160,7 +152,7 @@ class Exhibit:
         self.grid, self.scene, self.config, self.note = grid, scene, config, note
         self.report: VerifyReport | None = None
         with_holes = scene is not None
-        self.carpets = [lay_carpet(level, with_holes=with_holes) for level in grid.levels]
+        self.carpets = [meshes.lay_carpet(level, with_holes=with_holes) for level in grid.levels]
         self._kept: dict[str, dict[Hashable, Any]] = {}
 
     def _keep(self, kind: str, key: Hashable, make: Callable[[], Made]) -> Made:
@@ -223,7 +215,10 @@ class Exhibit:
         return self._keep(
             f"overlay {number}",
             (id(panel), chosen.opacity),
-            lambda: (panel, draw_overlay(self.carpets[number], paint(panel), chosen.opacity)),
+            lambda: (
+                panel,
+                meshes.draw_overlay(self.carpets[number], paint(panel), chosen.opacity),
+            ),
         )[1]
 
     def names(self, chosen: Choices) -> list[tuple[str, tuple[float, float, float]]]:
@@ -246,12 +241,14 @@ class Exhibit:
 
         def make() -> Drawing:
             if not chosen.doors:
-                return draw_scene(scene, with_hidden=chosen.with_hidden)
+                return meshes.draw_scene(scene, with_hidden=chosen.with_hidden)
             from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
             grid: Any = self.grid.with_doors(dict(chosen.doors))
             posed, hidden = pose_doors(scene, grid), chosen.with_hidden
-            return draw_scene(scene, data=posed.data, removed=posed.removed, with_hidden=hidden)
+            return meshes.draw_scene(
+                scene, data=posed.data, removed=posed.removed, with_hidden=hidden
+            )
 
         return self._keep("drawing", (chosen.doors, chosen.with_hidden), make)
 
@@ -263,12 +260,12 @@ class Exhibit:
         if height is None:
             return drawing.surfaces
         key = chosen.doors, chosen.with_hidden, height
-        return self._keep("surfaces", key, lambda: cut_drawing(drawing, height))
+        return self._keep("surfaces", key, lambda: meshes.cut_drawing(drawing, height))
 
     def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
         """The choices after a click along a ray: its origin and its direction."""
         surfaces = [*self.surfaces(chosen), *(self.carpets[number] for number in chosen.levels)]
-        return chosen.with_click(pick(self.grid, ray, surfaces, chosen.levels))
+        return chosen.with_click(meshes.pick(self.grid, ray, surfaces, chosen.levels))
 
     def route(self, chosen: Choices) -> Path | str | None:
         """The path between start and goal, or why there is none; None where one is missing."""

@@ -545,23 +545,16 @@ def pick(
 
 
 def _meet(origin: Float, direction: Float, corners: NDArray[np.float32]) -> tuple[float, int]:
-    """How far the nearest of some triangles is on a ray, and which it is; infinite for none.
-
-    Algorithm: Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
-    """
+    """How far the nearest of some triangles is on a ray, and which it is; infinite for none."""
     if not len(corners):
         return np.inf, -1
-    first = corners[:, 0].astype(np.float64)
-    along, across = corners[:, 1] - first, corners[:, 2] - first
-    normal = np.cross(direction, across)
-    volume = (along * normal).sum(axis=1)
-    away = origin - first
-    turned = np.cross(away, along)
+    corners = corners.astype(np.float64)
+    normals = trimesh.triangles.cross(corners)
     with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
-        u = (away * normal).sum(axis=1) / volume
-        v = turned @ direction / volume
-        distance = (across * turned).sum(axis=1) / volume
-        met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+        distance = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
+        places = origin + distance[:, None] * direction
+        shares = trimesh.triangles.points_to_barycentric(corners, places)
+        met = (shares >= -1e-9).all(axis=1) & (distance > 0)
     distance = np.where(met, distance, np.inf)
     nearest = int(np.argmin(distance))
     return float(distance[nearest]), nearest

@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Iterable
 from itertools import product
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -186,9 +187,7 @@ class Page:
     def __init__(self, server: viser.ViserServer, exhibit: Exhibit) -> None:
         self.server, self.exhibit = server, exhibit
         self.chosen = first_choices(exhibit.grid)
-        self._changes: list[Change] = []
-        self._wake = threading.Condition()
-        self._is_done = False
+        self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         set_theme(server.gui, dark=False)
         self._stage = Stage(server)
         self._set_up(exhibit)
@@ -205,9 +204,7 @@ class Page:
 
     def change(self, change: Change) -> None:
         """Change what is chosen, soon; from any thread."""
-        with self._wake:
-            self._changes.append(change)
-            self._wake.notify_all()
+        self._changes.put(change)
 
     def exhibit_other(self, exhibit: Exhibit) -> None:
         """Show another exhibit with the same choices, as far as it has them; from any thread."""
@@ -231,9 +228,7 @@ class Page:
 
     def close(self) -> None:
         """End the page's thread."""
-        with self._wake:
-            self._is_done = True
-            self._wake.notify_all()
+        self._changes.put(None)
         self._thread.join()
 
     def _click(self, event: viser.SceneClickEvent) -> None:
@@ -250,18 +245,18 @@ class Page:
         self.change(compare)
 
     def _work(self) -> None:
-        changes: list[Change] = []
-        while not self._is_done:
+        changes: list[Change | None] = []
+        while None not in changes:
             for change in [*changes, self._show]:
                 try:  # an error is shown, and the page lives on
-                    self.chosen = change(self.chosen)
+                    self.chosen = change(self.chosen) if change else self.chosen
                 except Exception as error:
                     if not isinstance(error, NavbakeError):
                         LOG.exception("the viewer failed to show something")
                     self._controls.say(say_error(error))
-            with self._wake:
-                self._wake.wait_for(lambda: self._is_done or bool(self._changes))
-                changes, self._changes = self._changes, []
+            changes = [self._changes.get()]
+            while not self._changes.empty():
+                changes.append(self._changes.get())
 
     def _show(self, chosen: Choices) -> Choices:
         route, told = self.exhibit.route(chosen), self.exhibit.tell(chosen)

@@ -15,11 +15,10 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterable
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from navbake.errors import MissingDependencyError, NavbakeError
@@ -51,12 +50,7 @@ class Viewer:
     """
 
     def __init__(
-        self,
-        exhibit: Exhibit,
-        *,
-        host: str = HOST,
-        port: int = PORT,
-        watch: Watch | None = None,
+        self, exhibit: Exhibit, *, host: str = HOST, port: int = PORT, watch: Watch | None = None
     ) -> None:
         self._server = open_server(host, port)
         self.url = url_of(self._server)
@@ -97,12 +91,7 @@ class Viewer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _watch(self, watch: Watch) -> None:
@@ -226,13 +215,11 @@ class Watch:
 
     def _state_of(self, files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
         """When each file was written, and its size; None for one that isn't there."""
-        state: dict[Path, tuple[int, int] | None] = {}
-        for path in files:
-            try:
+        state: dict[Path, tuple[int, int] | None] = dict.fromkeys(files)
+        for path in state:
+            with suppress(OSError, ValueError):  # ValueError: a name with a NUL
                 status = os.stat(path)
                 state[path] = status.st_mtime_ns, status.st_size
-            except (OSError, ValueError):  # ValueError: a name with a NUL
-                state[path] = None
         return state
 
     def look(self) -> bool:
@@ -258,10 +245,8 @@ def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
     check_viser()
     # viser takes the next free port, without a word, and waits forever for an unknown host
     check_address(host, port)
-    try:
-        import viser  # of the extra [view], and slow to load
-    except ImportError as error:
-        raise MissingDependencyError(f"{MISSING} ({error})") from error
+    import viser  # of the extra [view], and slow to load
+
     with redirect_stdout(io.StringIO()):  # viser prints its address in a box
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -280,17 +265,15 @@ def close_server(server: viser.ViserServer) -> None:
 
 def url_of(server: viser.ViserServer) -> str:
     """The address of the page, for a browser on this machine."""
-    host = server.get_host()
-    host = "localhost" if host in EVERYWHERE else host
+    host = "localhost" if server.get_host() in EVERYWHERE else server.get_host()
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
 
 
 def check_viser() -> None:
     """Raise where viser is not installed."""
-    try:
+    is_there = False
+    with suppress(ImportError, ValueError):  # something keeps it from being found
         is_there = find_spec("viser") is not None
-    except (ImportError, ValueError):  # something keeps it from being found
-        is_there = False
     if not is_there:
         raise MissingDependencyError(MISSING)
 

@@ -13,8 +13,7 @@ from door_scenes import LEAF, ROOMS, world
 from grid_maps import house_from, level_from, random_house
 from navbake import bake
 from navbake.views.report.difference import (
-    ALIKE,
-    CHANGES,
+    COLORS,
     SAME_FLOOR,
     compare_levels,
     list_doors,
@@ -23,7 +22,7 @@ from navbake.views.report.difference import (
     match_levels,
 )
 
-NAMES = CHANGES + ALIKE
+NAMES = tuple(COLORS)
 
 
 def with_rooms(level, text):
