@@ -20,10 +20,10 @@ from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.flat_grid import FlatGrid
     from navbake.runtime.paths import Goal
 
 Floating = np.dtype[np.floating]
+Made = dict[str, NDArray[Any]]
 FINEST = 8  # how many numbers of the dtype a cell is wide, at least
 
 
@@ -62,7 +62,14 @@ def make_tensors(
         MissingDependencyError: array-api-compat is not installed.
     """
     is_one = hasattr(grids, "levels")
-    several: list[Any] = [grids] if is_one else _check_grids(grids)
+    if not is_one and not isinstance(grids, Iterable):
+        raise QueryError(f"expected a grid or several, got {grids!r}")
+    several: list[Any] = [grids] if is_one else list(grids)  # type: ignore[arg-type]
+    if not several:
+        raise QueryError("expected at least one grid, got none")
+    for grid in several:
+        if not hasattr(grid, "levels"):
+            raise QueryError(f"expected grids, got {grid!r}")
     per_grid: list[Any] = [goals] if is_one else list(goals) or [()] * len(several)
     if len(per_grid) != len(several) or len({len(g) for g in per_grid}) != 1:
         raise QueryError(
@@ -70,218 +77,180 @@ def make_tensors(
             f"{[len(g) for g in per_grid]}"
         )
     check_distance(max_drop, "max_drop")
-    target = _Target(xp, device, dtype)
-    scenes = [
-        _Scene(grid, list(given), cut_corners)
-        for grid, given in zip(several, per_grid, strict=True)
-    ]
+    xp, make = _open_library(xp, device, dtype)
+    of_library = make(np.zeros(1)).dtype
+    floating: Floating = np.dtype("float64" if of_library == xp.float64 else "float32")
+    searches = [Search(grid, cut_corners=cut_corners) for grid in several]
+    levels = [level for grid in several for level in grid.levels]
     shape = Shape(
-        len(scenes),
-        max(len(s.grid.levels) for s in scenes),
-        max(level.height for s in scenes for level in s.grid.levels),
-        max(level.width for s in scenes for level in s.grid.levels),
+        len(several),
+        max(len(grid.levels) for grid in several),
+        max(level.height for level in levels),
+        max(level.width for level in levels),
     )
     num_goals = len(per_grid[0])
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        text = " x ".join(map(str, shape)) + (
-            f" for each of {num_goals} goals" if num_goals else ""
-        )
+        of_goals = f" for each of {num_goals} goals" if num_goals else ""
+        text = " x ".join(map(str, shape)) + of_goals
         raise QueryError(f"expected less than 2^31 cells in all, got {text}")
-    made = {
-        **_lattices(scenes, shape, target.floating),
-        **_layers(scenes, shape, target.floating, max_drop),
-        **_goal_fields(scenes, shape, target.floating),
-    }
-    num_rooms = max(len(s.cache.rooms.rooms) for s in scenes)
+    made = _lattices(several, shape, floating) | _layers(searches, shape, floating, max_drop)
+    made |= _goal_fields(searches, per_grid, shape, floating)
+    rooms = tuple(tuple(room.id for room in search.rooms.rooms) for search in searches)
+    num_rooms = max(len(of_scene) for of_scene in rooms)
     made |= _orders(made["room"], made["island"], num_rooms, shape)
-    arrays = {name: target.array(value) for name, value in made.items()}
-    lattices = [{level.lattice for level in s.grid.levels} for s in scenes]
-    register_pytree(target.xp)
+    register_pytree(xp)
     return GridTensors(
-        xp=target.xp,
-        dtype=target.dtype,
-        index=target.index,
+        xp=xp,
+        dtype=of_library,
+        index=make(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
-        same_lattice=all(len(of_scene) == 1 for of_scene in lattices),
+        same_lattice=all(len({v.lattice for v in grid.levels}) == 1 for grid in several),
         one_ground=shape.levels == 1,
         num_rooms=num_rooms,
-        rooms=tuple(tuple(room.id for room in s.cache.rooms.rooms) for s in scenes),
+        rooms=rooms,
         goals=tuple(str(goal) for goal in per_grid[0]),
-        **arrays,
+        **{name: make(value) for name, value in made.items()},
     )
 
 
-class _Target:
-    """The library, device and dtype that arrays are made for."""
+def _open_library(
+    xp: Any, device: Any, dtype: str | None
+) -> tuple[Any, Callable[[NDArray[Any]], Any]]:
+    """A library's namespace, and what makes arrays of it: floats in the dtype, others in their own.
 
-    def __init__(self, xp: Any, device: Any, dtype: str | None) -> None:
-        try:
-            from array_api_compat import array_namespace  # of the extra [tensors]
-        except ImportError as error:
-            message = 'tensors need array-api-compat: pip install "navbake[tensors]"'
-            raise MissingDependencyError(message) from error
-        try:
-            probe = xp.asarray([0.0])
-            self.xp = array_namespace(probe)
-        except (AttributeError, TypeError) as error:
-            raise QueryError(
-                f"expected numpy, torch, jax.numpy or another module of the Python array API, got "
-                f"{xp!r}"
-            ) from error
-        if dtype not in (None, "float32", "float64"):
-            raise QueryError(f'expected a dtype "float32" or "float64", got {dtype!r}')
-        self._device = device
-        wanted = probe.dtype if dtype is None else getattr(self.xp, dtype)
-        # JAX has no float64 and no int64 unless it was told to
-        self.dtype = self._make(np.zeros(1), wanted).dtype
-        if self.dtype != wanted:
-            raise QueryError(f"{self.xp.__name__} has no {dtype} as it is set up: use float32")
-        self.floating = np.dtype("float64" if self.dtype == self.xp.float64 else "float32")
-        self.index = self._make(np.zeros(1, dtype=np.int64), None).dtype
+    The dtype is what the library makes of a Python float unless given.
+    """
+    try:
+        from array_api_compat import array_namespace  # of the extra [tensors]
+    except ImportError as error:
+        message = 'tensors need array-api-compat: pip install "navbake[tensors]"'
+        raise MissingDependencyError(message) from error
+    try:
+        probe = xp.asarray([0.0])
+        space = array_namespace(probe)
+    except (AttributeError, TypeError) as error:
+        raise QueryError(
+            "expected numpy, torch, jax.numpy or another module of the Python array API, got "
+            f"{xp!r}"
+        ) from error
+    if dtype not in (None, "float32", "float64"):
+        raise QueryError(f'expected a dtype "float32" or "float64", got {dtype!r}')
+    wanted = probe.dtype if dtype is None else getattr(space, dtype)
 
-    def array(self, value: NDArray[Any]) -> Any:
-        """The array in the library, on the device; integers and masks keep their dtype."""
-        return self._make(value, self.dtype if value.dtype.kind == "f" else None)
-
-    def _make(self, value: NDArray[Any], dtype: Any) -> Any:
-        given = {} if self._device is None else {"device": self._device}
+    def make(value: NDArray[Any]) -> Any:
+        given = {} if device is None else {"device": device}
         try:
-            return self.xp.asarray(value, dtype=dtype, **given)
+            return space.asarray(value, dtype=wanted if value.dtype.kind == "f" else None, **given)
         except Exception as error:  # each library has errors of its own
-            if self._device is None:
+            if device is None:
                 raise
             reason = str(error).splitlines()[0]
             raise QueryError(
-                f"no array of {self.xp.__name__} can be made on the device {self._device!r}: "
-                f"{reason}"
+                f"no array of {space.__name__} can be made on the device {device!r}: {reason}"
             ) from error
 
-
-class _Scene:
-    """One grid with what follows from it."""
-
-    def __init__(self, grid: NavGrid, goals: list[Goal], cut_corners: bool) -> None:
-        self.grid = grid
-        self.cache = Search(grid, cut_corners=cut_corners)
-        self.flat: FlatGrid = self.cache.flat
-        self.fields = [find_field(self.cache, goal, None) for goal in goals]
-
-    def pad(self, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
-        """Values by flat id as an array (levels, rows, cols) with room for all scenes."""
-        padded = np.full(shape[1:], outside, dtype=values.dtype)
-        for number, level in enumerate(self.grid.levels):
-            part = values[self.flat.cells_of(number)].reshape(level.shape)
-            padded[number, : level.height, : level.width] = part
-        return padded
-
-    def padded_ids(self, scene: int, shape: Shape) -> NDArray[np.int32]:
-        """The id in the padded arrays of each cell, by flat id; and -1 at the end, for none."""
-        ids = np.arange(np.prod(shape[1:]), dtype=np.int32).reshape(shape[1:])
-        ids += np.int32(scene * ids.size)
-        parts = [ids[k, : v.height, : v.width].ravel() for k, v in enumerate(self.grid.levels)]
-        return np.concatenate([*parts, np.array([-1], dtype=np.int32)])
+    if make(np.zeros(1)).dtype != wanted:  # JAX has no float64 and no int64 unless it was told to
+        raise QueryError(f"{space.__name__} has no {dtype} as it is set up: use float32")
+    return space, make
 
 
-def _check_grids(grids: Any) -> list[Any]:
-    if not isinstance(grids, Iterable):
-        raise QueryError(f"expected a grid or several, got {grids!r}")
-    several = list(grids)
-    if not several:
-        raise QueryError("expected at least one grid, got none")
-    for grid in several:
-        if not hasattr(grid, "levels"):
-            raise QueryError(f"expected grids, got {grid!r}")
-    return several
+def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
+    """Values by flat id as an array (levels, rows, cols) with room for all scenes."""
+    padded = np.full(shape[1:], outside, dtype=values.dtype)
+    for number, level in enumerate(search.grid.levels):
+        part = values[search.flat.cells_of(number)].reshape(level.shape)
+        padded[number, : level.height, : level.width] = part
+    return padded
 
 
-def _lattices(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[str, NDArray[Any]]:
+def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
     """Where the columns and rows of each level lie."""
-    num = shape.scenes * shape.levels
-    found: dict[str, NDArray[Any]] = {
-        name: np.zeros(num, dtype=dtype)
-        for name in ("x_first", "y_first", "scale", "west", "east", "north", "south")
-    }
-    found["x_edge"] = np.zeros((num, shape.cols + 1), dtype=dtype)
-    found["y_edge"] = np.zeros((num, shape.rows + 1), dtype=dtype)
-    found["num_rows"] = np.zeros(num, dtype=np.int32)
-    found["num_cols"] = np.zeros(num, dtype=np.int32)
-    for number, scene in enumerate(scenes):
-        for k, level in enumerate(scene.grid.levels):
-            at, (x_min, y_max, size, width, height) = number * shape.levels + k, level.lattice
-            ends = np.array([x_min, x_min + width * size, y_max, y_max - height * size])
-            if np.spacing(np.abs(ends).max().astype(dtype)) > size / FINEST:
-                raise QueryError(
-                    f"{dtype} can't tell cells of {size:g} m apart at x, y up to "
-                    f"{np.abs(ends).max():g} m in {scene.grid.scene_id!r}: use float64"
-                )
-            found["x_first"][at], found["y_first"][at] = x_min, y_max
-            found["scale"][at] = 1 / size
-            x_edge = first_in_cell(x_min, size, width, dtype)
-            y_edge = last_in_cell(y_max, size, height, dtype)
-            found["x_edge"][at, : width + 1], found["y_edge"][at, : height + 1] = x_edge, y_edge
-            found["west"][at], found["east"][at] = x_edge[0], x_edge[-1]
-            found["north"][at], found["south"][at] = y_edge[0], y_edge[-1]
-            found["num_rows"][at], found["num_cols"][at] = height, width
+    num = shape.scenes, shape.levels
+    names = ("x_first", "y_first", "scale", "west", "east", "north", "south")
+    found: Made = {name: np.zeros(num, dtype=dtype) for name in names}
+    found["x_edge"] = np.zeros((*num, shape.cols + 1), dtype=dtype)
+    found["y_edge"] = np.zeros((*num, shape.rows + 1), dtype=dtype)
+    found |= {name: np.zeros(num, dtype=np.int32) for name in ("num_rows", "num_cols")}
+    for at in np.ndindex(num):
+        if at[1] >= len(grids[at[0]].levels):
+            continue
+        grid = grids[at[0]]
+        x_min, y_max, size, width, height = grid.levels[at[1]].lattice
+        ends = np.array([x_min, x_min + width * size, y_max, y_max - height * size])
+        farthest = np.abs(ends).max()
+        if np.spacing(farthest.astype(dtype)) > size / FINEST:
+            raise QueryError(
+                f"{dtype} can't tell cells of {size:g} m apart at x, y up to {farthest:g} m in "
+                f"{grid.scene_id!r}: use float64"
+            )
+        x_edge = first_in_cell(x_min, size, width, dtype)
+        y_edge = -first_in_cell(-y_max, size, height, dtype)  # to the last bit the same formula
+        found["x_edge"][at][: width + 1], found["y_edge"][at][: height + 1] = x_edge, y_edge
+        sides = x_edge[0], x_edge[-1], y_edge[0], y_edge[-1]
+        values = zip(names, (x_min, y_max, 1 / size, *sides), strict=True)
+        for name, value in (*values, ("num_rows", height), ("num_cols", width)):
+            found[name][at] = value
     return {name: value.ravel() for name, value in found.items()}
 
 
-def _layers(
-    scenes: list[_Scene], shape: Shape, dtype: Floating, max_drop: float
-) -> dict[str, NDArray[Any]]:
+def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: float) -> Made:
     """The layers of all scenes, by cell."""
     found: dict[str, list[NDArray[Any]]] = {}
     ground = np.zeros((shape.scenes, shape.levels))
     num_islands = 0
-    for number, scene in enumerate(scenes):
-        flat, levels = scene.flat, scene.grid.levels
+    for number, search in enumerate(searches):
+        flat, levels, z = search.flat, search.grid.levels, search.flat.floors.z
         ground[number, : len(levels)] = flat.floors.ground
         own = flat.floors.ground[flat.level_of(np.arange(flat.num_cells))]
-        stand = np.where(np.isnan(flat.floors.z), own, flat.floors.z)
+        stand = np.where(np.isnan(z), own, z)
         heights, rank = np.unique(stand, return_inverse=True)
-        rank = np.where(np.isnan(flat.floors.z), rank, rank + len(heights)).astype(np.int32)
-        island = scene.cache.islands.number
+        rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
+        top = np.where(flat.free, highest_standing(stand, max_drop, dtype), -np.inf)
+        island = search.islands.number
+        island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
+        num_islands += search.islands.count
         layers = {
             "reach": (lowest_reaching(stand, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
-            "top": (
-                np.where(flat.free, highest_standing(stand, max_drop, dtype), -np.inf),
-                -np.inf,
-            ),
-            "floor": (flat.floors.z, np.nan),
-            "room": (scene.cache.rooms.number, 0),
-            "island": (np.where(island > 0, island + num_islands, 0).astype(np.int32), 0),
+            "top": (top, -np.inf),
+            "floor": (z, np.nan),
+            "room": (search.rooms.number, 0),
+            "island": (island, 0),
             "clearance": (np.concatenate([clearance(v).ravel() for v in levels]), 0),
         }
-        num_islands += scene.cache.islands.count
         for name, (values, outside) in layers.items():
-            found.setdefault(name, []).append(scene.pad(values, shape, outside))
+            found.setdefault(name, []).append(_pad(search, values, shape, outside))
     arrays = {name: np.stack(parts).ravel() for name, parts in found.items()}
-    of_floats = {n: v.astype(dtype) if v.dtype.kind == "f" else v for n, v in arrays.items()}
-    return {**of_floats, "ground": ground.ravel().astype(dtype)}
+    arrays["ground"] = ground.ravel()
+    return {n: v.astype(dtype) if v.dtype.kind == "f" else v for n, v in arrays.items()}
 
 
-def _goal_fields(scenes: list[_Scene], shape: Shape, dtype: Floating) -> dict[str, NDArray[Any]]:
+def _goal_fields(
+    searches: list[Search], goals: list[Sequence[Goal]], shape: Shape, dtype: Floating
+) -> Made:
     """Cost and next cell of the cheapest path to each goal, by cell."""
-    num = len(scenes[0].fields)
-    cost = np.full((num, shape.scenes, *shape[1:]), np.inf, dtype=dtype)
+    cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
     onward = np.full(cost.shape, -1, dtype=np.int32)
-    for number, scene in enumerate(scenes):
-        ids = scene.padded_ids(number, shape)
-        for goal, field in enumerate(scene.fields):
-            cost[goal, number] = scene.pad(field, shape, np.inf)
-            onward[goal, number] = scene.pad(ids[scene.cache.onward(field)], shape, -1)
+    every = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
+    for number, search in enumerate(searches):
+        # the id in the padded arrays of each cell, by flat id; and -1 at the end, for none
+        levels = enumerate(search.grid.levels)
+        parts = [every[number, k, : v.height, : v.width].ravel() for k, v in levels]
+        ids = np.concatenate([*parts, np.array([-1], dtype=np.int32)])
+        for k, goal in enumerate(goals[number]):
+            field = find_field(search, goal, None)
+            cost[k, number] = _pad(search, field, shape, np.inf)
+            onward[k, number] = _pad(search, ids[search.onward(field)], shape, -1)
     return {"cost": cost.ravel(), "onward": onward.ravel()}
 
 
-def _orders(
-    room: NDArray[np.int32], island: NDArray[np.int32], num_rooms: int, shape: Shape
-) -> dict[str, NDArray[Any]]:
+def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Shape) -> Made:
     """The free cells sorted by island and room, and by scene and room."""
     free = np.flatnonzero(island)
     of_scene = free // int(np.prod(shape[1:]))
     if max(int(island.max(initial=0)) + 1, shape.scenes) * (num_rooms + 1) >= 2**31:
         raise QueryError("too many islands and rooms in all: make tensors of fewer grids at once")
-    found = {}
+    found: Made = {}
     for name, group in (("island", island[free]), ("room", of_scene)):
         key = (group * (num_rooms + 1) + room[free]).astype(np.int32)
         order = np.argsort(key, kind="stable")
@@ -298,34 +267,27 @@ def _orders(
 
 
 def smallest_true(
-    holds: Callable[[Float], Bool], low: Float, high: Float, dtype: np.dtype[np.floating]
+    holds: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, of each element, the smallest number for which a condition holds; by bisection.
+    """Find, of each element, the smallest number of a dtype for which a condition holds.
 
-    The condition is monotone: false up to some number, true from there on. Floats of one dtype are
-    ordered as the integers that their bits make are, so the bisection runs over those integers and
-    ends after at most 64 steps, whatever the scale.
-
-    Args:
-        holds: the condition for float64 numbers, shape (n,) to (n,).
-        low: numbers for which it is false, shape (n,), float64.
-        high: numbers for which it is true.
-        dtype: float32 or float64; the numbers tried are of that dtype.
+    The condition takes float64 numbers and is monotone: false for `low`, true for `high`. Bisection
+    ends where no number of the dtype is between the two.
     """
-    false, true = _to_order(low.astype(dtype)), _to_order(high.astype(dtype))
-    assert not holds(_from_order(false, dtype)).any() and holds(_from_order(true, dtype)).all()
+    false, true = low.astype(dtype), high.astype(dtype)
+    assert not holds(false.astype(np.float64)).any() and holds(true.astype(np.float64)).all()
     while True:
-        middle = (false & true) + ((false ^ true) >> 1)  # the mean, which can't overflow
-        is_open = middle > false
+        middle = false + (true - false) / 2
+        is_open = (middle > false) & (middle < true)
         if not is_open.any():
-            return _from_order(true, dtype).astype(dtype)
-        found = holds(_from_order(middle, dtype))
+            return true
+        found = holds(middle.astype(np.float64))
         true = np.where(is_open & found, middle, true)
         false = np.where(is_open & ~found, middle, false)
 
 
 def first_in_cell(
-    least: float, cell_size: float, count: int, dtype: np.dtype[np.floating]
+    least: float, cell_size: float, count: int, dtype: Floating
 ) -> NDArray[np.floating]:
     """The smallest x of `dtype` in each of some columns, and beyond the last; (count + 1,)."""
     edge = np.arange(count + 1, dtype=np.float64)
@@ -337,70 +299,21 @@ def first_in_cell(
     return smallest_true(holds, middle - cell_size / 2, middle + cell_size / 2, dtype)
 
 
-def last_in_cell(
-    most: float, cell_size: float, count: int, dtype: np.dtype[np.floating]
-) -> NDArray[np.floating]:
-    """The largest y of `dtype` in each of some rows, and beyond the last; (count + 1,)."""
-    # (most - y) is (-y - -most) to the last bit
-    return -first_in_cell(-most, cell_size, count, dtype)
-
-
-def lowest_reaching(
-    floors: Float, max_step: float, dtype: np.dtype[np.floating]
-) -> NDArray[np.floating]:
+def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
     """The lowest z of `dtype` from which floors are at most a step above, by floor [m]."""
-
-    def holds(z: Float, floor: Float) -> Bool:
-        return np.asarray(floor <= z + max_step)
-
-    return _by_floor(floors, lambda floor: floor - max_step, holds, dtype)
-
-
-def highest_standing(
-    floors: Float, max_drop: float, dtype: np.dtype[np.floating]
-) -> NDArray[np.floating]:
-    """The highest z of `dtype` that is at most `max_drop` above floors, by floor [m]."""
-
-    def holds(down: Float, floor: Float) -> Bool:
-        return np.asarray(-down - floor <= max_drop)
-
-    return -_by_floor(floors, lambda floor: -floor - max_drop, holds, dtype)
-
-
-def _by_floor(
-    floors: Float,
-    exact: Callable[[Float], Float],
-    holds: Callable[[Float, Float], Bool],
-    dtype: np.dtype[np.floating],
-) -> NDArray[np.floating]:
-    """`smallest_true` of a condition that depends on the floor; each height is looked at once.
-
-    Args:
-        floors: heights, of any shape [m].
-        exact: where exact arithmetic has the thresholds, by floor [m].
-        holds: the condition, for numbers and their floors.
-        dtype: see `smallest_true`.
-    """
     some, where = np.unique(floors, return_inverse=True)
-    middle = exact(some)
-    # farther from there than rounding can move a threshold
-    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(middle))
-    found = smallest_true(lambda v: holds(v, some), middle - reach, middle + reach, dtype)
-    return found[where.reshape(floors.shape)]
+    low, high = _about(some, some - max_step, dtype)
+    return smallest_true(lambda z: some <= z + max_step, low, high, dtype)[where]
 
 
-def _to_order(values: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Integers in the order of the numbers."""
-    bits = values.view(np.int32 if values.dtype == np.float32 else np.int64).astype(np.int64)
-    return np.where(bits < 0, _lowest(values.dtype) - bits, bits)
+def highest_standing(floors: Float, max_drop: float, dtype: Floating) -> NDArray[np.floating]:
+    """The highest z of `dtype` that is at most `max_drop` above floors, by floor [m]."""
+    some, where = np.unique(floors, return_inverse=True)
+    low, high = _about(some, -some - max_drop, dtype)
+    return -smallest_true(lambda down: -down - some <= max_drop, low, high, dtype)[where]
 
 
-def _from_order(order: NDArray[np.int64], dtype: np.dtype[np.floating]) -> Float:
-    """The numbers that integers of `_to_order` stand for, as float64."""
-    bits = np.where(order < 0, _lowest(dtype) - order, order)
-    as_int = np.int32 if dtype == np.float32 else np.int64
-    return bits.astype(as_int).view(dtype).astype(np.float64)
-
-
-def _lowest(dtype: np.dtype[np.floating]) -> int:
-    return int(np.iinfo(np.int32 if dtype == np.float32 else np.int64).min)
+def _about(floors: Float, exact: Float, dtype: Floating) -> tuple[Float, Float]:
+    """Numbers round exact thresholds, farther off than rounding can move these."""
+    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(floors) + np.abs(exact))
+    return exact - reach, exact + reach

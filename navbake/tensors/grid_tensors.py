@@ -1,5 +1,6 @@
 """What the functions of `navbake.tensors` look things up in."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, TypeAlias
 
@@ -110,17 +111,11 @@ def register_pytree(xp: Any) -> None:
         return
     from jax import tree_util  # the caller handed over JAX
 
-    try:
-        tree_util.register_pytree_node(GridTensors, _to_leaves, _from_leaves)
-    except ValueError:  # registered before
-        return
+    def flatten(t: GridTensors) -> tuple[tuple[Array, ...], tuple[Any, ...]]:
+        return tuple(getattr(t, n) for n in ARRAYS), tuple(getattr(t, n) for n in STATIC)
 
+    def unflatten(static: tuple[Any, ...], arrays: tuple[Array, ...]) -> GridTensors:
+        return GridTensors(**dict(zip(STATIC + ARRAYS, (*static, *arrays), strict=True)))
 
-def _to_leaves(t: GridTensors) -> tuple[tuple[Array, ...], tuple[Any, ...]]:
-    return tuple(getattr(t, n) for n in ARRAYS), tuple(getattr(t, n) for n in STATIC)
-
-
-def _from_leaves(static: tuple[Any, ...], arrays: tuple[Array, ...]) -> GridTensors:
-    return GridTensors(
-        **dict(zip(STATIC, static, strict=True)), **dict(zip(ARRAYS, arrays, strict=True))
-    )
+    with suppress(ValueError):  # registered before
+        tree_util.register_pytree_node(GridTensors, flatten, unflatten)

@@ -6,7 +6,6 @@ libraries run whole expressions on threads or devices of their own.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,22 +17,13 @@ PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second
 FAR = 1e30  # metres; what lies higher is no position
 
 
-class Located(NamedTuple):
-    """The cells of positions, of any shape (...).
+def locate(
+    t: GridTensors, positions: Array, scene_id: Array | int | None
+) -> tuple[Array, Array, Array]:
+    """Find the cells of checked positions, shape (..., 3), on the nearest floor below each.
 
-    Attributes:
-        cell: ids, `GridTensors` says of what; 0 where there is none.
-        level: 0 where there is none.
-        inside: whether there is one.
+    Ids of cells and levels, 0 where there is none, and whether there is one; shape (...).
     """
-
-    cell: Array
-    level: Array
-    inside: Array
-
-
-def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Located:
-    """Find the cells of checked positions, shape (..., 3), on the nearest floor below each."""
     xp, shape = t.xp, t.shape
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     first = first_level(t, scene_id)
@@ -42,7 +32,7 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
     cell, inside = on_level(t, x, y, first)
     if t.one_ground:
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
-        return Located(xp.where(inside, cell, 0), xp.zeros_like(cell), inside)
+        return xp.where(inside, cell, 0), xp.zeros_like(cell), inside
     best, level = xp.zeros_like(cell), xp.zeros_like(cell)
     highest = xp.full_like(cell, -1)  # the rank of the best floor
     for k in range(shape.levels):
@@ -55,7 +45,7 @@ def locate(t: GridTensors, positions: Array, scene_id: Array | int | None) -> Lo
         best = xp.where(better, cell, best)
         level = xp.where(better, k, level)
         highest = xp.where(better, rank, highest)
-    return Located(best, level, highest >= 0)
+    return best, level, highest >= 0
 
 
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
@@ -89,15 +79,6 @@ def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
     """Level among those of all scenes, row and column of cells."""
     level, rest = cell // (t.shape.rows * t.shape.cols), cell % (t.shape.rows * t.shape.cols)
     return level, rest // t.shape.cols, rest % t.shape.cols
-
-
-def centers(t: GridTensors, cell: Array) -> Array:
-    """World x, y of cells' centres [m], shape (..., 2)."""
-    level, row, col = split(t, cell)
-    size = 1 / t.scale[level]
-    x = t.x_first[level] + (t.xp.astype(col, t.dtype) + 0.5) * size
-    y = t.y_first[level] - (t.xp.astype(row, t.dtype) + 0.5) * size
-    return t.xp.stack([x, y], axis=-1)
 
 
 def check_positions(t: GridTensors, positions: Array) -> Array:
@@ -147,13 +128,9 @@ def check_number(given: int | np.integer, what: str, count: int) -> int:
 def check_numbers(
     t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """Numbers of scenes, goals or rooms as an array of a shape; -1 for those that are not there.
+    """Numbers, 0 to count - 1, of scenes, goals or rooms as an array of a shape; -1 for others.
 
     They can't be refused: no code may look at the numbers of an array, as it may be traced.
-
-    Args:
-        what: is numbered.
-        count: how many there are; numbers go from 0 to count - 1.
     """
     if isinstance(given, int | Sequence | np.ndarray | np.integer):
         given = _new_array(t, given, None)
@@ -197,19 +174,16 @@ def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -
 def answer_all(
     t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
 ) -> Array:
-    """Answer a question about positions of any shape (..., 3).
+    """Answer a question about positions of any shape (..., 3), in pieces where that is quicker.
 
-    Args:
-        t: whose library the arrays are of.
-        answer: takes positions of shape (m, 3) and the others of shape (m,), or all as they are
-            given here; gives an array of shape (m, ...).
-        positions: shape (..., 3).
-        further: shape (...); or None or an integer, which stay as they are.
+    `answer` takes positions of shape (m, 3) and the others of shape (m,), or all as they are given
+    here, and gives an array of shape (m, ...). Further arguments of shape (...), None or an
+    integer; the latter stay as they are.
     """
     shape = tuple(positions.shape[:-1])
-    if t.xp.__name__ not in NUMPY or math.prod(shape) < 2 * PIECE:
-        return answer(positions, *further)
     count = math.prod(shape)
+    if t.xp.__name__ not in NUMPY or count < 2 * PIECE:
+        return answer(positions, *further)
     from navbake.threads import run_in_bands  # saves numba where batches are small
 
     whole = [
@@ -218,8 +192,7 @@ def answer_all(
     ]
 
     def piece(first: int, last: int) -> Array:
-        parts = (a[first:last] if isinstance(a, np.ndarray) else a for a in whole)
-        return answer(*parts)
+        return answer(*(a[first:last] if isinstance(a, np.ndarray) else a for a in whole))
 
     start = piece(0, PIECE)
     found = np.empty((count, *start.shape[1:]), dtype=start.dtype)

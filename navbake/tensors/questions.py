@@ -19,7 +19,6 @@ from navbake.tensors.lookup import (
     as_array,
     bounded,
     broadcast,
-    centers,
     check_number,
     check_numbers,
     check_positions,
@@ -45,11 +44,10 @@ def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = No
         QueryError: positions have another shape or dtype, or there is no such scene. The same
             holds of all functions of this package.
     """
-    xp = t.xp
 
     def answer(p: Array, scenes: Array) -> Array:
-        found = locate(t, p, scenes)
-        return xp.astype(xp.where(found.inside, found.level, -1), xp.int32)
+        _, level, inside = locate(t, p, scenes)
+        return t.xp.astype(t.xp.where(inside, level, -1), t.xp.int32)
 
     return _ask(t, answer, positions, scene_id)
 
@@ -80,8 +78,8 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None 
     """
 
     def answer(p: Array, scenes: Array) -> Array:
-        found = locate(t, p, scenes)
-        return found.inside & (p[..., 2] <= t.top[found.cell])
+        cell, _, inside = locate(t, p, scenes)
+        return inside & (p[..., 2] <= t.top[cell])
 
     return _ask(t, answer, positions, scene_id)
 
@@ -105,34 +103,32 @@ def clearance(
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
     if mode == "nearest":
         return _value(t, t.clearance, t.xp.nan, positions, scene_id)
-    return _ask(t, lambda p, scenes: _bilinear(t, p, scenes), positions, scene_id)
-
-
-def _bilinear(t: GridTensors, p: Array, scenes: Array) -> Array:
-    """`clearance` between the centres of cells."""
     xp, shape = t.xp, t.shape
-    found = locate(t, p, scenes)
-    level = first_level(t, scenes) + found.level
-    # where a position is in no cell, nothing of it may get into the gradient
-    x = xp.where(found.inside, p[..., 0], t.x_first[level])
-    y = xp.where(found.inside, p[..., 1], t.y_first[level])
-    across = (x - t.x_first[level]) * t.scale[level] - 0.5
-    down = (t.y_first[level] - y) * t.scale[level] - 0.5
-    last_col, last_row = t.num_cols[level] - 1, t.num_rows[level] - 1
-    col0 = bounded(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
-    row0 = bounded(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
-    col1 = xp.minimum(col0 + 1, last_col)
-    row1 = xp.minimum(row0 + 1, last_row)
-    share_x = bounded(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
-    share_y = bounded(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
-    first = level * (shape.rows * shape.cols)
 
-    def value(row: Array, col: Array) -> Array:
-        return t.clearance[first + row * shape.cols + col]
+    def answer(p: Array, scenes: Array) -> Array:
+        _, on, inside = locate(t, p, scenes)
+        level = first_level(t, scenes) + on
+        # where a position is in no cell, nothing of it may get into the gradient
+        x = xp.where(inside, p[..., 0], t.x_first[level])
+        y = xp.where(inside, p[..., 1], t.y_first[level])
+        across = (x - t.x_first[level]) * t.scale[level] - 0.5
+        down = (t.y_first[level] - y) * t.scale[level] - 0.5
+        last_col, last_row = t.num_cols[level] - 1, t.num_rows[level] - 1
+        col0 = bounded(xp, xp.astype(xp.floor(across), t.index), 0, last_col)
+        row0 = bounded(xp, xp.astype(xp.floor(down), t.index), 0, last_row)
+        col1 = xp.minimum(col0 + 1, last_col)
+        row1 = xp.minimum(row0 + 1, last_row)
+        share_x = bounded(xp, across - xp.astype(col0, t.dtype), 0.0, 1.0)
+        share_y = bounded(xp, down - xp.astype(row0, t.dtype), 0.0, 1.0)
 
-    upper = value(row0, col0) * (1 - share_x) + value(row0, col1) * share_x
-    lower = value(row1, col0) * (1 - share_x) + value(row1, col1) * share_x
-    return xp.where(found.inside, upper * (1 - share_y) + lower * share_y, xp.nan)
+        def along(row: Array) -> Array:
+            at = level * (shape.rows * shape.cols) + row * shape.cols
+            return t.clearance[at + col0] * (1 - share_x) + t.clearance[at + col1] * share_x
+
+        between = along(row0) * (1 - share_y) + along(row1) * share_y
+        return xp.where(inside, between, xp.nan)
+
+    return _ask(t, answer, positions, scene_id)
 
 
 def _value(
@@ -141,17 +137,14 @@ def _value(
     """The values of a layer in the cells of positions."""
 
     def answer(p: Array, scenes: Array) -> Array:
-        found = locate(t, p, scenes)
-        return t.xp.where(found.inside, layer[found.cell], outside)
+        cell, _, inside = locate(t, p, scenes)
+        return t.xp.where(inside, layer[cell], outside)
 
     return _ask(t, answer, positions, scene_id)
 
 
 def _ask(
-    t: GridTensors,
-    answer: Callable[..., Array],
-    positions: Array,
-    scene_id: Array | int | None,
+    t: GridTensors, answer: Callable[..., Array], positions: Array, scene_id: Array | int | None
 ) -> Array:
     p = check_positions(t, positions)
     return answer_all(t, answer, p, check_scenes(t, scene_id, p.shape[:-1]))
@@ -228,13 +221,8 @@ def patch(
     xp, device, cell = t.xp, device_of(t), float(cell)
     ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
     left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
-    grid = xp.stack(
-        [
-            xp.broadcast_to(ahead[:, None], (rows, cols)),
-            xp.broadcast_to(left[None, :], (rows, cols)),
-        ],
-        axis=-1,
-    )
+    axes = ahead[:, None], left[None, :]
+    grid = xp.stack([xp.broadcast_to(axis, (rows, cols)) for axis in axes], axis=-1)
     points = _turned(t, positions, yaw, xp.reshape(grid, (-1, 2)))
     further: dict[str, str] = {"mode": "nearest"} if layer == "clearance" else {}
     values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]), **further)
@@ -285,8 +273,8 @@ def distance_to_goal(
     """
 
     def answer(p: Array, first: Array | int, scenes: Array) -> Array:
-        found = locate(t, p, scenes)
-        return t.xp.where(found.inside, t.cost[first + found.cell], t.xp.nan)
+        cell, _, inside = locate(t, p, scenes)
+        return t.xp.where(inside, t.cost[first + cell], t.xp.nan)
 
     return _ask_goal(t, answer, positions, goal, scene_id)
 
@@ -309,20 +297,23 @@ def path_step(
         World x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is
         no path.
     """
-    return _ask_goal(t, lambda *given: _steps(t, *given), positions, goal, scene_id)
-
-
-def _steps(t: GridTensors, p: Array, first: Array | int, scenes: Array) -> Array:
-    """`path_step` of checked positions."""
     xp = t.xp
-    found = locate(t, p, scenes)
-    onward = xp.astype(t.onward[first + found.cell], t.index)
-    leads = found.inside & (onward >= 0)
-    ways = centers(t, xp.where(leads, onward, 0)) - p[..., :2]
-    ways = xp.where((leads & (onward != found.cell))[..., None], ways, 0.0)
-    length = xp.sqrt(ways[..., 0] ** 2 + ways[..., 1] ** 2)
-    unit = ways / xp.where(length > 0, length, 1.0)[..., None]
-    return xp.where(leads[..., None], unit, xp.nan)
+
+    def answer(p: Array, first: Array | int, scenes: Array) -> Array:
+        cell, _, inside = locate(t, p, scenes)
+        onward = xp.astype(t.onward[first + cell], t.index)
+        leads = inside & (onward >= 0)
+        level, row, col = split(t, xp.where(leads, onward, 0))
+        size = 1 / t.scale[level]
+        x = t.x_first[level] + (xp.astype(col, t.dtype) + 0.5) * size
+        y = t.y_first[level] - (xp.astype(row, t.dtype) + 0.5) * size
+        ways = xp.stack([x, y], axis=-1) - p[..., :2]
+        ways = xp.where((leads & (onward != cell))[..., None], ways, 0.0)
+        length = xp.sqrt(ways[..., 0] ** 2 + ways[..., 1] ** 2)
+        unit = ways / xp.where(length > 0, length, 1.0)[..., None]
+        return xp.where(leads[..., None], unit, xp.nan)
+
+    return _ask_goal(t, answer, positions, goal, scene_id)
 
 
 def _ask_goal(
@@ -403,49 +394,38 @@ def sample(
         is_known = is_known & (number >= 0)
         low = group * base + number
         high = low + 1
-    begin, end = _find(t, keys, low), _find(t, keys, high)
+
+    def find(keys: Array, wanted: Array) -> Array:
+        """How many of the sorted keys are smaller than each number."""
+        flat = xp.reshape(xp.astype(wanted, keys.dtype), (-1,))
+        found = xp.searchsorted(keys, flat, side="left")
+        return xp.reshape(xp.astype(found, t.index), wanted.shape)
+
+    begin, end = find(keys, low), find(keys, high)
+    count, before = end - begin, None
     if min_clearance is not None:
         if getattr(min_clearance, "ndim", 0) != 0:
             raise QueryError("expected one number as min_clearance [m], got an array of them")
         allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
         before = xp.concat([xp.zeros_like(allowed[:1]), xp.cumulative_sum(allowed)])
         count = before[end] - before[begin]
-        at = _find(t, before[1:], before[begin] + _rank(t, first, count) + 1)
-    else:
-        count = end - begin
-        at = begin + _rank(t, first, count)
+    # which of the `count` cells the number means; the product may be rounded up
+    rank = xp.astype(xp.floor(first * xp.astype(count, t.dtype)), t.index)
+    rank = xp.minimum(rank, count - 1)
+    rank = xp.where(rank < 0, 0, rank)
+    at = begin + rank if before is None else find(before[1:], before[begin] + rank + 1)
     cell = xp.astype(cells[bounded(xp, at, 0, cells.shape[0] - 1)], t.index)
-    places = _place_in(t, cell, numbers)
-    is_place = is_known & (count > 0) & ~xp.any(xp.isnan(places), axis=-1)
-    return xp.where(is_place[..., None], places, xp.nan)
-
-
-def _rank(t: GridTensors, u: Array, count: Array) -> Array:
-    """Which of `count` cells a number in [0, 1) means, 0 to count - 1."""
-    rank = t.xp.astype(t.xp.floor(u * t.xp.astype(count, t.dtype)), t.index)
-    rank = t.xp.minimum(rank, count - 1)  # u * count may be rounded up
-    return t.xp.where(rank < 0, 0, rank)
-
-
-def _find(t: GridTensors, keys: Array, wanted: Array) -> Array:
-    """How many of the sorted keys are smaller than each number."""
-    flat = t.xp.reshape(t.xp.astype(wanted, keys.dtype), (-1,))
-    found = t.xp.searchsorted(keys, flat, side="left")
-    return t.xp.reshape(t.xp.astype(found, t.index), wanted.shape)
-
-
-def _place_in(t: GridTensors, cell: Array, numbers: Array) -> Array:
-    """Places in cells: at their centres, or where the second and third numbers say."""
-    xp, shape = t.xp, t.shape
     level, row, col = split(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
-    west = t.x_edge[level * (shape.cols + 1) + col]
-    east = t.x_edge[level * (shape.cols + 1) + col + 1]
-    north = t.y_edge[level * (shape.rows + 1) + row]
-    south = t.y_edge[level * (shape.rows + 1) + row + 1]
+    column, line = level * (t.shape.cols + 1) + col, level * (t.shape.rows + 1) + row
+    west, east, north, south = (
+        t.x_edge[column], t.x_edge[column + 1], t.y_edge[line], t.y_edge[line + 1]
+    )  # fmt: skip
     across, down = (0.5, 0.5) if numbers.shape[-1] == 1 else (numbers[..., 1], numbers[..., 2])
     # the eastern and the southern edge belong to the next cells
     x = xp.minimum(west + across * (east - west), xp.nextafter(east, xp.full_like(east, -xp.inf)))
     y = xp.maximum(north - down * (north - south), xp.nextafter(south, xp.full_like(south, xp.inf)))
-    return xp.stack([x, y, z], axis=-1)
+    places = xp.stack([x, y, z], axis=-1)
+    is_place = is_known & (count > 0) & ~xp.any(xp.isnan(places), axis=-1)
+    return xp.where(is_place[..., None], places, xp.nan)
