@@ -19,7 +19,7 @@ from navbake.errors import (
     QueryError,
     SceneError,
 )
-from navbake.navgrid.operations import OPERATIONS, resolve
+from navbake.navgrid.operations import resolve
 
 if TYPE_CHECKING:
     from navbake import samples, tensors
@@ -97,26 +97,6 @@ _LAZY = {
 }
 
 _MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for
-
-# where the functions behind methods of grids and voxels are
-OPERATIONS |= {
-    "grid._repr_html_": "navbake.views.notebook:show_html",
-    "grid._repr_png_": "navbake.views.notebook:draw_png",
-    "grid.at": "navbake.runtime.place:place_at",
-    "grid.block": "navbake.runtime.blocks:block",
-    "grid.convert": "navbake.formats.convert:write_as",
-    "grid.describe_cell": "navbake.views.describe:describe_cell",
-    "grid.inflate": "navbake.runtime.inflation:inflate",
-    "grid.inflate_footprint": "navbake.runtime.footprint:inflate_footprint",
-    "grid.save": "navbake.formats.navgrid:write_navgrid",
-    "grid.tensors": "navbake.tensors.build:make_tensors",
-    "grid.to_geojson": "navbake.formats.shapes:to_geojson",
-    "grid.to_graph": "navbake.formats.graphs:make_graph",
-    "grid.to_mesh": "navbake.formats.floor_mesh:make_floor_mesh",
-    "grid.to_polygons": "navbake.formats.shapes:find_shapes",
-    "grid.values_at": "navbake.runtime.place:values_at",
-    "voxels.save": "navbake.formats.voxels:write_voxels",
-}
 
 
 def __getattr__(name: str) -> Any:

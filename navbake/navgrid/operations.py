@@ -1,19 +1,18 @@
-"""Operations of grids that live in modules above the grid, found by name.
+"""Methods of grids whose functions live in modules above the grid.
 
 A grid has methods like `inflate`, `block` and `save` for convenience, and the run time, the views
-and the formats import the grid. So the grid may not import them. It calls them by name instead:
-`navbake/__init__.py` registers for each operation where its function is, and the function is
-imported when it is first called.
+and the formats import the grid. So the grid may not import them: it names the function, which is
+imported when the method is first looked at. Signature and docstring are the function's.
 """
 
-from collections.abc import Callable
-from functools import cache
-from importlib import import_module
-from typing import Any
+from __future__ import annotations
 
-OPERATIONS: dict[str, str] = {}
-"""Where the function of each operation is: ``module:function`` by ``grid.METHOD`` or
-``voxels.METHOD``."""
+from collections.abc import Callable
+from importlib import import_module
+from types import MethodType
+from typing import Any, Generic, TypeVar
+
+Result = TypeVar("Result")
 
 
 def resolve(where: str) -> Any:
@@ -22,8 +21,12 @@ def resolve(where: str) -> Any:
     return getattr(import_module(module), name)
 
 
-@cache
-def operation(name: str) -> Callable[..., Any]:
-    """The function of an operation, which takes the object itself first."""
-    found: Callable[..., Any] = resolve(OPERATIONS[name])
-    return found
+class Method(Generic[Result]):
+    """A function at ``module:name`` that takes the object first, as a method of its class."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+
+    def __get__(self, instance: object, owner: type | None = None) -> Callable[..., Result]:
+        function: Callable[..., Result] = resolve(self.where)
+        return function if instance is None else MethodType(function, instance)

@@ -25,7 +25,30 @@ def block(
     height: float | None = None,
     margin: float | None = None,
 ) -> Block:
-    """See `SceneGrid2D.block`."""
+    """Block cells for something that moves, until they are freed.
+
+    Weights, occupancy and, if it is there, the layer ``clearance`` of this very grid change;
+    so do the answers of every `PathFinder` on it. Blocks may overlap. A disc or a box takes
+    the cells where an agent that stands on the floor would meet it: those whose square it
+    meets, or the disc of `margin` round whose centre. A grid that is derived from this one
+    keeps what is blocked when it is made.
+
+    Args:
+        cells: level, row and column, as `cell_at` and `cells_at` give them; they alone.
+        disc: centre and radius [m]; it stands at the centre's z, on all levels that it
+            reaches into. Of x, y alone, it is as high as the level.
+        box: lower and upper corner, world frame [m]; of x, y alone, as high as the level.
+        level: block this level only; then a position needs no z.
+        height: of the disc [m]; the agent's if None.
+        margin: radius of the agent [m]; that of the grid's inflation, or else of its bake, if
+            None.
+
+    Returns:
+        What frees the cells: call its `free`, or use it as a context manager.
+
+    Raises:
+        QueryError: not one of cells, disc and box is given, or it is none.
+    """
     if sum(thing is not None for thing in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")
     check_level(level, len(grid.levels))

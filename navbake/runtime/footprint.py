@@ -28,7 +28,23 @@ TOUCH = 1e-9  # [cells] by which a polygon may overlap a square that it touches
 def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
-    """See `SceneGrid2D.inflate_footprint`."""
+    """Where an agent that isn't round can stand, heading by heading.
+
+    Args:
+        polygon: its outline from above, shape (n, 2), n >= 3, in its own frame [m]: x ahead,
+            y to the left, its centre at the origin. Without crossings.
+        num_headings: how many headings; number k looks along ``2 π k / num_headings``,
+            counter-clockwise from the world's x.
+        ledges: as of `inflate`.
+
+    Returns:
+        For each level, shape (num_headings, height, width), bool: whether the cell is free
+        and the polygon, its origin on the cell's centre, meets no occupied cell's square;
+        see the module.
+
+    Raises:
+        QueryError: the polygon is none, or there is no heading.
+    """
     outline = _check_polygon(polygon)
     check_ledges(ledges)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:

@@ -57,7 +57,38 @@ def inflate(
     scaling: float = SCALING,
     ledges: str = "avoid",
 ) -> AnyGrid:
-    """See `SceneGrid2D.inflate`."""
+    """The same grid for an agent of another radius.
+
+    ``exact``: a cell stays free if the open disc of the radius round its centre meets no
+    occupied cell's square, and no floor more than a step higher or lower. So no baked geometry
+    is ever hit, and the radius replaces the baked one. See
+    `navbake.runtime.inflation` for steps, other levels, the edges of the grid and cells
+    without floor. ``minos``: the weights that the original client's ``refine`` gives,
+    cell for cell.
+
+    A cell that isn't free stays so, unless only the baked disc closed it (see
+    `SceneGrid2D.solid`; or in ``refine`` at radius 0 with a clearance). Occupancy stays as
+    baked, so a grid can be inflated again; a grid without layers for occupancy or floors gets
+    them, as they followed from its weights.
+
+    Args:
+        radius: of the agent [m], 0 to 10,000.
+        clearance: how far beyond the radius cells cost more [m]; None for none with ``step``,
+            and for as far as the cost reaches 1 with ``nav2``.
+        mode: ``exact`` or ``minos``.
+        costs: what such a cell weighs at least: ``step``, 10; ``nav2``, the cost of nav2's
+            inflation layer, ``floor(252 exp(-scaling (d - radius)))``, d from the centre of
+            the nearest occupied cell of the level.
+        scaling: of ``nav2`` [1/m], > 0.
+        ledges: of ``exact``: ``avoid`` keeps the disc off floors more than a step lower,
+            ``ignore`` lets it hang over them.
+
+    Returns:
+        A new grid; its metadata list what was done under ``inflation``.
+
+    Raises:
+        QueryError: an argument is out of its range.
+    """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
         reaches_1 = math.log(LETHAL_COST) / scaling  # distance at which nav2's costs fall to 1

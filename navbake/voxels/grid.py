@@ -5,7 +5,6 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.navgrid.operations import operation
+from navbake.navgrid.operations import Method
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.voxels.placement import finite_array
 
@@ -155,9 +154,7 @@ class VoxelGrid:
         names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
         return replace(self, values=values, names=names)
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write a file: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``, see `navbake.formats.voxels`."""
-        operation("voxels.save")(self, path)
+    save = Method[None]("navbake.formats.voxels:write_voxels")
 
 
 def dtype_of(most: int) -> np.dtype[Any]:
