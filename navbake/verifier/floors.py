@@ -12,10 +12,9 @@ import numpy as np
 
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Vector3
-from navbake.verifier.agent import Agent
 from navbake.verifier.lines import AROUND, CRACK, FACES_UP, RIM, Line, Lines, Surface
 from navbake.verifier.report import FLOOR_OFF, Finding, LevelCounts
-from navbake.verifier.sample import LevelSample
+from navbake.verifier.sample import Agent, LevelSample
 
 OFF = 1e-4  # metres that a floor may be off a surface, and
 SHARE = 1e-6  # a share of its distance from the origin, which float32 rounds off

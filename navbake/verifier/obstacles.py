@@ -7,8 +7,8 @@ its hull is its hull there, also for rays, and what is drawn transparent is hit 
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import fcl
@@ -57,32 +57,28 @@ class Obstacle:
         return self.kind in (CONVEX, HALF_SPACE)
 
 
-@dataclass(eq=False)
 class Obstacles:
     """All obstacles, numbered as the geoms of a MuJoCo model that holds nothing else.
 
     Behind them the model has a box and a cylinder to probe with, and the geoms of `facing`: of each
     surface of a mesh, its triangles that face up, and those that face down, because where two lie
-    in one place, a ray meets only one of them.
+    in one place, a ray meets only one of them. `names` are those of the scene's geoms.
     """
 
-    items: list[Obstacle]
-    names: list[str]
-    model: Any
-    data: Any
-    facing: dict[int, list[int]]
-    low: Float = field(init=False)
-    high: Float = field(init=False)
-    pos: Float = field(init=False)
-    mat: Float = field(init=False)
-    size: Float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.low = np.array([item.low for item in self.items]).reshape(-1, 3)
-        self.high = np.array([item.high for item in self.items]).reshape(-1, 3)
-        # MuJoCo makes these anew whenever they are asked for
-        self.pos, self.mat = self.data.geom_xpos, self.data.geom_xmat
-        self.size = self.model.geom_size
+    def __init__(
+        self,
+        items: list[Obstacle],
+        names: list[str],
+        model: Any,
+        data: Any,
+        facing: dict[int, list[int]],
+    ) -> None:
+        self.items, self.names, self.facing = items, names, facing
+        self.low = np.array([item.low for item in items]).reshape(-1, 3)
+        self.high = np.array([item.high for item in items]).reshape(-1, 3)
+        # MuJoCo makes these arrays anew whenever they are asked for
+        self.model, self.data, self.size = model, data, model.geom_size
+        self.pos, self.mat = data.geom_xpos, data.geom_xmat
         x_and_y = self.low[:, 0], self.low[:, 1], self.high[:, 0], self.high[:, 1]
         self._sides = [np.ascontiguousarray(side) for side in x_and_y]
 
@@ -115,20 +111,23 @@ class Obstacles:
         if item.kind == HALF_SPACE:
             return float(pos @ way) if way @ mat[:, 2] > 1 - 1e-12 else np.inf
         kind = int(self.model.geom_type[number])
-        return float(pos @ way + _reach(kind, self.size[number], mat.T @ way))
+        return float(pos @ way + SOLIDS[kind][1](self.size[number], mat.T @ way))
 
 
-def _reach(kind: int, size: Float, way: Float) -> float:
-    """How far a solid reaches from its centre along a unit vector of its own frame [m]."""
-    if kind == GEOM.mjGEOM_SPHERE:
-        return float(size[0])
-    if kind == GEOM.mjGEOM_CAPSULE:
-        return float(size[0] + size[1] * abs(way[2]))
-    if kind == GEOM.mjGEOM_ELLIPSOID:
-        return float(np.linalg.norm(size * way))
-    if kind == GEOM.mjGEOM_CYLINDER:
-        return float(size[0] * np.hypot(way[0], way[1]) + size[1] * abs(way[2]))
-    return float((size * np.abs(way)).sum())
+SOLIDS: dict[int, tuple[Callable[[Float], Any], Callable[[Float, Float], Any]]] = {
+    GEOM.mjGEOM_SPHERE: (lambda s: fcl.Sphere(s[0]), lambda s, way: s[0]),
+    GEOM.mjGEOM_CAPSULE: (
+        lambda s: fcl.Capsule(s[0], 2 * s[1]),
+        lambda s, way: s[0] + s[1] * abs(way[2]),
+    ),
+    GEOM.mjGEOM_ELLIPSOID: (lambda s: fcl.Ellipsoid(*s), lambda s, way: np.linalg.norm(s * way)),
+    GEOM.mjGEOM_CYLINDER: (
+        lambda s: fcl.Cylinder(s[0], 2 * s[1]),
+        lambda s, way: s[0] * np.hypot(way[0], way[1]) + s[1] * abs(way[2]),
+    ),
+    GEOM.mjGEOM_BOX: (lambda s: fcl.Box(*(2 * s)), lambda s, way: (s * np.abs(way)).sum()),
+}
+"""FCL's shape of a solid by its size; how far it reaches along a unit vector of its frame [m]."""
 
 
 def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> Obstacles:
@@ -169,7 +168,6 @@ class _Builder:
         model, part = self._model, self._scene.parts.get(geom)
         kind, size = int(model.geom_type[geom]), model.geom_size[geom].copy()
         mat, pos = self._data.geom_xmat[geom].reshape(3, 3).copy(), self._data.geom_xpos[geom]
-        pieces = [_Piece(CONVEX, _solid(kind, size), {"type": kind, "size": size})]
         if part is not None:  # in the world's frame
             mat, pos = np.eye(3), np.zeros(3)
             faces = part.faces.astype(np.int64)
@@ -183,6 +181,8 @@ class _Builder:
             pieces = [self._height_field(int(model.geom_dataid[geom]))]
         elif kind == GEOM.mjGEOM_PLANE:
             pieces = [_plane(size)]
+        else:
+            pieces = [_Piece(CONVEX, SOLIDS[kind][0](size), {"type": kind, "size": size})]
         for piece in pieces:
             self._put(geom, piece, mat, pos)
 
@@ -225,8 +225,8 @@ class _Builder:
             if mat[2, 2] > 1 - 1e-12:  # nothing over a level one needs to be asked about
                 high[2] = pos[2]
         else:
-            size = piece.geom["size"]
-            half = np.array([_reach(piece.geom["type"], size, axis) for axis in mat])
+            reach, size = SOLIDS[piece.geom["type"]][1], piece.geom["size"]
+            half = np.array([reach(size, axis) for axis in mat])
             low, high = pos - half, pos + half
         if piece.triangles is not None:
             halves = self._split_facing(piece, mat[2])
@@ -287,18 +287,6 @@ class _Builder:
         points, triangles = points.ravel(), triangles.ravel()
         self._spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=shell)
         return name
-
-
-def _solid(kind: int, size: Float) -> Any:
-    if kind == GEOM.mjGEOM_SPHERE:
-        return fcl.Sphere(size[0])
-    if kind == GEOM.mjGEOM_CAPSULE:
-        return fcl.Capsule(size[0], 2 * size[1])
-    if kind == GEOM.mjGEOM_ELLIPSOID:
-        return fcl.Ellipsoid(*size)
-    if kind == GEOM.mjGEOM_CYLINDER:
-        return fcl.Cylinder(size[0], 2 * size[1])
-    return fcl.Box(*(2 * size))
 
 
 def _plane(size: Float) -> _Piece:

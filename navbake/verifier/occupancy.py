@@ -9,12 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.types import Bool, Float, Int
-from navbake.verifier.agent import Agent
 from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, Obstacle
 from navbake.verifier.probes import APART, DISPUTED, FARTHEST, TOUCHES, Column, Probes
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
-from navbake.verifier.sample import LevelSample, Part
+from navbake.verifier.sample import Agent, LevelSample, Part
 
 MEASURED = 100  # findings of a kind whose depth or gap is measured
 

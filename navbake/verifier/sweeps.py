@@ -11,10 +11,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
-from navbake.verifier.agent import Agent
 from navbake.verifier.probes import TOUCHES, Column, Probes
 from navbake.verifier.report import PATH_TOUCHES, Finding, SweepCounts
-from navbake.verifier.sample import Surroundings
+from navbake.verifier.sample import Agent, Surroundings
 
 MOST_TRIES = 20  # a path, to find two places that are apart
 CORNER = 1e-6  # a line is no longer than this in a cell whose corner it runs through [m]

@@ -16,7 +16,6 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
-from navbake.verifier.agent import Agent, inflate_for
 from navbake.verifier.floors import FloorCheck, SheetSearch
 from navbake.verifier.lines import CRACK, Lines
 from navbake.verifier.obstacles import UNCLEAR, Obstacles, build_obstacles
@@ -24,8 +23,10 @@ from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Probes
 from navbake.verifier.report import PLACE_LOST, Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
+    Agent,
     LevelSample,
     Surroundings,
+    inflate_for,
     states_floors,
     take_sample,
     volume_over,

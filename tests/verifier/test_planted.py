@@ -123,7 +123,7 @@ def test_names_a_level_that_was_deleted_from_the_file(house, tmp_path, missing):
     assert content["type"] == "MultiLevelGrid"
     del content["grids"][missing]
     path.write_text(json.dumps(content))
-    with pytest.raises(FormatError, match=r"an existing level, got 1 in link 0"):
+    with pytest.raises(FormatError, match=r"an existing cell, got cell \d+ of level 1 in link 0"):
         navbake.verify(path, config)
     for table in ("links", "rooms"):  # these name the level
         del content["metadata"]["navbake"][table]
