@@ -4,11 +4,11 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import NAMES, names_in
 from navbake.runtime.place import place_at
-from navbake.types import Int32, Json
+from navbake.types import Json
 
 MADE_BY = {
     "version": "navbake",
@@ -40,16 +40,33 @@ def describe(grid: NavGrid) -> Json:
     """
     islands = find_islands(grid)
     stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")
+    levels = []
+    for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True):
+        area = level.lattice.cell_size**2
+        floor = level.floor[np.isfinite(level.floor)]
+        sizes = np.bincount(island.ravel())[1:]
+        levels.append(
+            {
+                "name": name,
+                "width": level.width,
+                "height": level.height,
+                "ground": _rounded(level.ground),
+                "floor_min": _rounded(floor.min()) if floor.size else None,
+                "floor_max": _rounded(floor.max()) if floor.size else None,
+                "floor_area": _rounded(floor.size * area),
+                "free_area": _rounded(np.count_nonzero(level.free) * area),
+                "num_islands": int(np.count_nonzero(sizes)),
+                "largest_island_area": _rounded(sizes.max(initial=0) * area),
+                "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
+            }
+        )
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
         "cell_size": grid.levels[0].lattice.cell_size,
         "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
-        "levels": [
-            {"name": name, **_describe_level(level, island)}
-            for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True)
-        ],
+        "levels": levels,
         "num_islands": max(int(island.max(initial=0)) for island in islands),
         "num_links": len(grid.link_array),
         "doors": [door.to_json() for door in grid.doors],
@@ -60,25 +77,6 @@ def describe(grid: NavGrid) -> Json:
             if isinstance(entry, dict) and entry.keys() >= set(INFLATION)
         ],
         "warnings": list(grid.warnings),
-    }
-
-
-def _describe_level(level: SceneGrid2D, island: Int32) -> Json:
-    cell_area = level.lattice.cell_size**2
-    floor = level.floor
-    floor = floor[np.isfinite(floor)]
-    island_sizes = np.bincount(island.ravel())[1:]
-    return {
-        "width": level.width,
-        "height": level.height,
-        "ground": _rounded(level.ground),
-        "floor_min": _rounded(floor.min()) if floor.size else None,
-        "floor_max": _rounded(floor.max()) if floor.size else None,
-        "floor_area": _rounded(floor.size * cell_area),
-        "free_area": _rounded(np.count_nonzero(level.free) * cell_area),
-        "num_islands": int(np.count_nonzero(island_sizes)),
-        "largest_island_area": _rounded(island_sizes.max(initial=0) * cell_area),
-        "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
     }
 
 

@@ -272,15 +272,13 @@ def _show_clearance(grid: NavGrid, number: int) -> Panel:
 
 def _show_weights(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
-    return _show_free(level, level.weights, "weights", "cost of a cell", dark_high=True)
+    return _show_free(level, level.weights, "weights", "cost of a cell")
 
 
-def _show_free(
-    level: SceneGrid2D, values: NDArray[Any], title: str, label: str, *, dark_high: bool = False
-) -> Panel:
-    """Show values where an agent can stand, and what is there elsewhere."""
+def _show_free(level: SceneGrid2D, values: NDArray[Any], title: str, label: str) -> Panel:
+    """Show values where an agent can stand, and what is there elsewhere; high costs are dark."""
     shown = np.where(level.free, values, np.nan).astype(np.float32)
-    scale = linear_scale(shown[np.isfinite(shown)], label, dark_high=dark_high)
+    scale = linear_scale(shown[np.isfinite(shown)], label, dark_high="cost" in label)
     rgb, legend = _occupancy(level)
     return Panel(_titled(title, scale), rgb, shown, scale, legend[1:])
 

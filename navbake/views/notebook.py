@@ -52,15 +52,13 @@ def show_html(grid: NavGrid) -> str:
     count = len(grid.levels)
     if count > MAX_LEVELS:
         figures.append(f"and {count - MAX_LEVELS} more")
-    whole = [
-        _counted(count, "level"),
-        f"cells of {grid.levels[0].lattice.cell_size:g} m",
-        _counted(sum(num_rooms), "room"),
-        f"{sum(areas):.1f} m² free",
-        f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high",
-    ]
+    whole = (
+        f"{_counted(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
+        f"{_counted(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
+        f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high"
+    )
     return (
-        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {', '.join(whole)}"
+        f"<div><b>{_short(grid.scene_id or type(grid).__name__)}</b>: {whole}"
         '<div style="display:flex;flex-wrap:wrap;gap:8px;margin-top:4px">'
         f"{''.join(figures)}</div></div>"
     )

@@ -191,13 +191,6 @@ def test_wrong_questions_are_refused(grid, arguments, message):
         grid.describe_cell(*arguments)
 
 
-def test_command_tells_it(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["why", str(APARTMENT_FILE), "--at", "-4.95,0"])
-    assert not stop.value.code
-    assert "blocked by" in capsys.readouterr().out
-
-
 def ask_house(capsys, at, *options):
     with pytest.raises(SystemExit) as stop:
         main(["why", str(HOUSE_FILE), "--at", at, *options])
@@ -237,10 +230,3 @@ def test_islands_of_the_file_are_not_sought_again():
     level.attributes["island"][row, col] = 77  # so that an answer tells where it comes from
     x, y = level.lattice.positions(row, col)
     assert grid.describe_cell(x, y, 1)["island"] == 77
-
-
-def test_command_refuses_a_place_that_is_none(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["why", str(APARTMENT_FILE), "--at", "here"])
-    assert stop.value.code == 2
-    assert "expected X,Y" in capsys.readouterr().err

@@ -82,10 +82,6 @@ def test_refuses_a_level_that_there_is_not(house, level):
         render_picture(house, level=level)
 
 
-def test_names_are_no_markup():
-    assert render_picture(make_level(name="$x_{ [b]$")).startswith(b"\x89PNG")
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (400, 1), (1, 400)])
 def test_any_shape(shape):
     grid = make_level(*shape)
@@ -100,14 +96,6 @@ def test_writes_the_file_whole_or_not_at_all(tmp_path, house):
     assert [p.name for p in tmp_path.iterdir()] == ["house.png"]
     with pytest.raises(NavbakeError, match=r"cannot write .*none.*house\.png"):
         plot_grid(house, tmp_path / "none" / "house.png")
-
-
-def test_uses_no_global_state(house):
-    render_picture(house)
-    if "matplotlib.pyplot" in sys.modules:
-        from matplotlib import pyplot
-
-        assert pyplot.get_fignums() == []
 
 
 def test_tells_how_to_get_matplotlib(monkeypatch, house):

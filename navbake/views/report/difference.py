@@ -50,7 +50,7 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     counts = [level.counts() for level in levels]
     called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
     cells = [
-        (*both, *(count.get(name, 0) for name in CHANGES))
+        (*both, *map(count.get, CHANGES, [0] * 7))
         for both, count in zip(called, counts, strict=True)
     ]
     alone = [
@@ -71,10 +71,8 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
     ours, theirs = (grid.levels[0].lattice.cell_size for grid in grids)
     if abs(ours - theirs) > 1e-9:
-        warnings.append(
-            f"cells of {ours:g} m are compared with the cells of {theirs:g} m "
-            "in which their centres lie"
-        )
+        where = f"with the cells of {theirs:g} m in which their centres lie"
+        warnings.append(f"cells of {ours:g} m are compared {where}")
     areas = [
         sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
         for grid in grids

@@ -178,8 +178,7 @@ def _describe_grid(
         ("cells", f"{sum(level.free.size for level in grid.levels):,}"),
         ("cell size", f"{facts['cell_size']:g} m"),
         ("free", f"{area:.2f} m²"),
-        ("rooms", str(len(grid.rooms))),
-        ("doors", str(len(facts["doors"]))),
+        *((key, str(len(getattr(grid, key)))) for key in ("rooms", "doors")),
         ("islands", str(facts["num_islands"])),
         ("agent", f"{grid.agent_radius:g} m radius, {grid.agent_height:g} m high"),
         ("highest step", f"{grid.max_step:g} m"),
@@ -200,22 +199,18 @@ def _describe_grid(
 
 def _levels_table(facts: Json) -> Json:
     columns = ("level", "name", "cells", "ground [m]", "floors [m]", "floor [m²]", "free [m²]")
-    rows = [
-        (
-            number,
-            level["name"],
-            f"{level['width']} x {level['height']}",
-            f"{level['ground']:.3f}",
-            "none"
-            if level["floor_min"] is None
-            else f"{level['floor_min']:.3f} to {level['floor_max']:.3f}",
-            f"{level['floor_area']:.2f}",
-            f"{level['free_area']:.2f}",
-            level["num_islands"],
-            level["num_rooms"],
+    rows = []
+    for number, level in enumerate(facts["levels"]):
+        floors = "{floor_min:.3f} to {floor_max:.3f}" if level["floor_min"] is not None else "none"
+        shown = (
+            "{width} x {height}",
+            "{ground:.3f}",
+            floors,
+            "{floor_area:.2f}",
+            "{free_area:.2f}",
         )
-        for number, level in enumerate(facts["levels"])
-    ]
+        counts = level["num_islands"], level["num_rooms"]
+        rows.append((number, level["name"], *(text.format_map(level) for text in shown), *counts))
     return table("Levels", (*columns, "islands", "rooms"), rows, numbers=(0, 2, 3, 5, 6, 7, 8))
 
 

@@ -122,9 +122,8 @@ class Controls:
             self._keep(name, slider, inflate)
         hint = "Show the grid as it is in the file, not inflated here."
         self._keep("as baked", gui.add_button("As baked", hint=hint))
-        self._handles["as baked"].on_click(
-            lambda _: self._change(lambda now: replace(now, inflation=None))
-        )
+        reset: Change = lambda now: replace(now, inflation=None)  # noqa: E731
+        self._handles["as baked"].on_click(lambda _: self._change(reset))
 
     def _add_doors(self) -> None:
         gui, grid, at = self._gui, self._exhibit.grid, self._handles
@@ -138,9 +137,7 @@ class Controls:
             which = names if at["door"].value == ALL_DOORS else [at["door"].value]
             if state != AS_BAKED:
                 return lambda now: now.with_door(grid, which, state)
-            return lambda now: replace(
-                now, doors=tuple(one for one in now.doors if one[0] not in which)
-            )
+            return lambda now: replace(now, doors=tuple(d for d in now.doors if d[0] not in which))
 
         self._keep("door", gui.add_dropdown("Door", [ALL_DOORS, *names]), lambda _: lambda now: now)
         self._keep("state", gui.add_dropdown("State", [AS_BAKED, *states]), put)
@@ -174,9 +171,10 @@ class Controls:
         for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
 
             def switch(on: bool, number: int = number) -> Change:
-                own = {number}
-                change = own.union if on else lambda levels: {*levels} - own
-                return lambda now: replace(now, levels=tuple(sorted(change(now.levels))))
+                own = {number} if on else set()
+                return lambda now: replace(
+                    now, levels=tuple(sorted({*now.levels} - {number} | own))
+                )
 
             self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
@@ -236,10 +234,7 @@ def _level(names: list[str], chosen: Choices) -> str:
 
 def _unique(names: list[str]) -> list[str]:
     """Names, numbered where several are the same."""
-    return [
-        name if names.count(name) == 1 else f"{name} ({number})"
-        for number, name in enumerate(names)
-    ]
+    return [f"{name} ({n})" if names.count(name) > 1 else name for n, name in enumerate(names)]
 
 
 # --- the words ------------------------------------------------------------------------------------
@@ -277,13 +272,10 @@ def say_route(chosen: Choices, route: Path | str | None) -> str:
     if isinstance(route, str):
         return f"**No path**: {plain(route)}"
     lines = [f"**{plain(f'{route.length:.2f}')} m**, cost {plain(f'{route.cost:.2f}')}"]
-    if route.rooms:
-        lines.append(f"Rooms: {_listed(route.rooms, ' → ')}")
-    if route.doors:
-        lines.append(f"Doors: {_listed(route.doors, ', ')}")
+    lines += [f"Rooms: {_listed(route.rooms, ' → ')}"] if route.rooms else []
+    lines += [f"Doors: {_listed(route.doors, ', ')}"] if route.doors else []
     levels = list(dict.fromkeys(route.levels.tolist()))
-    if levels[1:]:
-        lines.append(f"Levels: {' → '.join(str(level) for level in levels)}")
+    lines += [f"Levels: {' → '.join(map(str, levels))}"] if levels[1:] else []
     return "\n\n".join(lines)
 
 

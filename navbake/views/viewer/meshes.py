@@ -153,17 +153,9 @@ def draw_scene(
         )
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
         uv = [piece.uv for piece in some if piece.uv is not None]
-        surfaces.append(
-            Surface(
-                vertices.astype(np.float32),
-                faces.astype(np.uint32),
-                geom,
-                (textured if uv else plain)[geom],
-                np.concatenate(uv) if uv else None,
-                number,
-                is_round,
-            )
-        )
+        look = (textured if uv else plain)[geom], np.concatenate(uv) if uv else None
+        triangles = vertices.astype(np.float32), faces.astype(np.uint32)
+        surfaces.append(Surface(*triangles, geom, *look, number, is_round))
     used = {one.texture for one in surfaces if one.texture >= 0}
     textures = {number: _read_texture(model, number) for number in used}
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("navbake")
 
+PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
 START_COLOR, GOAL_COLOR, LIT_COLOR = (47, 158, 68), rgb_of(ROUTE), (255, 146, 43)
 PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
@@ -126,7 +127,7 @@ class Stage:
         elif nodes:
             nodes[0].glb_data = make()
         else:
-            nodes = [self._scene.add_glb(name, make(), cast_shadow=False, receive_shadow=False)]
+            nodes = [self._scene.add_glb(name, make(), **PLAIN)]
         if content:
             self._shown[name] = content, nodes
 
@@ -139,14 +140,8 @@ class Stage:
         self, ends: list[tuple[Any, tuple[int, int, int]]], radius: float, path: Path | None
     ) -> Iterable[Any]:
         for number, ((x, y, z), color) in enumerate(ends):
-            yield self._scene.add_icosphere(
-                f"/path/{number}",
-                radius,
-                color,
-                position=(x, y, z + radius),
-                cast_shadow=False,
-                receive_shadow=False,
-            )
+            at = (x, y, z + radius)
+            yield self._scene.add_icosphere(f"/path/{number}", radius, color, position=at, **PLAIN)
         if path is not None and len(path.positions) > 1:
             lifted = path.positions + np.array([0, 0, PATH_LIFT])
             points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
@@ -167,8 +162,7 @@ class Stage:
                 opacity=0.75,
                 flat_shading=True,
                 side="double",
-                cast_shadow=False,
-                receive_shadow=False,
+                **PLAIN,
             )
 
 

@@ -16,52 +16,6 @@ def write(path, text):
     return path
 
 
-def test_includes_meshes_and_textures_are_found(tmp_path):
-    scene = write(
-        tmp_path / "scene.xml",
-        '<mujoco><compiler meshdir="meshes" texturedir="pictures"/><include file="more.xml"/>'
-        '<asset><mesh file="a.obj"/><texture file="b.png"/><texture fileright="c.png"/></asset>'
-        "</mujoco>",
-    )
-    more = write(
-        tmp_path / "more.xml",
-        '<mujocoinclude><include file="scene.xml"/><asset><mesh file="d.stl"/></asset>'
-        "</mujocoinclude>",
-    )
-    found = find_files([scene])
-    expected = {"meshes/a.obj", "pictures/b.png", "pictures/c.png", "meshes/d.stl"}
-    assert {scene, more, *(tmp_path / name for name in expected)} <= {*found}
-
-
-def test_what_a_batch_notices_is_watched(tmp_path):
-    scene = write(
-        tmp_path / "scene.xml",
-        '<mujoco><asset><model name="arm" file="arm\\arm.xml"/></asset></mujoco>',
-    )
-    arm = write(
-        tmp_path / "arm" / "arm.xml",
-        '<mujoco><asset><mesh file="a.obj"/><mesh file="later.obj"/></asset></mujoco>',
-    )
-    mesh = write(tmp_path / "arm" / "a.obj", "")
-    found = find_files([scene])
-    assert {scene, arm, mesh, tmp_path / "arm" / "later.obj"} <= {*found}
-    assert tmp_path / "a.obj" not in found  # it is there
-
-
-def test_meshes_of_a_urdf_are_watched_where_the_bake_finds_them(tmp_path):
-    mesh = write(tmp_path / "meshes" / "a.gltf", '{"buffers": [{"uri": "a.bin"}]}')
-    geometries = "".join(
-        f'<visual><geometry><mesh filename="package://arm/meshes/{name}"/></geometry></visual>'
-        for name in ("a.gltf", "later.obj")
-    )
-    urdf = write(
-        tmp_path / "urdf" / "arm.urdf", f'<robot name="a"><link>{geometries}</link></robot>'
-    )
-    found = find_files([urdf])
-    assert found[0] == urdf
-    assert {mesh, mesh.with_name("a.bin"), mesh.with_name("later.obj")} <= {*found}
-
-
 def test_a_broken_or_missing_file_names_none(tmp_path):
     broken = write(tmp_path / "scene.xml", "<mujoco><include file=")
     assert find_files([broken, tmp_path / "none.xml", tmp_path / "a.yaml"]) == [
