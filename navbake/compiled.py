@@ -7,10 +7,9 @@ Compiled code lies in a folder for each state of a module's source and of all th
 the package, so that no change leaves old code in use; see `cache_folder` for where. Where nothing
 can be written, kernels are compiled in memory.
 
-The first kernel of a bake that is compiled has all others that bakes call compiled, too, in
-two or more processes: ``kernels.json`` lists them with the types of their arguments, which numba
-would know at the first call only. `scripts/list_kernels.py` writes it; an entry that is out of date
-costs time, and nothing else. What takes long is announced by the logger ``navbake.compiled``.
+The first kernel of a bake that is compiled has all others that bakes call compiled, too, in some
+processes: ``kernels.json``, which `scripts/list_kernels.py` writes, has the types of their
+arguments. An entry that is out of date costs time, and nothing else.
 """
 
 # numba has few types
@@ -30,9 +29,9 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -172,18 +171,11 @@ class Entry(NamedTuple):
             LOGGER.debug(f"{LIST.name} is out of date: {self.name}: {error}")
 
 
-class KernelList(NamedTuple):
-    """The kernels that bakes call, in the order of their first calls, and all others."""
-
-    bake: list[Entry]
-    others: list[Entry]
-
-
 @cache
-def read_list() -> KernelList:
-    """Read the list of kernels."""
+def read_list() -> tuple[list[Entry], list[Entry]]:
+    """Read the list of kernels: those that bakes call, in the order of first calls, and others."""
     found = json.loads(LIST.read_text(encoding="utf-8"))
-    return KernelList(*([Entry(*entry) for entry in found[key]] for key in KernelList._fields))
+    return [Entry(*entry) for entry in found["bake"]], [Entry(*entry) for entry in found["others"]]
 
 
 def decode_type(value: Any) -> Any:
@@ -198,16 +190,13 @@ def decode_type(value: Any) -> Any:
         return types.BaseTuple.from_types([decode_type(each) for each in value])
     name, *rest = value.split()
     scalar = types.boolean if name == "bool" else getattr(types, name)
-    if not rest:
-        return scalar
-    return types.Array(scalar, int(rest[0]), rest[1], readonly="readonly" in rest)
+    return types.Array(scalar, int(rest[0]), rest[1], "readonly" in rest) if rest else scalar
 
 
 def list_cold(entries: Iterable[Entry]) -> list[Entry]:
     """The entries of kernels that lack code on disk for some of their types."""
     entries = list(entries)
-    asked = Counter(entry.name for entry in entries)
-    cold = set()
+    asked, cold = Counter(entry.name for entry in entries), set()
     for entry in {entry.name: entry for entry in entries}.values():
         with suppress(ImportError, AttributeError):  # the list is out of date
             found = entry.find()
@@ -226,19 +215,99 @@ def warm_up(everything: bool = False, watch: Callable[[int, int], None] | None =
     Returns:
         The names of the kernels that have no code on disk after all.
     """
-    found = read_list()
-    entries = [*found.bake, *(found.others if everything else [])]
+    bake, others = read_list()
+    entries = [*bake, *(others if everything else [])]
     if cache_folder() is not None:
-        _first.compile(entries, watch)
+        _compile(entries, watch)
     return sorted({entry.name for entry in list_cold(entries)})
 
 
-class _FirstCompile(event.Listener):
-    """Has all kernels that a bake will call compiled when the first one is, and says so."""
+def _compile(entries: list[Entry], watch: Callable[[int, int], None] | None = None) -> None:
+    """Compile what is cold: this process the first entries, others the rest, in the same time."""
+    place, cold = cache_folder(), list_cold(entries)
+    if place is None or not cold:
+        _announce(cold, 1)
+        return
+    # an executable that holds Python is none
+    is_python = Path(sys.executable or "").name.lower().startswith("python")
+    count = (
+        min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MOST_PROCESSES, len(cold)) if is_python else 1
+    )
+    _announce(cold, count)
+    # modules are found where this process finds them, and not in the current folder first
+    path = [*filter(None, sys.path), str(ROOT.parent)]
+    code = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(place.parent),
+        # messages are made and dropped by the hundred, and colouring them takes a tenth of the time
+        "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",
+    }
+    lock = filelock.FileLock(place / "compiling.lock", timeout=PATIENCE)
+    with suppress(filelock.Timeout, OSError, NotImplementedError), lock:
+        cold = list_cold(cold)  # another process may have compiled some
+        shares: list[list[Entry]] = [[] for _ in range(count)]
+        before, each = 0.0, sum(entry.seconds for entry in cold) / count
+        for entry in cold:
+            shares[min(int(before / each), count - 1)].append(entry)
+            before += entry.seconds
+        helpers = []
+        _first.depth += 1
+        try:
+            for share in shares[1:]:
+                helper = subprocess.Popen(
+                    [sys.executable, "-c", code], env=environment,
+                    stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
+                helpers.append(helper)
+                assert helper.stdin is not None
+                with helper.stdin as names:
+                    names.write(json.dumps(share).encode())
+            for done, entry in enumerate(shares[0], 1):
+                entry.compile()
+                if watch is not None:
+                    watch(done, len(shares[0]))
+            for helper in helpers:
+                helper.wait()
+            for entry in list_cold(cold):  # what a helper could not
+                entry.compile()
+        finally:
+            _first.depth -= 1
+            for helper in helpers:
+                helper.kill()  # after an error here, as by Ctrl-C
+                helper.wait()
 
-    def __init__(self) -> None:
-        self.depth = 0  # how many functions are being compiled, one for the sake of another
-        self._told: set[str] = set()  # the rooms of the package that a line has spoken of
+
+def serve() -> None:
+    """Compile the entries that stdin has."""
+    _first.depth = 1  # each is given for the sake of another process
+    for entry in json.load(sys.stdin):
+        Entry(*entry).compile()
+
+
+_announced: set[str] = set()  # rooms of the package
+
+
+def _announce(cold: Sequence[Entry], processes: int) -> None:
+    """Log how long compiling takes, unless that is less than a second or was said of the room."""
+    seconds = sum(entry.seconds for entry in cold) / (1 + 0.8 * (processes - 1))
+    about = f"about {seconds:.0f} s" if processes > 1 else f"up to {seconds:.0f} s"
+    line = f"compiling for this machine, once: {about}"
+    if cache_folder() is None:
+        line = (
+            f"compiling in memory: {about}, in each process anew, as no folder for compiled "
+            f"code can be written: {REMEDY}"
+        )
+    room = cold[0].name.partition(".")[0] if cold else ""
+    if seconds >= 1 and room not in _announced:
+        _announced.add(room)
+        LOGGER.warning(line)
+
+
+class _FirstCompile(event.Listener):
+    """Has all kernels that a bake will call compiled when the first one is."""
+
+    depth = 0  # how many functions are being compiled, one for the sake of another
 
     def on_start(self, event: Any) -> None:
         """Runs before numba compiles a function, whoever's it is."""
@@ -246,128 +315,23 @@ class _FirstCompile(event.Listener):
         own = "{0.__module__}.{0.__name__}".format(event.data["dispatcher"])
         if self.depth > 1 or not own.startswith(f"{PACKAGE}."):
             return
-        found = read_list()
-        own = own.removeprefix(f"{PACKAGE}.")
-        if any(entry.name == own for entry in found.bake):
-            self.compile([entry for entry in found.bake if entry.name != own])
+        (bake, others), own = read_list(), own.removeprefix(f"{PACKAGE}.")
+        if any(entry.name == own for entry in bake):
+            _compile([entry for entry in bake if entry.name != own])
         else:
             room = own.partition(".")[0] + "."
-            self.tell(list_cold(each for each in found.others if each.name.startswith(room)), 1)
+            _announce(list_cold(each for each in others if each.name.startswith(room)), 1)
 
     def on_end(self, event: Any) -> None:
         """Runs after numba compiled a function, or failed to."""
         self.depth -= 1
 
-    def compile(
-        self, entries: Sequence[Entry], watch: Callable[[int, int], None] | None = None
-    ) -> None:
-        """Compile what is cold: this process from the first entry on, others from the last."""
-        place = cache_folder()
-        cold = list_cold(entries)
-        if place is None or not cold:
-            self.tell(cold, 1)
-            return
-        is_python = Path(sys.executable or "").name.lower().startswith("python")
-        count = min(num_cores(), MOST_PROCESSES, len(cold)) if is_python else 1
-        self.tell(cold, count)
-        with _locked(place / "compiling.lock"):
-            left = deque(list_cold(cold))  # another process may have compiled some
-            helpers = [threading.Thread(target=_help, args=(left,)) for _ in range(count - 1)]
-            for helper in helpers:
-                helper.daemon = True
-                helper.start()
-            self.depth += 1
-            try:
-                while left:
-                    with suppress(IndexError):  # a helper took the last one
-                        left.popleft().compile()
-                    if watch is not None:
-                        watch(len(cold) - len(left), len(cold))
-            finally:
-                left.clear()  # as after Ctrl-C
-                self.depth -= 1
-            for helper in helpers:
-                helper.join()
 
-    def tell(self, cold: Sequence[Entry], processes: int) -> None:
-        """Log how long compiling takes, unless that is less than a second or was said."""
-        seconds = sum(entry.seconds for entry in cold) / (1 + 0.8 * (processes - 1))
-        about = f"about {seconds:.0f} s" if processes > 1 else f"up to {seconds:.0f} s"
-        line = f"compiling for this machine, once: {about}"
-        if cache_folder() is None:
-            line = (
-                f"compiling in memory: {about}, in each process anew, as no folder for compiled "
-                f"code can be written: {REMEDY}"
-            )
-        room = cold[0].name.partition(".")[0] if cold else ""
-        if seconds >= 1 and room not in self._told:
-            self._told.add(room)
-            LOGGER.warning(line)
-
-
+_first = _FirstCompile()
+event.register("numba:compile", _first)
 # what may take minutes is printed where nobody has set up logging
 if not LOGGER.handlers:
     _printer = logging.StreamHandler()
     _printer.addFilter(lambda record: not logging.getLogger().handlers)
     _printer.setFormatter(logging.Formatter("navbake: %(message)s"))
     LOGGER.addHandler(_printer)
-_first = _FirstCompile()
-event.register("numba:compile", _first)
-
-
-@contextmanager
-def _locked(path: Path) -> Any:
-    """Hold a lock between processes, if that can be had."""
-    lock = filelock.FileLock(path)
-    with suppress(filelock.Timeout, OSError, NotImplementedError):
-        lock.acquire(timeout=PATIENCE)
-    try:
-        yield
-    finally:
-        lock.release()
-
-
-def _help(left: deque[Entry]) -> None:
-    """Have another process compile entries from the last one on; it ends when this one does."""
-    # modules are found where this process finds them, and not in the current folder first
-    path = [*filter(None, sys.path), str(ROOT.parent)]
-    code = f"import sys; sys.path[:] = {path!r}; from {__name__} import serve; serve()"
-    place = cache_folder()
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(place and place.parent),
-        # messages are made and dropped by the hundred, and colouring them takes a tenth of the time
-        "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",
-    }
-    with (
-        suppress(OSError, IndexError),
-        subprocess.Popen(
-            [sys.executable, "-c", code],
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        ) as process,
-    ):
-        assert process.stdin is not None and process.stdout is not None
-        while True:
-            process.stdin.write(json.dumps(left.pop()) + "\n")
-            process.stdin.flush()
-            if not process.stdout.readline():
-                return
-
-
-def serve() -> None:
-    """Compile the entries that stdin has, one a line, and print a line after each."""
-    _first.depth = 1  # each entry is given for the sake of another process
-    for line in sys.stdin:
-        Entry(*json.loads(line)).compile()
-        print(flush=True)
-
-
-def num_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -158,7 +158,7 @@ def test_kernels_of_others_stay_as_they_are(package):
 
 def test_the_list_names_kernels_with_their_types():
     """If it fails: run `python scripts/list_kernels.py`."""
-    for entry in [*read_list().bake, *read_list().others]:
+    for entry in [*read_list()[0], *read_list()[1]]:
         found = entry.find()
         assert found in KERNELS, entry.name
         assert len(entry.types) == found.py_func.__code__.co_argcount, entry.name
@@ -182,7 +182,7 @@ def test_the_list_has_what_a_bake_calls():
         [sys.executable, "-W", "ignore", "-c", code],
         cwd=root, stdout=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
-    names = [entry.name for entry in read_list().bake]
+    names = [entry.name for entry in read_list()[0]]
     called = json.loads(done.stdout.splitlines()[-1])
     missing = [k for k, n in called.items() if names.count(k.removeprefix("navbake.")) < n]
-    assert missing == [] and list_cold(read_list().bake) == []
+    assert missing == [] and list_cold(read_list()[0]) == []

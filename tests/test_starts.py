@@ -110,7 +110,7 @@ def test_nothing_is_compiled_after_warm_up(empty_folder):
         check=True,
     )
     used = {name: n for name, n in json.loads(run.stdout.splitlines()[-1]).items() if n}
-    names = [f"navbake.{entry.name}" for entry in [*read_list().bake, *read_list().others]]
+    names = [f"navbake.{entry.name}" for entry in [*read_list()[0], *read_list()[1]]]
     assert len(used) > 20
     assert [name for name, n in used.items() if names.count(name) < n] == []
 
