@@ -25,7 +25,7 @@ def test_a_disc_that_only_touches_a_square_is_free():
     assert shown(level.inflate(0.1501)) == meeting
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(80))
 def test_free_is_what_meets_no_occupied_square(seed):
     rng = np.random.default_rng(seed)
     occupied = rng.random(rng.integers(1, 25, 2)) < rng.choice([0.01, 0.05, 0.2])
@@ -120,7 +120,7 @@ def test_holes_that_are_not_occupied_count_as_in_the_original():
 # Several levels
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(24))
 def test_levels_see_each_other_as_the_rules_say(seed):
     rng = np.random.default_rng(seed)
     levels = []

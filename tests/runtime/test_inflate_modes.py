@@ -32,7 +32,7 @@ def test_minos_gives_what_the_original_gave():
         np.testing.assert_array_equal(inflated.levels[0].weights, expected)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(16))
 def test_minos_is_refine_in_plain_words(seed):
     rng = np.random.default_rng(seed)
     shape = rng.integers(1, 16, 2)
@@ -45,7 +45,7 @@ def test_minos_is_refine_in_plain_words(seed):
 
 def test_minos_divides_the_sum():
     level = level_of("0" * 40, "0" * 19 + "#" + "0" * 20, *["0" * 40] * 8)
-    steps = [0.05 * k for k in range(1, 20)]
+    steps = [0.05 * k for k in range(1, 20, 2)]
     differ = 0
     for radius in steps:
         for clearance in steps:
