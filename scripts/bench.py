@@ -77,14 +77,9 @@ def _limits(row: Row, results: list[Result]) -> str:
 def to_json(name: str, row: Row, results: list[Result]) -> dict[str, Any]:
     """A row for a program: seconds, MiB, and what each job tells of itself."""
     jobs = [
-        {
-            "name": result.name,
-            "min": result.least,
-            "median": result.median,
-            "peak": result.peak,
-            "facts": result.samples[-1].facts or {},
-        }
-        for result in results
+        {"name": own.name, "min": own.least, "median": own.median, "peak": own.peak}
+        | {"facts": own.samples[-1].facts or {}}
+        for own in results
     ]
     limits = {"seconds": row.limit, "ratio": row.ratio, "peak": row.peak}
     return {"row": name, "job": jobs[0], "peers": jobs[1:], "limits": limits}

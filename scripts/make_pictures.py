@@ -9,6 +9,7 @@ import argparse
 import io
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,44 +28,26 @@ COLORS = 256  # of the palette that a picture is reduced to
 START, GOAL = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)  # [m], from the garden to a room upstairs
 
 
+# of a sample as it is baked: the sample, layers, and the level if not all
+PLAIN: dict[str, tuple[str, tuple[str, ...], int | None]] = {
+    "house": ("house", ("rooms", "floor"), None),  # the picture of the README
+    "apartment": ("apartment", ("rooms", "floor"), None),
+    "floors": ("warehouse", ("occupancy", "floor"), None),  # ramp, dock and stairs are floors
+    "terrain": ("terrain", ("floor",), None),  # hills, a brook and a bridge, a level of its own
+    "islands": ("terrain", ("island", "clearance"), 0),
+    "clutter": ("clutter", ("occupancy", "floor"), 0),
+    "doors": ("house", ("doors",), None),  # what they block, where they close, how wide they are
+}
+
+
 def bake(name: str) -> NavGrid:
     """Bake a sample scene."""
     return navbake.bake(ROOT / "configs" / f"{name}.yaml")
 
 
-def draw_house() -> bytes:
-    """Rooms and floors of both storeys: the picture of the README."""
-    return render_picture(bake("house"), layers=("rooms", "floor"))
-
-
-def draw_apartment() -> bytes:
-    """Named rooms and floor heights of one storey."""
-    return render_picture(bake("apartment"), layers=("rooms", "floor"))
-
-
-def draw_floors() -> bytes:
-    """A ramp, a dock and stairs are floors of the level that they rise from."""
-    return render_picture(bake("warehouse"), layers=("occupancy", "floor"))
-
-
-def draw_terrain() -> bytes:
-    """Hills, a brook and a bridge, which is a level of its own."""
-    return render_picture(bake("terrain"), layers=("floor",))
-
-
-def draw_islands() -> bytes:
-    """Connected parts, and the distance to the nearest obstacle."""
-    return render_picture(bake("terrain"), level=0, layers=("island", "clearance"))
-
-
-def draw_clutter() -> bytes:
-    """What an agent can't pass, and what it steps over."""
-    return render_picture(bake("clutter"), level=0, layers=("occupancy", "floor"))
-
-
-def draw_doors() -> bytes:
-    """Open doors, what they block, where they close, and how wide they are."""
-    return render_picture(bake("house"), layers=("doors",))
+def draw_plain(name: str) -> bytes:
+    sample, layers, level = PLAIN[name]
+    return render_picture(bake(sample), level=level, layers=layers)
 
 
 def draw_inflated() -> bytes:
@@ -106,17 +89,8 @@ def draw_voxels() -> bytes:
     return content.getvalue()
 
 
-def draw_viewer() -> bytes:
-    """The page of `navbake view`."""
-    return _of_page("take_viewer")
-
-
-def draw_report() -> bytes:
-    """A page that `navbake report` writes."""
-    return _of_page("take_report")
-
-
-def _of_page(name: str) -> bytes:
+def draw_page(name: str) -> bytes:
+    """The page of `navbake view`, or one that `navbake report` writes."""
     # imports the tests' browser, which the other pictures do without
     from docs_pages import pictures
 
@@ -128,19 +102,13 @@ def _of_page(name: str) -> bytes:
 
 
 PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
-    "house": draw_house,
-    "apartment": draw_apartment,
-    "floors": draw_floors,
-    "terrain": draw_terrain,
-    "islands": draw_islands,
-    "clutter": draw_clutter,
-    "doors": draw_doors,
+    **{name: partial(draw_plain, name) for name in PLAIN},
     "inflated": draw_inflated,
     "path": draw_path,
     "rooms": draw_rooms,
     "voxels": draw_voxels,
-    "viewer": draw_viewer,
-    "report": draw_report,
+    "viewer": partial(draw_page, "take_viewer"),
+    "report": partial(draw_page, "take_report"),
 }
 
 

@@ -35,11 +35,7 @@ def num_cells(rooms: int) -> int:
 
 @dataclass(frozen=True)
 class Soup:
-    """A scene as one mesh file.
-
-    Attributes:
-        path: of the PLY or OBJ.
-    """
+    """A scene as one mesh file, PLY or OBJ."""
 
     path: Path
 
@@ -51,15 +47,10 @@ class Soup:
 
 @dataclass(frozen=True)
 class Scenes:
-    """Makes each scene when it is first asked for.
+    """Makes each scene when it is first asked for."""
 
-    Attributes:
-        folder: where the files go.
-        rooms: of the main house.
-    """
-
-    folder: Path
-    rooms: int = ROOMS
+    folder: Path  # where the files go
+    rooms: int = ROOMS  # of the main house
 
     def house(self, rooms: int, *, with_doors: bool = False, triangles: int = 0) -> Path:
         """An MJCF of a house."""
