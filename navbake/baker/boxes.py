@@ -13,13 +13,11 @@ row beyond the last for its own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.kernels.lists import count_heights
 from navbake.baker.lattice import Window, bounding_window
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
@@ -50,20 +48,6 @@ class LevelBoxes(NamedTuple):
     num_free: int
     lost: int
     lost_on: list[int]
-
-
-class _Open(NamedTuple):
-    """The free cells of one level, doors being open, by their floors; a height may repeat.
-
-    Attributes:
-        z: heights as written [m].
-        cells: how many have each.
-        inside: whether these cells lie in the windows of all levels, shape (n, levels), bool.
-    """
-
-    z: Float
-    cells: Int
-    inside: Bool
 
 
 def find_level_boxes(
@@ -100,14 +84,12 @@ def find_level_boxes(
     top = max(float(np.nanmax(floor)) for floor in written) + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
-    cells = [_open_cells(*pair, windows) for pair in zip(written, occupied, strict=True)]
-    tops, lost = _find_tops(cells, windows, bottoms, round(top, DIGITS))
+    heights = [np.where(taken, np.nan, z) for taken, z in zip(occupied, written, strict=True)]
+    free = sum(int(np.count_nonzero(~np.isnan(z))) for z in heights)
+    tops, lost = _find_tops(heights, windows, bottoms, round(top, DIGITS))
     sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
     boxes = [_to_file(*box) for box in zip(sides, bottoms, tops, strict=True)]
-    counts = [int(own.cells[mask].sum()) for own, mask in zip(cells, lost, strict=True)]
-    lost_on = [number for number, count in enumerate(counts) if count]
-    free = sum(int(level.cells.sum()) for level in cells)
-    return LevelBoxes(windows, boxes, free, sum(counts), lost_on)
+    return LevelBoxes(windows, boxes, free, int(lost.sum()), np.flatnonzero(lost).tolist())
 
 
 def written_ground(level: LevelFloor) -> float:
@@ -116,86 +98,59 @@ def written_ground(level: LevelFloor) -> float:
 
 
 def _find_tops(
-    cells: list[_Open], windows: list[Window], bottoms: list[float], highest: float
-) -> tuple[list[float], list[Bool]]:
-    """The top of each level's box, and the free cells of each level that boxes lose.
+    heights: list[Float], windows: list[Window], bottoms: list[float], highest: float
+) -> tuple[list[float], Int]:
+    """The top of each level's box, and how many free cells of each level boxes lose.
 
     Lower levels come first for the client, so they are decided first, each by the cells that
     are not lost yet.
+
+    Args:
+        heights: the floors of the free cells of each level, as written, NaN elsewhere, shape
+            (height, width) [m]; cells that are lost become NaN.
     """
-    tops, lost = [], [np.zeros(len(level.z), dtype=np.bool_) for level in cells]
-    for k, (level, window, bottom) in enumerate(zip(cells, windows, bottoms, strict=True)):
-        above = range(k + 1, len(cells))
-        inside = {j: cells[j].inside[:, k] & (cells[j].z >= bottom) for j in above}
-        kept = {j: inside[j] & ~lost[j] for j in above}
-        others = [cells[j].z[kept[j]] for j in above]
-        counts = [cells[j].cells[kept[j]] for j in above]
-        own = level.z[~lost[k]], level.cells[~lost[k]]
-        heights = np.concatenate([np.empty(0), *others])
-        last = _last_floor(*own, heights, np.concatenate([np.empty(0, dtype=np.int64), *counts]))
-        # the box ends below what it doesn't hold: boxes, or floors of levels that interleave
-        limits = [bottoms[j] for j in above if _share_cells(window, windows[j])]
-        limits = [height for height in limits if height > last]
-        limits += [float(z[z > last].min(initial=np.inf)) - MARGIN for z in others]
-        limit = min(limits, default=np.inf)
-        top = highest if limit > highest else _just_below(limit)
-        tops.append(max(top, last, bottom))
-        lost[k] |= level.z > tops[k]
-        for j in above:
-            lost[j] |= inside[j] & (cells[j].z <= tops[k])
+    tops, lost = [], np.zeros(len(heights), dtype=np.int64)
+    for k, (own, window, bottom) in enumerate(zip(heights, windows, bottoms, strict=True)):
+        above = range(k + 1, len(heights))
+        inside = [heights[j][window] for j in above]
+        others = np.concatenate([np.empty(0), *(z[z >= bottom] for z in inside)])
+        last = _last_floor(own[~np.isnan(own)], others)
+        # the box ends below what it doesn't hold: boxes, or floors of levels that interleave; cells
+        # beside each other count, too: see the file's source
+        limits = [
+            bottoms[j]
+            for j in above
+            if bottoms[j] > last
+            and all(
+                a.start <= b.stop and b.start <= a.stop
+                for a, b in zip(window, windows[j], strict=True)
+            )
+        ]
+        limit = min([*limits, float(others[others > last].min(initial=np.inf)) - MARGIN])
+        # a hair below, which stays below however large the two are
+        below = min(round(limit - GAP, GAP_DIGITS), np.nextafter(limit, -np.inf))
+        tops.append(max(highest if limit > highest else float(below), last, bottom))
+        for j, z in zip([k, *above], [own, *inside], strict=True):
+            is_lost = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
+            lost[j] += np.count_nonzero(is_lost)
+            z[is_lost] = np.nan
     return tops, lost
 
 
-def _last_floor(own: Float, own_count: Int, others: Float, others_count: Int) -> float:
+def _last_floor(own: Float, others: Float) -> float:
     """The floor that a box from the bottom up ends with; -inf if it had better hold none.
 
     It holds the most of its own floors over those of others (the last of several such ends).
     """
-    heights, where = np.unique(own, return_inverse=True)
-    num_own = np.bincount(where, own_count, minlength=len(heights)).cumsum()
-    order = np.argsort(others)
-    before = np.concatenate([[0], np.cumsum(others_count[order])])
-    num_others = before[np.searchsorted(others[order], heights, side="right")]
-    gain = np.append(0, num_own - num_others)[::-1]
-    return float(np.append(-np.inf, heights)[::-1][int(np.argmax(gain))])
-
-
-def _just_below(height: float) -> float:
-    """A height a hair below another, which stays below it however large the two are [m]."""
-    return float(min(round(height - GAP, GAP_DIGITS), np.nextafter(height, -np.inf)))
-
-
-def _open_cells(written: Float, occupied: Bool, windows: Sequence[Window]) -> _Open:
-    """Count the free cells by height, in each rectangle that the windows' sides cut out."""
-    height, width = written.shape
-    sides = [
-        np.unique(
-            [0, end, *(s for window in windows for s in (window[axis].start, window[axis].stop))]
-        )
-        for axis, end in ((0, height), (1, width))
-    ]
-    heights, counts, inside = (
-        [np.empty(0)],
-        [np.empty(0, np.int64)],
-        [np.empty((0, len(windows)), bool)],
-    )
-    for row0, row1 in pairwise(sides[0].tolist()):
-        for col0, col1 in pairwise(sides[1].tolist()):
-            part = np.s_[row0:row1, col0:col1]
-            z, count = count_heights(written[part], occupied[part])
-            is_in = [
-                rows.start <= row0 < rows.stop and cols.start <= col0 < cols.stop
-                for rows, cols in windows
-            ]
-            heights.append(z)
-            counts.append(count)
-            inside.append(np.tile(is_in, (len(z), 1)))
-    return _Open(*(np.concatenate(arrays) for arrays in (heights, counts, inside)))
-
-
-def _share_cells(one: Window, other: Window) -> bool:
-    """Whether two rectangles have cells in common, or lie side by side: see the file's source."""
-    return all(a.start <= b.stop and b.start <= a.stop for a, b in zip(one, other, strict=True))
+    # of its own floors below all others, the highest stands for all
+    is_low, highest = own < others.min(initial=np.inf), own.max(initial=-np.inf)
+    heights, counts = np.unique(own[~is_low], return_counts=True)
+    heights = np.append(own[is_low].max(initial=-np.inf), heights)
+    num_own = np.append(np.count_nonzero(is_low), counts).cumsum()
+    others = np.sort(others[others <= highest])
+    gain = np.append(0, num_own - np.searchsorted(others, heights, side="right"))
+    best = len(gain) - 1 - int(np.argmax(gain[::-1]))
+    return float(np.append(-np.inf, heights)[best])
 
 
 def _level_sides(part: Lattice, scene_box: Float | None) -> Float:
