@@ -53,12 +53,8 @@ def collect_warnings(stages: Stages, notes: ContentNotes | None = None) -> list[
     """
     if notes is None and stages.contents is not None:
         notes = ContentNotes.of(stages.scene, stages.contents)
-    return [printable(warning) for warning in _find_warnings(stages, notes)]
-
-
-def _find_warnings(stages: Stages, notes: ContentNotes | None) -> list[str]:
     cell_area = stages.lattice.cell_size**2
-    return [
+    found = [
         *stages.scene.warnings,
         *stages.unmatched,
         *warn_part_judged(stages),
@@ -70,6 +66,7 @@ def _find_warnings(stages: Stages, notes: ContentNotes | None) -> list[str]:
         *stages.doors.warnings,
         *warn_interleaved(stages.floors, stages.boxes),
     ]
+    return [printable(warning) for warning in found]
 
 
 def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]:

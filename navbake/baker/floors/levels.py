@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from navbake.baker.blocks import Blocks, BlockTable, Seen
-from navbake.baker.columns import Columns, ColumnSource
+from navbake.baker.columns import ColumnSource
 from navbake.baker.floors.enclosed import find_enclosed
 from navbake.baker.floors.growth import FloorChanges, FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
@@ -29,7 +29,6 @@ from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 # A dropped roof is told of when it is this many times as large as the largest floor that is left:
@@ -89,20 +88,20 @@ class FloorFinder:
     is local is found block by block, and again where something changed; what is global is merged.
 
     Args:
-        lattice: the cells.
+        store: the surfaces of all columns.
         given: the levels of the configuration, or None to find them.
     """
 
     def __init__(
         self,
-        lattice: Lattice,
+        store: SurfaceStore,
         agent: AgentSettings,
         settings: FloorSettings,
         given: Sequence[LevelSettings] | None,
     ) -> None:
-        self._lattice, self._agent, self._settings, self._given = lattice, agent, settings, given
-        self._spans = given_spans(given or ())
-        self._blocks, self._store = Blocks(lattice), SurfaceStore(lattice, agent)
+        self._store, self._agent, self._settings, self._given = store, agent, settings, given
+        self._spans, self._lattice = given_spans(given or ()), store.lattice
+        self._blocks = Blocks(store.lattice)
         self._sheets = Sheets(self._store, self._blocks, agent)
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
         self._edges = BlockTable(self._blocks.num, NO_EDGES)
@@ -121,14 +120,6 @@ class FloorFinder:
     def changed(self) -> list[FloorChanges] | None:
         """What the last update changed on each level; None where all may be new."""
         return self._growth.changed
-
-    def add(self, columns: Columns, planes: Planes) -> None:
-        """Take the columns of a block of rows; these come in their order."""
-        self._store.add(columns, planes)
-
-    def finish(self) -> None:
-        """Note that all columns have been added."""
-        self._store.finish()
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
@@ -264,10 +255,11 @@ def find_floors(
     is_occupied: OccupancyTest,
 ) -> tuple[Floors, FloorFinder]:
     """Find the floors of a scene, and what keeps them up to date; see `FloorFinder`."""
-    finder = FloorFinder(columns.lattice, agent, settings, given)
+    store = SurfaceStore(columns.lattice, agent)
     for block in columns.blocks():
-        finder.add(block, shapes.planes)
-    finder.finish()
+        store.add(block, shapes.planes)
+    store.finish()
+    finder = FloorFinder(store, agent, settings, given)
     every = Blocks(columns.lattice).all()
     return finder.find(columns, shapes, is_occupied, every), finder
 

@@ -180,21 +180,24 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
 
 
 @part(**UNCOUNTED)
-def _place_bases(surfaces, kept, grounds, tolerance, first, last, level):
-    """Give the kept surfaces of a column their bases; how many they are if two have the same."""
-    in_order, before, count = True, -1, 0
-    for j in range(first, last):
-        level[j] = -1
-        if kept.key[j] < 0:
-            continue
-        base = 0
-        while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= surfaces.z[j]:
-            base += 1
-        level[j] = base
-        in_order = in_order and base != before
-        before = base
-        count += 1
-    return 0 if in_order else count
+def _place_bases(surfaces, kept, grounds, tolerance, cell, end, level):
+    """Give the kept surfaces of cells their bases, up to a cell where two have the same; returns it."""
+    while cell < end:
+        in_order, before = True, -1
+        for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+            level[j] = -1
+            if kept.key[j] < 0:
+                continue
+            base = 0
+            while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= surfaces.z[j]:
+                base += 1
+            level[j] = base
+            in_order = in_order and base != before
+            before = base
+        if not in_order:
+            return cell
+        cell += 1
+    return cell
 
 
 @kernel(nogil=True)
@@ -212,32 +215,34 @@ def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, beg
         level: by place, int32; receives the levels, LOST or LOST_GROUND where all are taken, -1
             for surfaces that are not kept.
     """
-    taken = np.zeros(grounds.shape[0], np.bool_)
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first, last = surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]
-                count = _place_bases(surfaces, kept, grounds, tolerance, first, last, level)
-                if count > 0:
-                    places = np.empty(count, np.int64)
-                    _place_column(surfaces, kept, blocks[k], grounds, first, places, level, taken)
+            cell, last = row * lattice.width + col0, row * lattice.width + col1
+            while cell < last:
+                cell = _place_bases(surfaces, kept, grounds, tolerance, cell, last, level)
+                if cell < last:
+                    _place_column(surfaces, kept, blocks[k], grounds, cell, level)
+                cell += 1
 
 
 @part
-def _place_column(surfaces, kept, block, grounds, first, places, level, taken):
-    """Place the kept surfaces of a column, whose levels are their bases."""
-    count, num_levels = places.shape[0], taken.shape[0]
-    base, is_stair = np.empty(count, np.int64), np.empty(count, np.bool_)
-    j = first
-    for n in range(count):
-        while kept.key[j] < 0:
-            j += 1
-        places[n], base[n], is_stair[n] = j, level[j], _is_stair(kept, block, j)
-        j += 1
-    found = np.empty(count, np.int64)
+def _place_column(surfaces, kept, block, grounds, cell, level):
+    """Place the kept surfaces of a cell, whose levels are their bases."""
+    num_levels, num, count = grounds.shape[0], surfaces.length[cell], 0
+    places, base, is_stair = (
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        np.empty(num, np.bool_),
+    )
+    for j in range(surfaces.first[cell], surfaces.first[cell] + num):
+        if kept.key[j] >= 0:
+            places[count], base[count] = j, level[j]
+            is_stair[count] = _is_stair(kept, block, j)
+            count += 1
+    base, is_stair, found = base[:count], is_stair[:count], np.empty(count, np.int64)
     _align(base, is_stair, num_levels, found)
-    taken[:] = False
+    taken = np.zeros(num_levels, np.bool_)
     for n in range(count):
         if found[n] >= 0:
             taken[found[n]] = True

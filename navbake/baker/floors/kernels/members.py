@@ -124,13 +124,23 @@ def _surface_below(labelled, row, col, sheet, limit):
     return found
 
 
+@part(inline="always")
+def _holds(labelled, row, col, sheet):
+    """Whether a cell has a surface of a sheet."""
+    cell, block = row * labelled.lattice.width + col, block_of(labelled.lattice, row, col)
+    for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
+        if sheet_of(labelled, block, j) == sheet:
+            return True
+    return False
+
+
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
     """Mark a sheet's cells in a window and so far around it. `mask` is all False."""
     (row0, row1, col0, col1), lattice = window, labelled.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
-            if _surface_below(labelled, row, col, sheet, -math.inf) == ITSELF:
+            if _holds(labelled, row, col, sheet):
                 mask[row - row0 + reach, col - col0 + reach] = True
 
 
@@ -172,15 +182,13 @@ def _next(lattice, row, col, way):
 
 @part(**UNCOUNTED)
 def _drop_at(labelled, row, col, way, sheet, limit, reach):
-    """Whether a floor lies below within reach of an edge, 1 or 0; ITSELF where there is no edge."""
-    for k in range(reach):
+    """Whether a floor lies below within reach of an edge."""
+    for _ in range(reach):
         row, col = _next(labelled.lattice, row, col, way)
-        beside = _surface_below(labelled, row, col, sheet, limit) if row >= 0 else NOTHING
-        if beside == ITSELF:
-            return ITSELF if k == 0 else np.int64(0)
-        if row < 0 or beside >= 0:
-            return np.int64(row >= 0)
-    return np.int64(0)
+        beside = _surface_below(labelled, row, col, sheet, limit) if row >= 0 else ITSELF
+        if beside != NOTHING:
+            return beside >= 0
+    return False
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -203,13 +211,14 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
                         continue
                     limit = labelled.z[j] - step - SLACK
                     for way in range(4):
-                        drops = _drop_at(labelled, row, col, way, sheet, limit, reach)
-                        if drops == ITSELF:
+                        r, c = _next(lattice, row, col, way)
+                        if r >= 0 and _holds(labelled, r, c, sheet):
                             continue
                         if num == rows.shape[0]:
                             return k
                         rows[num, 0], rows[num, 1], rows[num, 2] = labelled.part[j], cell, j
-                        rows[num, 3], rows[num, 4] = way, drops
+                        drops = _drop_at(labelled, row, col, way, sheet, limit, reach)
+                        rows[num, 3], rows[num, 4] = way, 1 if drops else 0
                         num += 1
         counts[k] = num - before
     return end
