@@ -181,7 +181,7 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
 
 @part(**UNCOUNTED)
 def _place_bases(surfaces, kept, grounds, tolerance, cell, end, level):
-    """Give the kept surfaces of cells their bases, up to a cell where two have the same; returns it."""
+    """Give the kept surfaces of cells their bases; returns a cell where two share one, or `end`."""
     while cell < end:
         in_order, before = True, -1
         for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
