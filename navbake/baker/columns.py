@@ -1,9 +1,9 @@
 """Columns: every crossing of every cell's vertical line with the scene."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,10 +252,10 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
         parts[first] = cast_points_at(points[first:end], tile[first:end], *geometry)
 
     run_in_bands(cast, len(points), least=LEAST_POINTS)
-    return join_crossings([parts[first] for first in sorted(parts)])
+    return _join_crossings([parts[first] for first in sorted(parts)])
 
 
-def join_crossings(parts: list[Crossings]) -> Crossings:
+def _join_crossings(parts: list[Crossings]) -> Crossings:
     """Columns of one part after the other."""
     if len(parts) == 1:
         return parts[0]
@@ -270,10 +270,15 @@ def join_crossings(parts: list[Crossings]) -> Crossings:
 
 def take_columns(crossings: Crossings, cells: Int) -> Crossings:
     """The columns of some cells, numbered as these are."""
-    first, counts = crossings.start[cells], crossings.start[cells + 1] - crossings.start[cells]
+    first = crossings.start[cells]
+    return take_runs(crossings[1:], first, crossings.start[cells + 1] - first)
+
+
+def take_runs(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> Crossings:
+    """Columns out of arrays of crossings, by the place of each and how many it has."""
     start = np.concatenate([[0], np.cumsum(counts)])
     taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
-    return Crossings(start, *(part[taken] for part in crossings[1:]))
+    return Crossings(start, *(array[taken] for array in arrays))
 
 
 def empty_crossings(start: Int, count: int) -> Crossings:

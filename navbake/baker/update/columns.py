@@ -3,38 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.column_blocks import place_columns
-from navbake.baker.columns import Columns, Rows, join_crossings, take_columns
+from navbake.baker.columns import Columns, take_runs
 from navbake.baker.kernels.arrays import Crossings
 from navbake.types import Int, Int32
 
-ROWS = 16  # of cells in a band, which is written anew when a column in it is replaced
+# The store has so many times the room that it needs at first
+ROOM = 1.25
 
 
 class KeptColumns:
-    """The columns of a lattice by bands of rows; see `ColumnSource`."""
+    """The columns of a lattice, each a run of one store; see `ColumnSource`.
+
+    A new column is written behind all others, and its cell points at it from then on (a
+    log-structured store; Rosenblum and Ousterhout, 1992). The store is written anew when it is
+    full.
+    """
 
     def __init__(self, columns: Columns) -> None:
         self.lattice = columns.lattice
-        height, width = self.lattice.shape
-        cells = np.arange(height * width)
-        self._firsts = np.arange(0, height * width, ROWS * width)
-        self._bands = [
-            take_columns(columns.crossings, cells[first : first + ROWS * width])
-            for first in self._firsts.tolist()
-        ]
+        self._cells = np.arange(self.lattice.width * self.lattice.height)
+        self._fill(columns.crossings, 0)
+
+    def _fill(self, crossings: Crossings, more: int) -> None:
+        """Make the store, with room for `more` crossings at least."""
+        self._first, self._counts = crossings.start[:-1].copy(), np.diff(crossings.start)
+        self._used = len(crossings.z)
+        room, self._arrays = int((self._used + more) * ROOM) + 100, list[NDArray[Any]]()
+        for array in crossings[1:]:
+            self._arrays.append(np.empty((room, *array.shape[1:]), dtype=array.dtype))
+            self._arrays[-1][: self._used] = array
 
     def blocks(self) -> Iterator[Columns]:
-        """The columns of all rows, by bands of them, in their order."""
-        height, width = self.lattice.shape
-        for first, band in zip(self._firsts.tolist(), self._bands, strict=True):
-            start = np.zeros(height * width + 1, dtype=np.int64)
-            start[first : first + len(band.start)] = band.start
-            rows = Rows(first // width, min(first // width + ROWS, height))
-            yield Columns(self.lattice, band._replace(start=start), rows)
+        """All columns, in one block."""
+        yield Columns(self.lattice, self.take(self._cells))
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
@@ -43,21 +50,15 @@ class KeptColumns:
 
     def take(self, cells: Int) -> Crossings:
         """The columns of some cells, ascending, numbered as these are."""
-        bounds = np.append(np.searchsorted(cells, self._firsts), len(cells))
-        return join_crossings(
-            [
-                take_columns(self._bands[k], cells[bounds[k] : bounds[k + 1]] - self._firsts[k])
-                for k in np.flatnonzero(np.diff(bounds)).tolist()
-            ]
-        )
+        return take_runs(self._arrays, self._first[cells], self._counts[cells])
 
     def put(self, cells: Int, crossings: Crossings) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        bounds = np.append(np.searchsorted(cells, self._firsts), len(cells))
-        for k in np.flatnonzero(np.diff(bounds)).tolist():
-            own = np.arange(bounds[k], bounds[k + 1])
-            band = self._bands[k]
-            both = join_crossings([band, take_columns(crossings, own)])
-            place = np.arange(len(band.start) - 1)
-            place[cells[own] - self._firsts[k]] = len(place) + np.arange(len(own))
-            self._bands[k] = take_columns(both, place)
+        end = self._used + len(crossings.z)
+        if end > len(self._arrays[0]):
+            self._fill(self.take(self._cells), len(crossings.z))
+            end = self._used + len(crossings.z)
+        for array, new in zip(self._arrays, crossings[1:], strict=True):
+            array[self._used : end] = new
+        self._first[cells] = self._used + crossings.start[:-1]
+        self._counts[cells], self._used = np.diff(crossings.start), end

@@ -62,7 +62,7 @@ def test_columns_that_are_put_are_taken_again(seed):
 
     first = draw(count)
     kept, now = KeptColumns(Columns(LATTICE, first)), [take(first, cell) for cell in range(count)]
-    for _ in range(4):
+    for _ in range(12):
         cells = np.flatnonzero(rng.random(count) < 0.1)
         new = draw(len(cells))
         kept.put(cells, new)
