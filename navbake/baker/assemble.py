@@ -13,7 +13,7 @@ from navbake.baker.boxes import Box, written_ground
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.model import mujoco_version
 from navbake.baker.stages import Stages
-from navbake.baker.warn import ContentNotes, collect_warnings
+from navbake.baker.warn import collect_warnings
 from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
@@ -21,15 +21,11 @@ from navbake.navgrid.user_data import UserData
 from navbake.types import Int, Json
 
 
-def build_grid(stages: Stages, notes: ContentNotes | None = None) -> SceneGrid2D | MultiLevelGrid:
-    """Put what the stages found into the grid that is written.
-
-    Args:
-        notes: what is to be told of the contents; found in those of the stages if None.
-    """
+def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
+    """Put what the stages found into the grid that is written."""
     windows = stages.boxes.windows
     doors = _cut_doors(stages, windows)
-    metadata = _metadata(stages, windows, doors, notes)
+    metadata = _metadata(stages, windows, doors)
     places = enumerate(zip(windows, stages.boxes.boxes, strict=True))
     grids = [_level_grid(stages, number, *place, doors, metadata) for number, place in places]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
@@ -80,11 +76,9 @@ def _level_grid(
     )
 
 
-def _metadata(
-    stages: Stages, windows: list[Window], doors: Sequence[Door], notes: ContentNotes | None
-) -> Json:
+def _metadata(stages: Stages, windows: list[Window], doors: Sequence[Door]) -> Json:
     config, agent = stages.config, stages.config.agent
-    warnings = collect_warnings(stages, notes)
+    warnings = collect_warnings(stages)
     return {
         "sceneId": stages.scene.id,
         "cellAttributes": [

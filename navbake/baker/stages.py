@@ -19,22 +19,17 @@ from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, join_columns
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
-from navbake.baker.contents.contents import Contents, ContentsFinder, KnownGeoms
+from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Doors, Surroundings, place_doors
 from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
-from navbake.baker.occupancy.occupancy import (
-    Footprint,
-    Footprints,
-    Occupancy,
-    OccupancyFinder,
-    check_occupancy,
-)
+from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.flags import ColumnFlags, RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
+from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
@@ -130,8 +125,7 @@ class WholeScene(NamedTuple):
 class _Cells(NamedTuple):
     """What is found in cells once their floors are known, all in one pass over the columns."""
 
-    occupancy: Occupancy
-    contents: ContentsFinder | None
+    finder: CellFinder
     of_columns: ColumnFlags
 
 
@@ -160,9 +154,9 @@ class Stages:
     clock: StageClock = field(default_factory=StageClock, repr=False)
 
     @cached_property
-    def footprints(self) -> Footprints:
+    def footprint(self) -> Footprint:
         """The volume over a cell's floor that has to be free."""
-        return Footprints.of(self.config.agent, self.lattice.cell_size)
+        return Footprint.of(self.config.agent, self.lattice.cell_size)
 
     @cached_property
     def doorless(self) -> Scene:
@@ -206,7 +200,7 @@ class Stages:
         """
         _ = self.whole  # columns take all threads; most of what floors take then is one thread's
         if self._asks_contents:
-            _ = self._known_geoms
+            _ = self._extents
         return self.judge_floors()[0]
 
     @property
@@ -214,9 +208,9 @@ class Stages:
         return bool(self.config.names.enabled or self.config.rooms.sources)
 
     @cached_property
-    def _known_geoms(self) -> Callable[[], KnownGeoms]:
-        """What contents need of the geoms alone, found beside what is asked for next."""
-        return run_beside(KnownGeoms.of, self.doorless, self.tiled)
+    def _extents(self) -> Callable[[], Extents]:
+        """Boxes round the geoms, measured beside what is asked for next."""
+        return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
 
     def judge_floors(self) -> tuple[Floors, FloorFinder]:
         """Find `floors`, and what keeps those of the whole scene up to date."""
@@ -240,9 +234,8 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            return check_occupancy(
-                columns.at(cells), self._judged_shapes, volume, cells, floors
-            ).occupied
+            known = columns.at(cells), self._judged_shapes
+            return look_at_cells(*known, volume, cells, floors).occupied
 
         return is_occupied
 
@@ -255,14 +248,19 @@ class Stages:
     @cached_property
     def occupancy(self) -> Occupancy:
         """The cells of each storey that are occupied."""
-        return self._cells.occupancy
+        return self.finder.occupancy
 
     @cached_property
     def contents(self) -> Contents | None:
         """What stands in the cells; None where neither names nor rooms need it."""
-        finder = self._cells.contents
+        finder = self.finder
         with self.clock.stage("contents"):
-            return None if finder is None else finder.found(self.config.names)
+            return finder.found(self.config.names)
+
+    @property
+    def finder(self) -> CellFinder:
+        """What finds the occupancy and the contents of cells."""
+        return self._cells.finder
 
     @cached_property
     def of_columns(self) -> ColumnFlags:
@@ -292,31 +290,23 @@ class Stages:
     @cached_property
     def _cells(self) -> _Cells:
         """What is found in the cells, block by block."""
-        config, floors, columns, tiled = self.config, self.floors, self._blocks, self.tiled
-        clock, agent = self.clock, config.agent
-        with clock.stage("occupancy"):
-            occupancy = OccupancyFinder(floors, tiled, self.footprints)
-            with clock.part("contents"):
-                contents = None
-                if self._asks_contents:
-                    known = self._known_geoms()
-                    contents = ContentsFinder(self.doorless, tiled, known, floors, agent)
+        floors, columns, agent = self.floors, self._blocks, self.config.agent
+        with self.clock.stage("occupancy"):
+            extents = self._extents() if self._asks_contents else None
+            finder = CellFinder(self.doorless, self.lattice, floors, agent, extents)
             of_columns = ColumnFlags(floors, agent)
             for block in columns.blocks():
-                occupancy.add(block)
-                with clock.part("contents"):
-                    if contents is not None:
-                        contents.add(block, occupancy.levels)
-                with clock.part("rooms"):
+                finder.add(block, self.tiled)
+                with self.clock.part("rooms"):
                     first, end = block.known_rows.cells(self.lattice)
                     crossings = block.crossings._replace(start=block.start[first : end + 1])
                     of_columns.look(slice(first, end), crossings, floors.levels)
-            return _Cells(occupancy.found(), contents, of_columns)
+            return _Cells(finder, of_columns)
 
     @property
     def around_doors(self) -> Surroundings:
         """What doors stand in."""
-        levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprints)
+        levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprint)
         return Surroundings(self._blocks, levels, *found, self.config.agent)
 
     @cached_property
@@ -356,7 +346,7 @@ class Stages:
         return {"settingsDigest": digest, "settings": state}
 
     def _tile(self, lattice: Lattice) -> TiledShapes:
-        reach = max(self.footprints.whole.reach, self.config.floors.crack)
+        reach = max(self.footprint.reach, self.config.floors.crack)
         return tile_shapes(self.doorless.shapes, lattice, reach)
 
     def free_geometry(self) -> None:
@@ -365,7 +355,7 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        names = "tiled", "whole", "columns", "_judged_shapes", "_known_geoms", "_cells"
+        names = "tiled", "whole", "columns", "_judged_shapes", "_extents", "_cells"
         for name in (*names, "room_flags", "of_columns"):
             self.__dict__.pop(name, None)
 

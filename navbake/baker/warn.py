@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from navbake.baker.boxes import LevelBoxes
-from navbake.baker.contents.contents import Contents, LevelContents
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.kernels.constants import SLACK
-from navbake.baker.scene.names import body_name, find_free_bodies
+from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.baker.stages import Stages
 from navbake.config.settings import BakeConfig
@@ -28,45 +25,22 @@ NEAR_GROUND = 0.5
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 
 
-class ContentNotes(NamedTuple):
-    """What is to be told of the contents of cells.
-
-    Attributes:
-        taken: how many cells each body with a free joint takes, see `count_taken`.
-        warnings: of the contents.
-    """
-
-    taken: Int
-    warnings: list[str]
-
-    @classmethod
-    def of(cls, scene: Scene, contents: Contents) -> ContentNotes:
-        """What is to be told of the contents of a bake."""
-        return cls(count_taken(scene, contents), contents.warnings)
-
-
-def collect_warnings(stages: Stages, notes: ContentNotes | None = None) -> list[str]:
-    """The warnings of all stages, in their order.
-
-    Args:
-        notes: of the contents; of those that the stages have if None.
-    """
-    if notes is None and stages.contents is not None:
-        notes = ContentNotes.of(stages.scene, stages.contents)
-    cell_area = stages.lattice.cell_size**2
-    found = [
+def collect_warnings(stages: Stages) -> list[str]:
+    """The warnings of all stages, in their order."""
+    contents, cell_area = stages.contents, stages.lattice.cell_size**2
+    warnings = [
         *stages.scene.warnings,
         *stages.unmatched,
         *warn_part_judged(stages),
         *warn_nothing_free(stages),
-        *(warn_movable(stages.scene, notes.taken, cell_area) if notes else ()),
+        *(warn_movable(stages.scene, contents.taken, cell_area) if contents else ()),
         *warn_missing_floors(stages.scene, stages.floors, stages.config),
-        *(notes.warnings if notes else ()),
+        *(contents.warnings if contents else ()),
         *stages.rooms.warnings,
         *stages.doors.warnings,
         *warn_interleaved(stages.floors, stages.boxes),
     ]
-    return [printable(warning) for warning in found]
+    return [printable(warning) for warning in warnings]
 
 
 def warn_missing_floors(scene: Scene, floors: Floors, config: BakeConfig) -> list[str]:
@@ -138,40 +112,11 @@ def warn_nothing_free(stages: Stages) -> list[str]:
     ]
 
 
-def count_taken(scene: Scene, contents: Contents) -> Int:
-    """Count the cells that each body with a free joint takes, shape (nbody,), int64.
-
-    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
-    joint. So a cup on a table takes none.
-    """
-    body_of, taken = find_free_bodies(scene.model), np.zeros(scene.model.nbody, dtype=np.int64)
-    if (body_of < 0).all():
-        return taken
-    for listed in contents.levels:
-        count_taken_cells(listed, body_of, taken, 1)
-    return taken
-
-
-def count_taken_cells(listed: LevelContents, body_of: Int, taken: Int, by: int) -> None:
-    """Add `by` to what each body has in `taken` for each cell that it takes.
-
-    Args:
-        listed: the contents of the cells.
-        body_of: the body with a free joint that each geom hangs on, -1 for none.
-    """
-    cell, geom = listed.cell[listed.blocks], listed.geom[listed.blocks]
-    is_fixed = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-    is_fixed[cell[body_of[geom] < 0]] = True
-    free = ~is_fixed[cell]
-    pairs = np.unique(np.stack([cell[free], body_of[geom[free]]]), axis=1)
-    np.add.at(taken, pairs[1], by)
-
-
 def warn_movable(scene: Scene, taken: Int, cell_area: float) -> list[str]:
     """Warn of bodies with a free joint that take floor: agents, and things that move later.
 
     Args:
-        taken: see `count_taken`.
+        taken: how many cells each body takes, see `Contents`.
         cell_area: of one cell [m²].
     """
     bodies = np.flatnonzero(taken)

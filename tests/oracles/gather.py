@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes
-from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import APART, MEETS, OPEN_SURFACE, TOUCH, UNDECIDED
-from navbake.baker.kernels.gjk import DISC, SQUARE, make_simplex
+from navbake.baker.kernels.gjk import make_simplex
 from navbake.baker.kernels.overlap import (
     ANY_GEOM,
     line_is_blocked,
@@ -17,12 +17,12 @@ from navbake.baker.kernels.overlap import (
     plane_meets_prism,
     triangle_meets_prism,
 )
-from navbake.baker.kernels.solids import part_of_solid
+from navbake.baker.kernels.solids import solid_meets
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
 plane_meets_prism = numba.njit(plane_meets_prism.py_func)
-part_of_solid = numba.njit(part_of_solid.py_func)
+solid_meets = numba.njit(solid_meets.py_func)
 line_is_blocked = numba.njit(line_is_blocked.py_func)
 triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
 make_polygons = numba.njit(make_polygons.py_func)
@@ -30,17 +30,34 @@ make_polygons = numba.njit(make_polygons.py_func)
 SIMPLEX, POLYGONS = make_simplex(), make_polygons()
 
 
-def prism_over(columns: Columns, cell: int, low: float, high: float, square: float, radius: float):
+def prisms_over(
+    columns: Columns, cell: int, low: float, high: float, square: float, radius: float
+) -> list[Prism]:
+    """The square and the disc over a cell, as far as they have any width."""
     x, y = columns.lattice.positions(*divmod(cell, columns.lattice.width))
-    return Prism(float(x), float(y), float(low), float(high), float(square), float(radius))
+    place = float(x), float(y), float(low), float(high)
+    return [
+        Prism(*place, float(half), is_round)
+        for half, is_round in ((square, False), (radius, True))
+        if half > 0
+    ]
 
 
 def line_meets(columns: Columns, cell: int, prism: Prism, geom: int = ANY_GEOM) -> bool:
-    return line_is_blocked(columns.crossings, cell, prism, np.int32(geom))
+    band = Band(prism.low, prism.high)
+    return line_is_blocked(columns.crossings, cell, band, np.int32(geom))
 
 
-def geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
-    """MEETS or UNDECIDED for each geom that isn't apart from a prism, its line left out."""
+def geoms_that_meet(tiled: TiledShapes, prisms: list[Prism]) -> dict[int, int]:
+    """MEETS or UNDECIDED for each geom that isn't apart from all prisms, its line left out."""
+    found: dict[int, int] = {}
+    for prism in prisms:
+        for geom, answer in _geoms_that_meet(tiled, prism).items():
+            found[geom] = MEETS if MEETS in (answer, found.get(geom)) else UNDECIDED
+    return found
+
+
+def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
     found: dict[int, int] = {}
     shapes = tiled.shapes
     for p, geom in enumerate(shapes.planes.geom.tolist()):
@@ -50,24 +67,19 @@ def geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
         edge = 2.0 * TOUCH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
         if t not in _boxes_near(tiled.facets.bounds, prism, edge):
             continue
-        wider = {
-            "square": prism.square + edge if prism.square else 0.0,
-            "radius": prism.radius + edge if prism.radius else 0.0,
-        }
-        fields = zip(type(prism).__match_args__, prism, strict=True)
-        asked = type(prism)(**{**dict(fields), **wider})
+        asked = prism._replace(half=prism.half + edge)
         if triangle_meets_prism(tiled.facets.corners[t], asked, POLYGONS):
             found[int(tiled.facets.geom[t])] = MEETS
     for s in _boxes_near(shapes.solids.bounds, prism, 0.0):
-        parts = [part_of_solid(shapes.solids, s, prism, part, SIMPLEX) for part in (SQUARE, DISC)]
-        if set(parts) != {APART}:
-            found[int(shapes.solids.geom[s])] = MEETS if MEETS in parts else UNDECIDED
+        answer = solid_meets(shapes.solids, s, prism, SIMPLEX)
+        if answer != APART:
+            found[int(shapes.solids.geom[s])] = answer
     return found
 
 
 def _boxes_near(bounds: NDArray[np.float64], prism: Prism, edge: float) -> list[int]:
     """The boxes that aren't beside a prism; touching is beside it."""
-    reach = max(prism.square, prism.radius) + edge
+    reach = prism.half + edge
     low = np.array([prism.x - reach, prism.y - reach, prism.low])
     high = np.array([prism.x + reach, prism.y + reach, prism.high])
     return np.flatnonzero(((bounds[:, :3] < high) & (bounds[:, 3:] > low)).all(axis=1)).tolist()

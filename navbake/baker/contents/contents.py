@@ -1,79 +1,55 @@
-"""What stands in each cell: which geoms, what they are, and under which names."""
+"""What stands in each cell: whether it is occupied, by which geoms, what they are, and their names.
 
-from collections.abc import Sequence
+All is found by one walk over the cells, block by block; and again for some cells where things move.
+"""
+
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes, tiles_of_rows
+from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
 from navbake.baker.contents.structure import (
     Carriers,
-    FloorSupport,
     find_carriers,
     find_ceilings,
+    find_steps,
 )
 from navbake.baker.contents.walls import (
-    BUILDING,
-    OBJECT,
-    STRUCTURE,
-    WALL,
+    NEAR_FLOOR,
     WALL_BAND,
     GeomsOverFloors,
     find_buildings,
     find_walls,
     is_static,
+    is_surface,
     match_walls,
     wall_candidates,
 )
-from navbake.baker.floors.levels import Floors, LevelFloor
+from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.surfaces import agent_limits
-from navbake.baker.gathered import Gathered
 from navbake.baker.kernels import contents as kernels
-from navbake.baker.kernels.arrays import Probe, StoreyCells
-from navbake.baker.kernels.constants import TOUCH
-from navbake.baker.kernels.flags import BLOCKS, PROBED, STANDS, UNPROVED
-from navbake.baker.kernels.groups import Groups, count_groups, fill_groups
+from navbake.baker.kernels.constants import BUILDING, OBJECT, STRUCTURE, TOUCH, WALL
+from navbake.baker.kernels.contents import LevelContents
+from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS, Listing
 from navbake.baker.lattice import Window
-from navbake.baker.occupancy.occupancy import Footprint
+from navbake.baker.occupancy.occupancy import NO_LISTING, Footprint, Found, Occupancy, look_at_cells
 from navbake.baker.scene.extents import Extents, measure_geoms
+from navbake.baker.scene.names import find_free_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, collector_off
-from navbake.threads import run_in_bands
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int
 
-
-class LevelContents(NamedTuple):
-    """The geoms of a storey's cells, ragged: cell i holds ``[start[i], start[i + 1])``.
-
-    Attributes:
-        lattice: the whole lattice.
-        start: shape (cells + 1,), int64.
-        geom: MuJoCo's geom ids, ascending in a cell, shape (n,), int32.
-        stands: whether the geom meets the cell's square between floor and ceiling, shape (n,).
-        blocks: whether it meets the volume that the occupancy is about, shape (n,), bool.
-        upper: whether it stands there and meets the square in `WALL_BAND`, be that above the
-            ceiling or not, shape (n,), bool; asked only of `wall_candidates`.
-        carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
-    """
-
-    lattice: Lattice
-    start: Int
-    geom: Int32
-    stands: Bool
-    blocks: Bool
-    upper: Bool
-    carrier: Int32
-
-    @property
-    def cell(self) -> Int:
-        """Cell id of each entry, shape (n,), int64."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+# Lists get so many times the room that they are expected to need, and where some are replaced, as
+# what was there before stays in them
+SPARE, ROOM = 1.1, 2
 
 
 @dataclass(frozen=True)
@@ -85,39 +61,48 @@ class Contents:
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
+        taken: how many cells each body with a free joint takes, see `kernels.count_taken`; shape
+            (nbody,), int64.
     """
 
     levels: list[LevelContents]
     kinds: NDArray[np.uint8]
     names: list[str]
     warnings: list[str]
+    taken: Int
 
     def wall_cells(self, level: int) -> Bool:
         """Mark the cells with a floor that a wall stands in and blocks, on the whole lattice."""
-        listed = self.levels[level]
-        chosen = self._is_wall(listed) & listed.stands & listed.blocks
-        cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        kernels.mark_cells(listed.start, chosen, cells)
-        return cells.reshape(listed.lattice.shape)
+        return self._mark(level)[0]
 
     def low_cells(self, level: int) -> Bool:
         """Mark the cells with a floor that a building's mesh blocks only below `WALL_BAND`."""
+        return self._mark(level)[1]
+
+    def have_same_walls(self, other: Contents, cells: Int) -> bool:
+        """Whether the same cells are marked in contents that differ in some cells at most."""
+        same_kinds = np.array_equal(self.kinds, other.kinds)
+        asked = cells if same_kinds else None
+        levels = range(len(self.levels))
+        return all(np.array_equal(self._mark(k, asked), other._mark(k, asked)) for k in levels)
+
+    def _mark(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
+        """The wall cells and the low ones, on the whole lattice or of some cells."""
         listed = self.levels[level]
-        is_building = self.kinds[listed.geom] == BUILDING
-        cells = np.zeros(len(listed.start) - 1, dtype=np.bool_)
-        if is_building.any():
-            cell = listed.cell
-            cells[cell[is_building & listed.stands & listed.blocks]] = True
-            cells[cell[is_building & listed.stands & listed.upper]] = False
-        return cells.reshape(listed.lattice.shape)
+        asked = np.arange(len(listed.first)) if cells is None else cells
+        shape = listed.lattice.shape if cells is None else cells.shape
+        walls, lows = np.empty((2, len(asked)), dtype=np.bool_)
+        kernels.mark_walls(listed, self.kinds, asked, walls, lows)
+        return walls.reshape(shape), lows.reshape(shape)
 
     def user_data(self, level: int, window: Window) -> UserData:
         """Name what stands in a storey's cells, as the original client does.
 
         `objects` are all things but walls and the building's own floors, ceilings and stairs;
-        `walls` are the walls; `blockers` are the names of all that blocks the cell, where that
-        isn't the same as all of the former. Of what carries a floor, only things are named
-        where one stands on them (rugs, pallets). Doors are no part of the contents: see
+        `walls` the walls. Both reach from the floor up to the next storey, whether they stand,
+        hang or lie. `blockers` are what the agent's disc or square meets in its band, be that in
+        the cell or beside it, where that is not exactly what stands there. A thing is in the cells
+        where one stands on it, too (rugs, pallets). Doors are no part of the contents: see
         `navbake.navgrid.doors.with_door_names`.
 
         The data is by cell id on the window: sorted names under each key that has any.
@@ -126,35 +111,229 @@ class Contents:
         return UserData(partial(self._name_cells, level, window))
 
     def _name_cells(self, level: int, window: Window) -> Shared:
-        return name_contents(self.levels[level], self.kinds, self.names, window)
-
-    def _is_wall(self, listed: LevelContents) -> Bool:
-        return is_wall(listed, self.kinds)
-
-
-def name_contents(
-    listed: LevelContents, kinds: NDArray[np.uint8], names: Sequence[str], window: Window
-) -> Shared:
-    """The user data of a storey's cells, see `Contents.user_data`."""
-    kind = kinds[listed.geom]
-    bits = np.where(listed.blocks, BLOCKERS, 0)
-    bits |= np.where(listed.stands & is_wall(listed, kinds), WALLS, 0)
-    bits |= np.where(listed.stands & (kind == OBJECT), OBJECTS, 0)
-    carrier = listed.carrier
-    below = np.flatnonzero(carrier >= 0)
-    below = below[kinds[carrier[below]] == OBJECT]
-    cell = np.concatenate([listed.cell, below])
-    geom = np.concatenate([listed.geom, carrier[below]])
-    bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
-    with collector_off():
-        return Shared(*name_cells(cell, geom, bits, names, listed.lattice, window))
+        listed = self.levels[level]
+        cell, geom, flags = kernels.take_entries(listed)
+        kind, carrier = self.kinds[geom], listed.carrier
+        stands, is_upper = (flags & STANDS) > 0, (flags & PROBED) > 0
+        is_wall = (kind == WALL) | ((kind == BUILDING) & is_upper)
+        bits = np.where(flags & BLOCKS, BLOCKERS, 0)
+        bits |= np.where(stands & is_wall, WALLS, 0)
+        bits |= np.where(stands & (kind == OBJECT), OBJECTS, 0)
+        below = np.flatnonzero(carrier >= 0)
+        below = below[self.kinds[carrier[below]] == OBJECT]
+        cell = np.concatenate([cell, below])
+        geom = np.concatenate([geom, carrier[below]])
+        bits = np.concatenate([bits, np.full(len(below), OBJECTS)])
+        with collector_off():
+            return Shared(*name_cells(cell, geom, bits, self.names, listed.lattice, window))
 
 
-def is_wall(listed: LevelContents, kinds: NDArray[np.uint8]) -> Bool:
-    """Whether each entry of a storey's cells is a wall there."""
-    kind = kinds[listed.geom]
-    wall: Bool = (kind == WALL) | ((kind == BUILDING) & listed.upper)
-    return wall
+class CellFinder:
+    """Finds what stands in all cells, block by block, and again in some where things move.
+
+    Attributes:
+        occupancy: of the cells that were looked at; others have an open floor yet.
+
+    Args:
+        scene: without doors, as is all that is looked at.
+        floors: the storeys.
+        agent: who stands there.
+        extents: of the scene's geoms; None where contents are not asked for.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        lattice: Lattice,
+        floors: Floors,
+        agent: AgentSettings,
+        extents: Extents | None,
+    ) -> None:
+        self._scene, self._floors, self._agent, self._extents = scene, floors, agent, extents
+        self._footprint = Footprint.of(agent, lattice.cell_size)
+        has_solid = self._footprint.radius > 0.0
+        taken = [np.isnan(level.floor) for level in floors.levels]
+        solid = [mask.copy() for mask in taken] if has_solid else None
+        self.occupancy = Occupancy(taken, 0, 0, solid)
+        self._listed: list[LevelContents] = []
+        if extents is not None:
+            num = lattice.width * lattice.height
+            for _ in floors.levels:
+                first, carrier = np.zeros(num, dtype=np.int32), np.full(num, -1, dtype=np.int32)
+                nothing = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)
+                self._listed.append(
+                    LevelContents(lattice, first, *nothing, carrier, np.full(num, np.inf))
+                )
+            self._names, self._free_body = name_geoms(scene), find_free_bodies(scene.model)
+            self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
+        self._used = [0 for _ in self._listed]
+        self._steps: tuple[Int, Int, Float] | None = None
+        self._basis: list[NDArray[Any]] = []  # of `_kinds` and `_warnings`
+        self._kinds, self._warnings = np.empty(0, dtype=np.uint8), list[str]()
+
+    def add(self, columns: Columns, tiled: TiledShapes) -> None:
+        """Look at the cells of a block; blocks come in the order of their rows."""
+        lattice = columns.lattice
+        cells = np.arange(*columns.known_rows.cells(lattice))
+        self._look(columns, tiled, cells, (int(cells[-1]) + 1) / (lattice.width * lattice.height))
+
+    def look_again(
+        self,
+        scene: Scene,
+        floors: Floors,
+        columns: Columns,
+        tiled: TiledShapes,
+        cells: Int,
+        moved: Bool,
+    ) -> None:
+        """Bring cells up to date where things moved; what `found` returned before stays as it is.
+
+        Args:
+            cells: all near what moved, and all whose column or floor changed, ascending.
+            moved: by geom id, whether its geometry differs.
+        """
+        self._scene, was, self._floors = scene, self._floors, floors
+        if not np.array_equal(was.links, floors.links):
+            self._steps = None
+        if self._extents is not None:
+            new = measure_geoms(scene.shapes.only(moved), len(moved))
+            extents = Extents(*(array.copy() for array in self._extents))
+            for old, now in zip(extents, new, strict=True):
+                old[moved] = now[moved]
+            self._extents = extents
+            # a static panel is furniture, not a wall, by the size of the body that it is a part of,
+            # moving parts included
+            static, roots = is_static(scene), np.asarray(scene.model.body_rootid)
+            roots = roots[scene.model.geom_bodyid]
+            own = np.unique(roots[moved])
+            decisive = moved & (static | is_surface(scene))
+            if decisive.any() or (static & np.isin(roots, own[own > 0])).any():
+                self._basis = []
+        self._look(columns, tiled, cells, None)
+
+    def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
+        """Look at some cells, ascending; see `_put_lists` for `share`."""
+        floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
+        # each storey ends at the next one's ground, the last one at the scene's top [m]
+        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
+        tops = [*(level.ground for level in floors.levels[1:]), highest]
+        listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
+        if self._extents is not None:
+            probed = wall_candidates(scene, self._extents)
+        for k, (level, top) in enumerate(zip(floors.levels, tops, strict=True)):
+            floor = level.floor.ravel()[cells]
+            has_floor = ~np.isnan(floor)
+            here, heights = cells[has_floor], floor[has_floor]
+            if self._extents is not None:
+                num, band = len(here), (WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH)
+                first, carrier = np.empty((2, num), dtype=np.int32)
+                ceiling = np.maximum(top, heights + self._agent.height) - TOUCH
+                min_up = agent_limits(self._agent).min_up
+                listing = Listing(ceiling, first, carrier, np.empty(num), probed, *band, min_up)
+            found = look_at_cells(columns, tiled, self._footprint, here, heights, listing)
+            for layers, mask in ((taken, found.occupied), (solid, found.solid)):
+                if layers is not None:
+                    layer = layers[k].reshape(-1)
+                    layer[cells] = True
+                    layer[here] = mask
+            if share is not None:
+                by_ray, by_fcl = by_ray + found.by_ray, by_fcl + found.by_fcl
+            if self._extents is not None:
+                self._put_lists(k, cells, has_floor, listing, found, share)
+        self.occupancy = Occupancy(taken, by_ray, by_fcl, solid)
+
+    def _put_lists(
+        self,
+        k: int,
+        cells: Int,
+        has_floor: Bool,
+        listing: Listing,
+        found: Found,
+        share: float | None,
+    ) -> None:
+        """Put the lists of some cells into a level's contents.
+
+        Args:
+            share: how much of all cells is known with these, > 0 to 1; None where they were known,
+                and the contents as they were are not to be written to.
+        """
+        listed, used, num = self._listed[k], self._used[k], len(found.geom)
+        carrier, gap = np.full(len(cells), -1, dtype=np.int32), np.full(len(cells), np.inf)
+        first = np.zeros(len(cells), dtype=np.int32)
+        carrier[has_floor], gap[has_floor] = listing.carrier, listing.gap
+        if share is None:
+            self._count_taken(listed, cells, -1)
+            if not np.array_equal(listed.carrier[cells], carrier):
+                self._steps = None
+            listed = listed._replace(first=listed.first.copy(), carrier=listed.carrier.copy())
+        if used + num > len(listed.geom):
+            if share is None:
+                listed, used = _compact(listed)
+            more = ROOM if share is None else SPARE / share if share < 1.0 else 1.0
+            size = int((used + num) * more)
+            geom, flags = np.empty(size, dtype=np.int32), np.empty(size, dtype=np.uint8)
+            geom[:used], flags[:used] = listed.geom[:used], listed.flags[:used]
+            listed = listed._replace(geom=geom, flags=flags)
+        listed.geom[used : used + num] = found.geom
+        listed.flags[used : used + num] = found.flags
+        first[has_floor] = listing.first + np.int32(used)
+        listed.first[cells], listed.carrier[cells], listed.gap[cells] = first, carrier, gap
+        self._listed[k], self._used[k] = listed, used + num
+        self._count_taken(listed, cells, 1)
+
+    def _count_taken(self, listed: LevelContents, cells: Int, by: int) -> None:
+        if (self._free_body >= 0).any():
+            kernels.count_taken(listed, cells, self._free_body, self._taken, by)
+
+    def found(self, settings: NameSettings) -> Contents | None:
+        """What stands in all cells, and what each geom is; None where that is not asked for."""
+        extents, floors, scene, agent = self._extents, self._floors, self._scene, self._agent
+        if extents is None:
+            return None
+        over_floors = self._measure_over_floors(extents)
+        if self._steps is None:
+            carrier = np.stack([level.carrier for level in self._listed])
+            self._steps = find_steps(floors, carrier, self._listed[0].lattice)
+        step = agent.traversable_floor_height
+        carriers = find_carriers(floors, self._listed, extents, step, self._steps)
+        # geoms are classified again only where something that decides this has changed: that is not
+        # how deep one reaches under a floor, as all that begins so low may be a wall
+        static = is_static(scene)
+        decisive = static | is_surface(scene)
+        base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
+        measured = np.stack([base, *over_floors[1:]])[:, decisive]
+        basis = [measured, carriers.building, carriers.things[static], carriers.stood_on[static]]
+        basis.append(decisive)
+        same = len(basis) == len(self._basis) and all(map(np.array_equal, basis, self._basis))
+        if not same:
+            known = scene, extents, over_floors, carriers, agent, settings
+            self._kinds, self._warnings = classify_geoms(*known)
+            self._basis = basis
+        levels, taken = list(self._listed), self._taken.copy()
+        return Contents(levels, self._kinds, self._names, self._warnings, taken)
+
+    def _measure_over_floors(self, extents: Extents) -> GeomsOverFloors:
+        num = len(extents.low)
+        over = np.full(num, np.inf), np.full(num, -np.inf)
+        cells = np.empty((len(self._listed), 2, num), dtype=np.int64)
+        for listed, level, counts in zip(self._listed, self._floors.levels, cells, strict=True):
+            kernels.measure_over_floors(listed, level.floor.ravel(), extents, over, *counts)
+        area = cells.max(axis=0) * self._listed[0].lattice.cell_size ** 2
+        return GeomsOverFloors(*over, *area)
+
+
+def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
+    """Contents without the lists of no cell, and how long all others are."""
+    cell, geom, flags = kernels.take_entries(listed)
+    is_first = np.diff(cell, prepend=-1) > 0
+    # an end before each list but the first, which begins at 1
+    place = np.arange(len(cell)) + np.cumsum(is_first)
+    size = len(cell) + int(np.count_nonzero(is_first)) + 1
+    geoms, marks = np.full(size, -1, dtype=np.int32), np.zeros(size, dtype=np.uint8)
+    geoms[place], marks[place] = geom, flags
+    first = np.zeros_like(listed.first)
+    first[cell[is_first]] = place[is_first]
+    return listed._replace(first=first, geom=geoms, flags=marks), size
 
 
 def classify_geoms(
@@ -178,164 +357,3 @@ def classify_geoms(
         kinds[kinds == WALL] = OBJECT
         kinds[named] = WALL
     return kinds, warnings
-
-
-class KnownGeoms(NamedTuple):
-    """What is known of geoms before the floors are.
-
-    Attributes:
-        extents: boxes round them.
-        groups: the triangles over each tile by geom.
-    """
-
-    extents: Extents
-    groups: Groups
-
-    @classmethod
-    def of(cls, scene: Scene, tiled: TiledShapes) -> "KnownGeoms":
-        """Of the geoms of a scene, and of its geometry."""
-        return cls(measure_geoms(scene.shapes, len(scene.geoms)), group_triangles(tiled))
-
-
-class ContentsFinder:
-    """Lists what stands in every cell with a floor, block by block, and classifies each geom.
-
-    Args:
-        scene: without doors, as is what was found in it.
-        tiled: its geometry.
-        known: what is known of its geoms.
-        floors: the storeys.
-        agent: who stands there.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        tiled: TiledShapes,
-        known: KnownGeoms,
-        floors: Floors,
-        agent: AgentSettings,
-    ) -> None:
-        self._scene, self._tiled, self._floors, self._agent = scene, tiled, floors, agent
-        self._extents = known.extents
-        # each storey ends at the next one's ground, the last one at the scene's top [m]
-        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-        tops = [*(level.ground for level in floors.levels[1:]), highest]
-        candidates = wall_candidates(scene, self._extents)
-        self._levels = [
-            _LevelLister(tiled, known.groups, level, top, agent, candidates)
-            for level, top in zip(floors.levels, tops, strict=True)
-        ]
-
-    def add(self, columns: Columns, occupied: Sequence[Bool]) -> None:
-        """List what stands in the cells of a block, of which one knows which are occupied."""
-        for level, mask in zip(self._levels, occupied, strict=True):
-            level.add(columns, mask)
-
-    def found(self, settings: NameSettings) -> Contents:
-        """What stands in all cells, and what each geom is."""
-        scene, extents, agent, floors = self._scene, self._extents, self._agent, self._floors
-        levels = [level.found() for level in self._levels]
-        gaps = [level.gap for level in self._levels]
-        carry = [FloorSupport(one.carrier, gap) for one, gap in zip(levels, gaps, strict=True)]
-        self._levels.clear()
-        step = agent.traversable_floor_height
-        carriers = find_carriers(floors, carry, extents, step, self._tiled.lattice)
-        over_floors = measure_over_floors(levels, floors, extents)
-        kinds, warnings = classify_geoms(scene, extents, over_floors, carriers, agent, settings)
-        return Contents(levels, kinds, name_geoms(scene), warnings)
-
-
-class _LevelLister:
-    """Lists the geoms of one storey's cells; a cell's ceiling is never lower than the agent.
-
-    Attributes:
-        gap: see `FloorSupport`, of the cells that were looked at.
-    """
-
-    def __init__(
-        self,
-        tiled: TiledShapes,
-        groups: Groups,
-        level: LevelFloor,
-        top: float,
-        agent: AgentSettings,
-        probed: Bool,
-    ) -> None:
-        self._tiled, self._groups, self._agent = tiled, groups, agent
-        self._floor, self._top = level.floor.ravel(), top
-        self._probe = Probe(WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH, probed)
-        num_cells = len(self._floor)
-        self._start = np.zeros(num_cells + 1, dtype=np.int64)
-        self._listed = Gathered(np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8))
-        self._carrier, self.gap = np.empty(num_cells, dtype=np.int32), np.empty(num_cells)
-
-    def add(self, columns: Columns, occupied: Bool) -> None:
-        """List the geoms of the cells of a block; blocks come in the order of their rows."""
-        lattice, tiled, floor, groups = columns.lattice, self._tiled, self._floor, self._groups
-        shapes, known = tiled.shapes, columns.known_rows
-        first, end = known.cells(lattice)
-        # arrays of all cells, of which only the pages of these rows are ever touched
-        ceiling, slot = np.empty(len(floor)), np.zeros(len(floor) + 1, dtype=np.int64)
-        ceiling[first:end] = np.maximum(self._top, floor[first:end] + self._agent.height) - TOUCH
-        lists = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.uint8)  # no room yet
-        cells = StoreyCells(floor, ceiling, occupied.ravel(), slot, *lists)
-        footprint = Footprint.of(self._agent, lattice.cell_size)
-        tiles = tiles_of_rows(lattice, known)
-        boxes = (lattice, shapes.solids, shapes.planes, tiled.tiles, groups, footprint)
-        work = len(tiles), *boxes, cells
-        run_in_bands(kernels.count_candidates, *work, begin=tiles.start)
-        slots = slot[first : end + 1]
-        np.cumsum(slots, out=slots)
-        geom, flags = np.empty(slots[-1], dtype=np.int32), np.zeros(slots[-1], dtype=np.uint8)
-        cells = cells._replace(geom=geom, flags=flags)
-        geometry = ((shapes.solids, tiled.facets, shapes.planes), tiled.tiles, groups)
-        asked = lattice, columns.crossings, *geometry, footprint, self._probe, cells
-        run_in_bands(kernels.list_geoms, len(tiles), *asked, begin=tiles.start)
-        kept = flags > 0
-        before = np.zeros(len(kept) + 1, dtype=np.int64)
-        np.cumsum(kept, out=before[1:])
-        start, flags = before[slots], flags[kept]
-        unproved = np.flatnonzero(flags & UNPROVED)
-        if len(unproved):  # what FCL found out about the cell decides
-            inside = first + np.searchsorted(start, unproved, side="right") - 1
-            flags[unproved[occupied.ravel()[inside]]] |= BLOCKS
-        self._start[first + 1 : end + 1] = start[1:] + len(self._listed)
-        self._listed.add(geom[kept], flags, share=end / len(floor))
-        part = slice(first, end)
-        support = FloorSupport(self._carrier[part], self.gap[part])
-        crossings = columns.crossings._replace(start=columns.start[first : end + 1])
-        kernels.describe_floors(floor[part], crossings, agent_limits(self._agent).min_up, support)
-
-    def found(self) -> LevelContents:
-        """What stands in the storey's cells."""
-        geom, flags = self._listed.take()
-        stands, blocks, upper = ((flags & flag) > 0 for flag in (STANDS, BLOCKS, PROBED))
-        lattice = self._tiled.lattice
-        return LevelContents(lattice, self._start, geom, stands, blocks, upper, self._carrier)
-
-
-def group_triangles(tiled: TiledShapes) -> Groups:
-    """Group the triangles over each tile by geom."""
-    known = tiled.facets, tiled.tiles
-    start = np.zeros_like(tiled.tiles.triangle_start)
-    run_in_bands(count_groups, len(start) - 1, *known, start[1:])
-    np.cumsum(start, out=start)
-    first = np.full(start[-1] + 1, len(tiled.tiles.triangle_item))
-    groups = Groups(start, first, np.empty((start[-1], 6)))
-    run_in_bands(fill_groups, len(start) - 1, *known, groups)
-    return groups
-
-
-def measure_over_floors(
-    levels: Sequence[LevelContents], floors: Floors, extents: Extents
-) -> GeomsOverFloors:
-    num = len(extents.low)
-    base, rise = np.full(num, np.inf), np.full(num, -np.inf)
-    # cells that a geom stands in, and those where it does so in the walls' band, by storey
-    cells = np.zeros((2, len(levels), num), dtype=np.int64)
-    for listed, level, in_all, in_band in zip(levels, floors.levels, *cells, strict=True):
-        floor = level.floor.ravel()
-        kernels.measure_over_floors(listed, floor, extents, base, rise, in_all, in_band)
-    area, upper_area = cells.max(axis=1) * levels[0].lattice.cell_size ** 2
-    return GeomsOverFloors(base, rise, area, upper_area)

@@ -1,6 +1,6 @@
 """What the building itself is made of: floors, stairs, ceilings and roofs, but not its walls."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from navbake.baker.connect import connect
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.kernels.contents import count_supports
+from navbake.baker.kernels.contents import LevelContents, count_supports
 from navbake.baker.lattice import list_differing
 from navbake.baker.scene.extents import Extents
 from navbake.config.settings import AgentSettings
@@ -23,37 +23,11 @@ COVERING = 0.03
 # A ceiling is at least this wide both ways [m]
 CEILING_WIDTH = 1.5
 
-
-class FloorSupport(NamedTuple):
-    """What carries the floor of a storey's cells.
-
-    Attributes:
-        geom: the geom whose surface the floor is, shape (cells,), int32, -1 for none.
-        gap: how far the next geom's floor lies below, shape (cells,), float64, inf for none [m].
-    """
-
-    geom: Int32
-    gap: Float
+Steps = tuple[Int, Int, Float]
+"""Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much [m]."""
 
 
-class SupportCounts(NamedTuple):
-    """By geom id, shape (ngeom,), int64: the cells whose floor it carries.
-
-    Attributes:
-        cells: how many there are.
-        over: in how many the geom lies over another floor, no higher than a thing does.
-        near: in how many it only covers one.
-        stood_on: whether one can stand on it in any, bool.
-    """
-
-    cells: Int
-    over: Int
-    near: Int
-    stood_on: Bool
-
-
-@dataclass(frozen=True)
-class Carriers:
+class Carriers(NamedTuple):
     """The geoms that carry floors, by geom id, shape (ngeom,), bool.
 
     Attributes:
@@ -69,7 +43,7 @@ class Carriers:
 
 
 def find_carriers(
-    floors: Floors, supports: list[FloorSupport], extents: Extents, step: float, lattice: Lattice
+    floors: Floors, levels: Sequence[LevelContents], extents: Extents, step: float, steps: Steps
 ) -> Carriers:
     """Classify geoms that carry floors as parts of the building or things on its floors.
 
@@ -79,21 +53,24 @@ def find_carriers(
     stairs, ramps, platforms, terrain.
     """
     num = len(extents.thin)
-    cells, over, near = (np.zeros(num, dtype=np.int64) for _ in range(3))
-    counts = SupportCounts(cells, over, near, np.zeros(num, dtype=np.bool_))
+    counts, stood_on = np.zeros((3, num), dtype=np.int64), np.zeros(num, dtype=np.bool_)
     height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-    for support, level in zip(supports, floors.levels, strict=True):
-        count_supports(support, level.standable.ravel(), height, COVERING + SLACK, counts)
+    for listed, level in zip(levels, floors.levels, strict=True):
+        asked = level.standable.ravel(), height, COVERING + SLACK
+        count_supports(listed, *asked, counts, stood_on)
+    cells, over, near = counts
     carries, is_over, covering = cells > 0, over >= MOSTLY * cells, near >= MOSTLY * cells
-    low, high, rise = _steps(floors, np.stack([support.geom for support in supports]), lattice)
-    area = _plateau_cells(low, high, rise, cells) * lattice.cell_size**2
+    low, high, rise = steps
+    is_level = rise <= SAME
+    plateau = connect(np.stack([low[is_level], high[is_level]]), num)
+    area = np.bincount(plateau, cells)[plateau] * levels[0].lattice.cell_size ** 2
     things = carries & (area <= THING_AREA + SLACK) & is_over
     is_step = (rise > SAME) & (rise <= step + SLACK) & ~covering[low]
     low, high = low[is_step], high[is_step]
     # a thing that leads to the building is part of it, and may make another one lead there
     while (leads_up := np.unique(low[things[low] & ~things[high]])).size:
         things[leads_up] = False
-    return Carriers(carries & ~things, things, counts.stood_on)
+    return Carriers(carries & ~things, things, stood_on)
 
 
 def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSettings) -> Bool:
@@ -107,8 +84,8 @@ def find_ceilings(extents: Extents, base: Float, static: Bool, agent: AgentSetti
     return ceilings
 
 
-def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, Float]:
-    """Pairs of geoms whose floors lie side by side: the lower, the higher, and by how much [m].
+def find_steps(floors: Floors, carrier: Int32, lattice: Lattice) -> Steps:
+    """Find where the floors of two geoms lie side by side.
 
     `carrier` is the geom that carries each floor, shape (levels, cells), -1 for none.
     """
@@ -124,11 +101,3 @@ def _steps(floors: Floors, carrier: Int32, lattice: Lattice) -> tuple[Int, Int, 
     geoms = carrier.ravel()[cells].astype(np.int64)
     geoms[rise < 0] = geoms[rise < 0, ::-1]
     return geoms[:, 0], geoms[:, 1], np.abs(rise)
-
-
-def _plateau_cells(low: Int, high: Int, rise: Float, cells: Int) -> Int:
-    """How many cells each geom carries together with all that continue at the same height."""
-    level = rise <= SAME
-    plateau = connect(np.stack([low[level], high[level]]), len(cells))
-    total: Int = np.bincount(plateau, cells).astype(np.int64)[plateau]
-    return total

@@ -2,9 +2,8 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from navbake.baker.scene.names import (
 )
 from navbake.baker.scene.scene import Scene
 from navbake.types import Bool, Float, Int
-
-OBJECT, WALL, STRUCTURE, BUILDING = range(4)
-"""What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together."""
 
 HINTED = re.compile("wall|partition")  # in the names of walls, whatever the case
 
@@ -51,8 +47,7 @@ WALL_BAND = (1.5, 1.8)
 UPRIGHT = 0.5
 
 
-@dataclass(frozen=True)
-class GeomsOverFloors:
+class GeomsOverFloors(NamedTuple):
     """How geoms stand over floors, by geom id.
 
     Attributes:
@@ -71,14 +66,9 @@ class GeomsOverFloors:
 
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
     """Mark the geoms that may be walls or hold a building, by their own shape alone."""
-    return candidates_of(is_static(scene), is_surface(scene), extents)
-
-
-def candidates_of(static: Bool, surface: Bool, extents: Extents) -> Bool:
-    """`wall_candidates` of geoms of which is known which are static, and which are surfaces."""
     tall = extents.high - extents.low >= TALL
     slender = _is_slender(extents, *THIN, THICK)
-    return tall & static & slender | _may_hold_building(surface, extents)
+    return tall & is_static(scene) & slender | _may_hold_building(is_surface(scene), extents)
 
 
 def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:

@@ -18,7 +18,7 @@ from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doo
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
 from navbake.baker.lattice import EDGES
-from navbake.baker.occupancy.occupancy import Footprints, Occupancy, check_footprints
+from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
@@ -87,7 +87,7 @@ class Placing(NamedTuple):
     def depends_on(self, row: Int, col: Int, around: Surroundings) -> bool:
         """Whether it may be another one where something changed in some cells."""
         lattice = around.rooms.lattice
-        reach = max(SIGHT, around.footprints.whole.reach) + lattice.cell_size
+        reach = max(SIGHT, around.footprint.reach) + lattice.cell_size
         window = None if self.box is None else lattice.window(self.box, reach)
         if window is None:
             return False
@@ -146,7 +146,7 @@ class Surroundings:
     floors: Sequence[LevelFloor]
     occupancy: Occupancy
     rooms: Rooms
-    footprints: Footprints
+    footprint: Footprint
     agent: AgentSettings
 
 
@@ -173,7 +173,7 @@ def place_doors(
         leaf = largest_side(extents["closed"], candidate.geoms)
         rooms = _rooms_beside(leaf, extents["closed"], blocked["closed"], around)
         if rooms is None and not candidate.named:
-            bounds, reach = own["modelled"].bounds, around.footprints.whole.reach
+            bounds, reach = own["modelled"].bounds, around.footprint.reach
             is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
             placings.append(Placing(candidate, None, is_part, box))
             continue
@@ -224,7 +224,7 @@ def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
     """For each level, the cells with a floor whose volume the shapes meet; and over the square."""
-    lattice, reach = around.rooms.lattice, around.footprints.whole.reach
+    lattice, reach = around.rooms.lattice, around.footprint.reach
     bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds, reach)
     if window is None:
@@ -238,7 +238,7 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], lis
     for level in around.floors:
         floor = level.floor[rows, cols].ravel()
         local: Int = np.flatnonzero(~np.isnan(floor))
-        answers = check_footprints(columns, tiled, around.footprints, local, floor[local])
+        answers = look_at_cells(columns, tiled, around.footprint, local, floor[local])
         row, col = np.divmod(local, width)
         ids = (row + rows.start) * lattice.width + col + cols.start
         blocked.append(ids[answers.occupied])

@@ -18,7 +18,7 @@ from navbake.baker.floors.outline import (
     share_of_known,
 )
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
-from navbake.baker.kernels.occupancy import lines_blocked
+from navbake.baker.kernels.overlap import lines_blocked
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands

@@ -6,12 +6,15 @@ Kernels also take tuples that only callers make: `Lattice`, `Solids`, `Planes`, 
 others.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.types import Bool, Float, Int, Int32
+
+SQUARE: Any = np.bool_(False)
+"""What is no disc, see `Prism`; a plain False would compile all that takes it twice."""
 
 
 class Crossings(NamedTuple):
@@ -84,72 +87,22 @@ class Band(NamedTuple):
     high: float
 
 
-class Probe(NamedTuple):
-    """A band above the floor, and the geoms that are looked for in it.
-
-    Attributes:
-        low, high: distances above the floor [m].
-        geoms: by geom id, bool.
-    """
-
-    low: float
-    high: float
-    geoms: Bool
-
-
 class Prism(NamedTuple):
-    """A square joined with a disc round (x, y), extruded between two heights [m].
+    """A square or a disc round (x, y), extruded between two heights [m].
 
     Attributes:
         x, y: the middle.
         low, high: the heights.
-        square: half of the square's edge, 0 for none.
-        radius: the disc's radius, 0 for none.
+        half: half of the square's edge, or the disc's radius.
+        is_round: whether it is a disc.
     """
 
     x: float
     y: float
     low: float
     high: float
-    square: float
-    radius: float
-
-
-class Queries(NamedTuple):
-    """Questions whether cells are occupied, and their answers.
-
-    Attributes:
-        cell: cell ids, ascending, (n,) int64.
-        floor: floor heights, (n,) float64 [m].
-        state: (n,) uint8, receives APART, MEETS or UNDECIDED.
-        by_line: (n,) bool, receives whether the cell's line alone proved it.
-    """
-
-    cell: Int
-    floor: Float
-    state: NDArray[np.uint8]
-    by_line: Bool
-
-
-class StoreyCells(NamedTuple):
-    """The cells of a storey, and the list of what stands in each.
-
-    Attributes:
-        floor, ceiling: (cells,) float64, NaN where there is no floor [m]; a ceiling is at least
-            as high as the agent.
-        occupied: (cells,) bool, see `check_cells`.
-        slot: (cells + 1,) int64: cell i may write into ``[slot[i], slot[i + 1])``, see
-            `count_candidates`.
-        geom, flags: int32 and uint8 of length ``slot[-1]``, flags 0 at first; receive each
-            cell's geoms, ascending, and what they meet, see `flags`.
-    """
-
-    floor: Float
-    ceiling: Float
-    occupied: Bool
-    slot: Int
-    geom: Int32
-    flags: NDArray[np.uint8]
+    half: float
+    is_round: bool
 
 
 class AgentLimits(NamedTuple):

@@ -12,6 +12,9 @@ OPEN_SURFACE, CLOSED_SURFACE, SOLID, CONVEX_SOLID = range(4)
 # Whether a geom meets a prism; UNDECIDED where rounding leaves no proof either way
 APART, MEETS, UNDECIDED = range(3)
 
+# What a geom can be; BUILDING is a mesh that holds a whole one, floors and walls together
+OBJECT, WALL, STRUCTURE, BUILDING = range(4)
+
 # Surfaces of one column this close together are at one height [m]
 SAME = 1e-5
 # How far a height may exceed a limit and still keep it [m]

@@ -33,8 +33,6 @@ from navbake.types import Bool, Float
 
 MOST_STEPS = 128
 ROUNDING = 1e-3  # by how much of itself a distance may seem to grow while it shrinks
-# The two parts of a prism; plain False and True would compile all that takes them twice
-SQUARE, DISC = np.bool_(False), np.bool_(True)
 NEAR = 1e-7  # the two meet when they are proved to be this near, less than TOUCH, to each other [m]
 
 
@@ -101,19 +99,19 @@ def _support_solid(kind, pos, mat, size, dx, dy, dz, out):
 
 
 @part(inline="always")
-def _subtract_prism(prism, is_round, dx, dy, dz, out):
+def _subtract_prism(prism, dx, dy, dz, out):
     """Take the prism's farthest point along a direction off a point, in place."""
-    if is_round:
+    if prism.is_round:
         across = math.sqrt(dx * dx + dy * dy)
         if across > 0.0:
-            out[0] -= prism.x + prism.radius * dx / across
-            out[1] -= prism.y + prism.radius * dy / across
+            out[0] -= prism.x + prism.half * dx / across
+            out[1] -= prism.y + prism.half * dy / across
         else:
             out[0] -= prism.x
             out[1] -= prism.y
     else:
-        out[0] -= prism.x + (prism.square if dx > 0.0 else -prism.square)
-        out[1] -= prism.y + (prism.square if dy > 0.0 else -prism.square)
+        out[0] -= prism.x + (prism.half if dx > 0.0 else -prism.half)
+        out[1] -= prism.y + (prism.half if dy > 0.0 else -prism.half)
     half_z = (prism.high - prism.low) / 2.0
     out[2] -= (prism.low + prism.high) / 2.0 + (half_z if dz > 0.0 else -half_z)
 
@@ -269,8 +267,8 @@ def _reduce(simplex, num):
 
 
 @part(**UNCOUNTED)
-def solid_meets_prism(solids, s, prism, is_round, simplex):
-    """Does a solid meet a prism's disc (`is_round`), or its square? UNDECIDED without a proof."""
+def solid_meets_prism(solids, s, prism, simplex):
+    """Does a solid meet a prism? UNDECIDED without a proof."""
     kind, pos, mat, size = solids.kind[s], solids.pos[s], solids.mat[s], solids.size[s]
     points, v = simplex.points, simplex.v
     # any point of the difference does to begin with: here that of the two centres
@@ -282,7 +280,7 @@ def solid_meets_prism(solids, s, prism, is_round, simplex):
     for _ in range(MOST_STEPS):
         w = points[num]
         _support_solid(kind, pos, mat, size, -v[0], -v[1], -v[2], w)
-        _subtract_prism(prism, is_round, v[0], v[1], v[2], w)
+        _subtract_prism(prism, v[0], v[1], v[2], w)
         # all of the difference lies beyond the plane through w across v, the origin before it
         if _dot(v, w) > 1e-15 * math.sqrt(_dot(v, v)):
             return APART

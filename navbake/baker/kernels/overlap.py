@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.arrays import Band, Prism
 from navbake.baker.kernels.constants import OPEN_SURFACE, TOUCH
-from navbake.compiled import UNCOUNTED, part
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float
 
 # A triangle has at most nine corners when six planes have clipped it
@@ -40,7 +40,7 @@ def make_polygons():
 @part(inline="always")
 def outside(boxes, i, prism):
     """Whether a box is beside a prism; touching is beside it."""
-    reach = max(prism.square, prism.radius)
+    reach = prism.half
     return (
         boxes[i, 0] >= prism.x + reach
         or boxes[i, 3] <= prism.x - reach
@@ -58,9 +58,7 @@ def facet_meets_prism(facets, t, prism, polygons):
     A prism was narrowed by TOUCH; with its edges it is widened by it instead, only sideways.
     """
     edge = 2.0 * TOUCH if facets.closed[t] == OPEN_SURFACE else 0.0
-    square = prism.square + edge if prism.square > 0.0 else 0.0
-    radius = prism.radius + edge if prism.radius > 0.0 else 0.0
-    asked = Prism(prism.x, prism.y, prism.low, prism.high, square, radius)
+    asked = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + edge, prism.is_round)
     if outside(facets.bounds, t, asked):  # most are
         return False
     return triangle_meets_prism(facets.corners[t], asked, polygons)
@@ -110,7 +108,7 @@ def _disc_meets_polygon(points, num, prism):
         if length > 0.0:
             t = min(max(-(ax * ex + ay * ey) / length, 0.0), 1.0)
         dx, dy = ax + t * ex, ay + t * ey
-        if dx * dx + dy * dy < prism.radius * prism.radius:
+        if dx * dx + dy * dy < prism.half * prism.half:
             return True
         side = ex * ay - ey * ax
         left = left or side > 0.0
@@ -126,13 +124,11 @@ def triangle_meets_prism(corners, prism, polygons):
     num = clip_between(corners, corners.shape[0], other, Z, (prism.low, prism.high), one)
     if num == 0:
         return False
-    if prism.radius > 0.0 and _disc_meets_polygon(one, num, prism):
-        return True
-    if prism.square > 0.0:
-        x, y, half = prism.x, prism.y, prism.square
-        num = clip_between(one, num, other, X, (x - half, x + half), one)
-        return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
-    return False
+    if prism.is_round:
+        return _disc_meets_polygon(one, num, prism)
+    x, y, half = prism.x, prism.y, prism.half
+    num = clip_between(one, num, other, X, (x - half, x + half), one)
+    return clip_between(one, num, other, Y, (y - half, y + half), one) > 0
 
 
 @part(**UNCOUNTED)
@@ -143,9 +139,9 @@ def plane_meets_prism(planes, p, prism):
     middle, half_z = (prism.low + prism.high) / 2.0, (prism.high - prism.low) / 2.0
     depth = nx * (prism.x - pos[0]) + ny * (prism.y - pos[1]) + nz * (middle - pos[2])
     depth -= abs(nz) * half_z
-    # how far the square's corner and the disc's rim reach against the normal
-    reach = max(prism.square * (abs(nx) + abs(ny)), prism.radius * math.sqrt(nx * nx + ny * ny))
-    return depth - reach < 0.0
+    # how far the disc's rim or the square's corner reaches against the normal
+    across = math.sqrt(nx * nx + ny * ny) if prism.is_round else abs(nx) + abs(ny)
+    return depth - prism.half * across < 0.0
 
 
 @part(**UNCOUNTED)
@@ -170,3 +166,10 @@ def line_is_blocked(crossings, cell, band, only):
         if crossings.closed[i]:
             inside += 1 if crossings.normal[i, 2] > 0.0 else -1
     return inside > 0
+
+
+@kernel(nogil=True)
+def lines_blocked(cells, low, high, crossings, out, first, end):
+    """Whether each cell's line alone proves that something is between two heights [m], into out."""
+    for n in range(first, end):
+        out[n] = line_is_blocked(crossings, cells[n], Band(low[n], high[n]), ANY_GEOM)

@@ -8,8 +8,9 @@ everything that leans otherwise, goes to `gjk`.
 
 import math
 
+from navbake.baker.kernels.arrays import SQUARE
 from navbake.baker.kernels.constants import APART, BOX, CAPSULE, CYLINDER, MEETS, SPHERE
-from navbake.baker.kernels.gjk import DISC, SQUARE, solid_meets_prism
+from navbake.baker.kernels.gjk import solid_meets_prism
 from navbake.compiled import UNCOUNTED, part
 
 SURE = 1e-9  # a gap or an overlap of more than this is no rounding [m]
@@ -83,24 +84,9 @@ def _gap(solids, s, prism, half, is_round):
 
 
 @part(**UNCOUNTED)
-def part_of_solid(solids, s, prism, is_round, simplex):
-    """Whether a solid meets a prism's disc (`is_round`) or its square; APART where it has none."""
-    half = prism.radius if is_round else prism.square
-    if half <= 0.0:
-        return APART
-    gap = _gap(solids, s, prism, half, is_round)
+def solid_meets(solids, s, prism, simplex):
+    """Whether a solid meets a prism: APART, MEETS or UNDECIDED."""
+    gap = _gap(solids, s, prism, prism.half, prism.is_round)
     if abs(gap) > SURE:
         return APART if gap > 0.0 else MEETS
-    return solid_meets_prism(solids, s, prism, is_round, simplex)
-
-
-@part(inline="always")
-def solid_meets(solids, s, prism, simplex):
-    """Whether a solid meets a prism, by its square and its disc."""
-    answer = APART
-    for is_round in (SQUARE, DISC):
-        part = part_of_solid(solids, s, prism, is_round, simplex)
-        if part == MEETS:
-            return MEETS
-        answer = max(answer, part)
-    return answer
+    return solid_meets_prism(solids, s, prism, simplex)

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.arrays import Prism
+from navbake.baker.kernels.arrays import SQUARE, Prism
 from navbake.baker.kernels.constants import APART, OPEN_SURFACE, TOUCH
-from navbake.baker.kernels.gjk import SQUARE, make_simplex
+from navbake.baker.kernels.gjk import make_simplex
 from navbake.baker.kernels.overlap import (
     X,
     Y,
@@ -28,7 +28,7 @@ from navbake.baker.kernels.overlap import (
     outside,
     plane_meets_prism,
 )
-from navbake.baker.kernels.solids import part_of_solid
+from navbake.baker.kernels.solids import solid_meets
 from navbake.baker.kernels.tiles import cells_near, center_of, tile_window
 from navbake.compiled import UNCOUNTED, kernel, part
 
@@ -73,13 +73,13 @@ def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
     Of the column at (x, y), from the first voxel to before the end.
     """
     low, high = voxels.bottom + first * voxels.res + TOUCH, voxels.bottom + end * voxels.res - TOUCH
-    prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH, 0.0)
+    prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH, SQUARE)
     num = solids.geom.shape[0]
     if item >= num:
         return plane_meets_prism(planes, item - num, prism)
     if outside(solids.bounds, item, prism):
         return False
-    return part_of_solid(solids, item, prism, SQUARE, simplex) != APART
+    return solid_meets(solids, item, prism, simplex) != APART
 
 
 @part(**UNCOUNTED)

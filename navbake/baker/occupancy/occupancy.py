@@ -2,20 +2,50 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes
-from navbake.baker.floors.levels import Floors
-from navbake.baker.kernels.arrays import Band, Queries
-from navbake.baker.kernels.constants import MEETS, TOUCH, UNDECIDED
-from navbake.baker.kernels.occupancy import check_cells
+from navbake.baker.kernels.arrays import Band
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, TOUCH
 from navbake.baker.kernels.tiles import TILE, tile_of
-from navbake.baker.occupancy.contact import touch_prism
+from navbake.baker.kernels.walk import (
+    BLOCKS,
+    BY_LINE,
+    SOLID,
+    UNPROVED,
+    UNPROVED_SOLID,
+    Listing,
+    Queries,
+    look_near,
+)
 from navbake.config.settings import AgentSettings
+from navbake.lazy import lazy
 from navbake.threads import run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
+
+fcl = lazy("fcl")  # few scenes have a cell that nothing else decides
+
+FCL_SHAPES: dict[int, Callable[[Float], Any]] = {
+    SPHERE: lambda size: fcl.Sphere(size[0]),
+    CAPSULE: lambda size: fcl.Capsule(size[0], 2 * size[1]),
+    ELLIPSOID: lambda size: fcl.Ellipsoid(*size),
+    CYLINDER: lambda size: fcl.Cylinder(size[0], 2 * size[1]),
+    BOX: lambda size: fcl.Box(*(2 * size)),
+}
+NO_LISTING = Listing(
+    np.empty(0),
+    np.empty(0, np.int32),
+    np.empty(0, np.int32),
+    np.empty(0),
+    np.empty(0, np.bool_),
+    0.0,
+    0.0,
+    0.0,
+)
 
 
 class Footprint(NamedTuple):
@@ -53,50 +83,16 @@ class Footprint(NamedTuple):
         return self._replace(low=band.low + TOUCH, high=band.high - TOUCH)
 
 
-class Footprints(NamedTuple):
-    """The footprint that is baked, and the cell's square alone.
-
-    Attributes:
-        whole: the square joined with the agent's disc.
-        square: the square alone; None where the disc doesn't reach beyond it.
-    """
-
-    whole: Footprint
-    square: Footprint | None
-
-    @classmethod
-    def of(cls, agent: AgentSettings, cell_size: float) -> Footprints:
-        """The footprints of an agent on cells of a size [m]."""
-        whole = Footprint.of(agent, cell_size)
-        point = agent.model_copy(update={"radius": 0.0})
-        return cls(whole, Footprint.of(point, cell_size) if whole.radius > 0.0 else None)
-
-
-class Answers(NamedTuple):
-    """What a check of cells found.
-
-    Attributes:
-        occupied: which cells are occupied, shape (n,), bool.
-        solid: the same for their squares alone.
-        by_ray: how many cells a ray alone proved occupied.
-        by_fcl: how many had no proof either way, so that FCL decided.
-    """
-
-    occupied: Bool
-    solid: Bool
-    by_ray: int
-    by_fcl: int
-
-
 class Occupancy(NamedTuple):
     """Occupancy of all storeys.
 
     Attributes:
         levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
             the volume over the cell's floor, or there is no floor.
-        by_ray, by_fcl: how many cells were decided so, see `Answers`.
-        solid: the same for the volume over the cell's square alone; None where the agent's disc
-            doesn't reach beyond it.
+        by_ray: how many cells a ray alone proved occupied.
+        by_fcl: how many had no proof either way, so that FCL decided.
+        solid: the same as `levels` for the volume over the cell's square alone; None where the
+            agent's disc doesn't reach beyond it.
     """
 
     levels: list[Bool]
@@ -105,59 +101,32 @@ class Occupancy(NamedTuple):
     solid: list[Bool] | None
 
 
-class OccupancyFinder:
-    """Decides for every cell of every storey whether it is occupied, block by block.
+class Found(NamedTuple):
+    """What a look at cells found.
 
     Attributes:
-        levels: see `Occupancy`; cells of blocks that were not looked at have an open floor yet.
+        occupied: which cells are occupied, shape (n,), bool.
+        solid: the same for their squares alone.
+        by_ray, by_fcl: see `Occupancy`.
+        geom, flags: the lists of what stands in the cells, see `look_near`.
     """
 
-    def __init__(self, floors: Floors, tiled: TiledShapes, footprints: Footprints) -> None:
-        self._floors, self._tiled, self._footprints = floors, tiled, footprints
-        self.levels = [np.isnan(level.floor) for level in floors.levels]
-        has_solid = footprints.square is not None
-        self._solids = [mask.copy() for mask in self.levels] if has_solid else None
-        self._by_ray = self._by_fcl = 0
-
-    def add(self, columns: Columns) -> None:
-        """Check the cells of a block, see `check_footprints`."""
-        first, end = columns.known_rows.cells(columns.lattice)
-        for number, level in enumerate(self._floors.levels):
-            floor = level.floor.ravel()[first:end]
-            here = np.flatnonzero(~np.isnan(floor))
-            cells, heights = first + here, floor[here]
-            answers = check_footprints(columns, self._tiled, self._footprints, cells, heights)
-            self.levels[number].ravel()[cells] = answers.occupied
-            if self._solids is not None:
-                self._solids[number].ravel()[cells] = answers.solid
-            self._by_ray += answers.by_ray
-            self._by_fcl += answers.by_fcl
-
-    def found(self) -> Occupancy:
-        """The occupancy of all cells."""
-        return Occupancy(self.levels, self._by_ray, self._by_fcl, self._solids)
+    occupied: Bool
+    solid: Bool
+    by_ray: int
+    by_fcl: int
+    geom: Int32
+    flags: NDArray[np.uint8]
 
 
-def check_footprints(
-    columns: Columns, tiled: TiledShapes, footprints: Footprints, cells: Int, floors: Float
-) -> Answers:
-    """Check the whole footprint and the square alone, see `check_occupancy`.
-
-    The square is part of the footprint, and a cell's own line is part of the square: so only the
-    cells that are occupied, and not by their line, are asked again.
-    """
-    occupied, by_line, by_fcl = _check(columns, tiled, footprints.whole, cells, floors)
-    solid = occupied
-    if footprints.square is not None:
-        asked = np.flatnonzero(occupied & ~by_line)
-        solid = by_line.copy()
-        solid[asked], *_ = _check(columns, tiled, footprints.square, cells[asked], floors[asked])
-    return Answers(occupied, solid, int(by_line.sum()), by_fcl)
-
-
-def check_occupancy(
-    columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
-) -> Answers:
+def look_at_cells(
+    columns: Columns,
+    tiled: TiledShapes,
+    footprint: Footprint,
+    cells: Int,
+    floors: Float,
+    listing: Listing = NO_LISTING,
+) -> Found:
     """Check for cells and floor heights, shape (n,), whether a geom meets the volume above.
 
     The volume stands over the cell's footprint, between the floor plus the traversable height
@@ -165,43 +134,76 @@ def check_occupancy(
     or runs inside of one, proves it occupied. Otherwise each geom nearby is proved apart or
     overlapping; where rounding leaves no proof, FCL decides. Geoms that reach in by less than
     TOUCH only touch.
+
+    Args:
+        listing: receives what stands there; cells ascend then.
     """
-    return check_footprints(columns, tiled, Footprints(footprint, None), cells, floors)
-
-
-def _check(
-    columns: Columns, tiled: TiledShapes, footprint: Footprint, cells: Int, floors: Float
-) -> tuple[Bool, Bool, int]:
-    """See `check_occupancy`; also which cells a ray proved occupied, and how many FCL decided."""
     if len(cells) and np.any(cells[1:] < cells[:-1]):  # the kernel goes tile by tile
         order = np.argsort(cells, kind="stable")
         back = np.empty_like(order)
         back[order] = np.arange(len(order))
-        occupied, by_line, by_fcl = _check(columns, tiled, footprint, cells[order], floors[order])
-        return occupied[back], by_line[back], by_fcl
-    shapes, known, cells = tiled.shapes, columns.known_rows, cells.astype(np.int64, copy=False)
-    first, end = known.first // TILE, -(-known.end // TILE)
-    if len(cells):  # the kernel looks at each tile of these rows
-        rows = cells[[0, -1]] // columns.lattice.width // TILE
-        first, end = max(first, int(rows[0])), min(end, int(rows[1]) + 1)
-    queries = Queries(cells, floors, np.zeros(len(cells), np.uint8), np.zeros(len(cells), np.bool_))
-    asked = columns.lattice, columns.crossings, shapes.solids, tiled.facets, shapes.planes
+        found = look_at_cells(columns, tiled, footprint, cells[order], floors[order])
+        return found._replace(occupied=found.occupied[back], solid=found.solid[back])
+    shapes, lattice, cells = tiled.shapes, columns.lattice, cells.astype(np.int64, copy=False)
+    state, *scratch = np.zeros((3, len(cells)), dtype=np.uint8)
+    queries = Queries(cells, np.ascontiguousarray(floors), state, *scratch)
+    parts: dict[int, tuple[Int32, NDArray[np.uint8]]] = {}
+
+    def look(first: int, end: int) -> None:
+        geometry = shapes.solids, tiled.facets, shapes.planes
+        asked = lattice, columns.crossings, geometry, tiled.tiles, footprint, queries, listing
+        parts[first] = look_near(*asked, first, end)
+
     if len(cells):
-        work = check_cells, end - first, *asked, tiled.tiles, footprint, queries
-        run_in_bands(*work, begin=first)
-    state = queries.state
-    undecided = np.flatnonzero(state == UNDECIDED)
-    for n in undecided:
-        if _ask_fcl(tiled, footprint, int(cells[n]), float(floors[n])):
-            state[n] = MEETS
-    return state == MEETS, queries.by_line, len(undecided)
+        rows = cells[[0, -1]] // lattice.width // TILE
+        run_in_bands(look, int(rows[1] - rows[0]) + 1, begin=int(rows[0]))
+    firsts, used = sorted(parts), 0
+    if len(listing.first):  # places are counted in each part
+        ends = np.searchsorted(cells, [row * TILE * lattice.width for row in firsts[1:]])
+        for own, first in zip(np.split(listing.first, ends), firsts, strict=True):
+            own += used
+            used += len(parts[first][0])
+    lists = [parts[first] for first in firsts]
+    lists = lists or [(np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.uint8))]
+    geom, flags = lists[0]
+    if len(lists) > 1:
+        geom, flags = map(np.concatenate, zip(*lists, strict=True))
+    occupied = (state & BLOCKS) > 0
+    unproved = np.flatnonzero(~occupied & ((state & UNPROVED) > 0))
+    for n in unproved:
+        occupied[n] = ask_fcl(tiled, footprint, int(cells[n]), float(floors[n]))
+    solid = occupied
+    if footprint.radius > 0:
+        solid = (state & SOLID) > 0
+        square = footprint._replace(square=lattice.cell_size / 2 - TOUCH, radius=0.0)
+        for n in np.flatnonzero(occupied & ~solid & ((state & UNPROVED_SOLID) > 0)):
+            solid[n] = ask_fcl(tiled, square, int(cells[n]), float(floors[n]))
+        solid &= occupied
+    if len(listing.first):  # what FCL found out about the cell decides
+        for n in np.flatnonzero(occupied & ((state & UNPROVED) > 0)):
+            i = listing.first[n]
+            while geom[i] >= 0:
+                flags[i] |= BLOCKS if flags[i] & UNPROVED else 0
+                i += 1
+        flags &= ~np.uint8(UNPROVED)
+    by_ray = int(np.count_nonzero(state & BY_LINE))
+    return Found(occupied, solid, by_ray, len(unproved), geom, flags)
 
 
-def _ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
+def ask_fcl(tiled: TiledShapes, footprint: Footprint, cell: int, floor: float) -> bool:
     """FCL's answer for one cell, over all solids of its tile."""
-    lattice, tiles, tile = tiled.lattice, tiled.tiles, tile_of(tiled.lattice, cell)
-    middle, half_z = (footprint.low + footprint.high) / 2, (footprint.high - footprint.low) / 2
-    center = np.array([*lattice.positions(*divmod(cell, lattice.width)), floor + middle])
-    nearby = tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]
-    size = (footprint.square, footprint.radius, half_z)
-    return touch_prism(tiled.shapes.solids, nearby, center, *size)
+    lattice, tiles, solids = tiled.lattice, tiled.tiles, tiled.shapes.solids
+    tile = tile_of(lattice, cell)
+    half_z = (footprint.high - footprint.low) / 2
+    x, y = lattice.positions(*divmod(cell, lattice.width))
+    center = np.array([x, y, floor + (footprint.low + footprint.high) / 2])
+    box = [fcl.Box(2 * footprint.square, 2 * footprint.square, 2 * half_z)]
+    disc = [fcl.Cylinder(footprint.radius, 2 * half_z)]
+    parts = (box if footprint.square > 0 else []) + (disc if footprint.radius > 0 else [])
+    prisms = [fcl.CollisionObject(shape, fcl.Transform(center)) for shape in parts]
+    for s in tiles.solid_item[tiles.solid_start[tile] : tiles.solid_start[tile + 1]]:
+        place = fcl.Transform(solids.mat[s].reshape(3, 3), solids.pos[s])
+        solid = fcl.CollisionObject(FCL_SHAPES[int(solids.kind[s])](solids.size[s]), place)
+        if any(fcl.collide(prism, solid) > 0 for prism in prisms):
+            return True
+    return False

@@ -195,7 +195,7 @@ class Baker:
         return passes
 
     def _build(self, live: LiveStages) -> NavGrid:
-        return build_grid(live.stages, live.contents.notes() if live.contents else None)
+        return build_grid(live.stages)
 
 
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 
@@ -24,14 +23,11 @@ from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import cells_near, lay_lattice
-from navbake.baker.occupancy.occupancy import check_footprints
 from navbake.baker.rooms.flags import RoomFlags
 from navbake.baker.rooms.sources import find_markers
 from navbake.baker.stages import Stages, WholeScene
 from navbake.baker.update.columns import KeptColumns
-from navbake.baker.update.contents import LiveContents
 from navbake.baker.update.following import FullBake, Moved
-from navbake.baker.update.kinds import NearMoved
 from navbake.errors import SceneError
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
@@ -47,11 +43,9 @@ class LiveStages:
 
     Attributes:
         stages: as they are now.
-        contents: what stands in the cells; None where nothing needs it.
     """
 
     def __init__(self, stages: Stages) -> None:
-        self.contents: LiveContents | None = None
         self._finder: FloorFinder
         stages.floors, self._finder = stages.judge_floors()
         self._is_whole, self._blocks = stages.judged[0] == stages.lattice, Blocks(stages.lattice)
@@ -62,9 +56,8 @@ class LiveStages:
 
     def _take_over(self, stages: Stages) -> None:
         """Find all stages after the floors, and keep what updates need of them."""
-        if stages.contents is not None and self._is_whole:
-            known = stages.config, stages.doorless, stages.contents, stages.floors
-            self.contents = LiveContents(*known, stages.columns, stages.lattice)
+        _ = stages.contents
+        self._cells = stages.finder
         self._markers = find_markers(stages.scene, stages.config.rooms)
         self._of_columns, self._heights = stages.of_columns, stages.tiled.heights
         self._room_flags: RoomFlags | None = stages.room_flags
@@ -72,8 +65,6 @@ class LiveStages:
         self._keep(stages)
 
     def _keep(self, stages: Stages) -> None:
-        if self.contents is not None:
-            stages.contents = cast(Any, self.contents)
         stages.free_geometry()
         self.stages = stages
 
@@ -98,7 +89,7 @@ class LiveStages:
         own[moved.geoms] = True
         for candidate in candidates:
             own[candidate.geoms] = False
-        reach = max(now.footprints.whole.reach, now.config.floors.crack) + 2 * TOUCH
+        reach = max(now.footprint.reach, now.config.floors.crack) + 2 * TOUCH
         near = cells_near(now.lattice, moved.boxes[own[moved.box_geom]], reach)
         self._check(now, near)
         known, self._markers = self._markers, find_markers(scene, now.config.rooms)
@@ -113,12 +104,12 @@ class LiveStages:
             if len(near):
                 flags_hold &= self._cast(now, near)
                 reason, changes = self._find_floors(now, near)
-            if self.contents is not None and _box(was)[1, 2] != _box(now)[1, 2]:
+            if was.contents is not None and _box(was)[1, 2] != _box(now)[1, 2]:
                 reason = reason or "the top of the scene has another height"
             if reason:
                 self._take_over(now)
                 return reason
-            now.occupancy = was.occupancy
+            now.occupancy, now.contents = was.occupancy, was.contents
             if len(near):
                 near, holds = self._ask_cells(now, own, near, changes)
                 flags_hold &= holds and np.array_equal(was.floors.links, now.floors.links)
@@ -126,8 +117,6 @@ class LiveStages:
                 now.floor_layers = was.floor_layers
             else:
                 self._room_flags = None  # its floors were written to
-        if self.contents is not None:
-            now.contents = cast(Any, self.contents)
         if not flags_hold or self._room_flags is None:
             now.of_columns = self._of_columns
             flags, self._room_flags = self._room_flags, now.room_flags
@@ -194,29 +183,14 @@ class LiveStages:
 
         Returns these cells, and whether rooms read the same there as before.
         """
-        touched, levels = (
-            np.unique(np.concatenate([near, *(c.heights for c in changes)])),
-            now.floors.levels,
-        )
-        columns = now.whole.columns.at(touched)
+        touched = np.unique(np.concatenate([near, *(change.heights for change in changes)]))
+        columns, cells, was = now.whole.columns.at(touched), self._cells, now.contents
         crossings = take_columns(columns.crossings, touched)
-        occupancy = now.occupancy
-        for k, level in enumerate(levels):
-            floor = level.floor.reshape(-1)[touched]
-            has_floor = ~np.isnan(floor)
-            cells, heights = touched[has_floor], floor[has_floor]
-            answers = check_footprints(columns, now.tiled, now.footprints, cells, heights)
-            layers = [(occupancy.levels[k], answers.occupied)]
-            if occupancy.solid is not None:
-                layers.append((occupancy.solid[k], answers.solid))
-            for layer, taken in layers:
-                flat = layer.reshape(-1)
-                flat[touched] = True
-                flat[cells] = taken
-        holds = not self._of_columns.look(touched, crossings, levels)
-        if self.contents is not None:
-            moved = NearMoved(now.doorless, own, touched, crossings, columns, now.floors, changes)
-            holds &= not any(self.contents.follow(moved, now.tiled, occupancy.levels))
+        holds = not self._of_columns.look(touched, crossings, now.floors.levels)
+        cells.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
+        now.occupancy, now.contents = cells.occupancy, cells.found(now.config.names)
+        if was is not None and now.contents is not None:
+            holds &= now.contents.have_same_walls(was, touched)
         return touched, holds
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from box_worlds import FLOOR, body, box, stages_of_xml, world
 from navbake.baker.contents.cell_names import BLOCKERS, NAMED, OBJECTS, WALLS, name_cells
-from navbake.baker.contents.walls import OBJECT, WALL
+from navbake.baker.kernels.constants import OBJECT, WALL
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import Stages
 from navbake.config.settings import parse_config

@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
-from navbake.baker.contents.contents import Contents, LevelContents
+from navbake.baker.contents.contents import Contents
 from navbake.baker.contents.walls import WALL_BAND
+from navbake.baker.kernels.contents import LevelContents, take_entries
+from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
 from navbake.baker.stages import Stages, bake_stages
 from navbake.config.settings import load_config
 from navbake.threads import limit_threads
@@ -59,10 +61,10 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
 
 def masks(listed: LevelContents, geom: int) -> tuple[NDArray, NDArray, NDArray]:
     """The cells that a geom stands in, those it blocks, and those it meets in the upper band."""
-    here = listed.geom == geom
-    found = np.zeros((3, len(listed.start) - 1), dtype=bool)
-    for mask, flag in zip(found, (listed.stands, listed.blocks, listed.upper), strict=True):
-        mask[listed.cell[here & flag]] = True
+    cell, geoms, flags = take_entries(listed)
+    found = np.zeros((3, len(listed.first)), dtype=bool)
+    for mask, flag in zip(found, (STANDS, BLOCKS, PROBED), strict=True):
+        mask[cell[(geoms == geom) & (flags & flag > 0)]] = True
     return tuple(found)
 
 
@@ -112,11 +114,12 @@ def check_whole(stages: Stages, contents: Contents) -> None:
         stages.floors.levels, stages.occupancy.levels, contents.levels, strict=True
     ):
         has_floor = ~np.isnan(level.floor.ravel())
-        assert has_floor[listed.cell].all()
-        assert (np.diff(listed.cell * 100_000 + listed.geom) > 0).all()
-        assert (listed.stands | listed.blocks | listed.upper).all()
+        cell, geom, flags = take_entries(listed)
+        assert has_floor[cell].all()
+        assert (np.diff(cell * 100_000 + geom) > 0).all()
+        assert flags.all()
         blocked = np.zeros(len(has_floor), dtype=bool)
-        blocked[listed.cell[listed.blocks]] = True
+        blocked[cell[flags & BLOCKS > 0]] = True
         np.testing.assert_array_equal(blocked[has_floor], occupied.ravel()[has_floor])
 
 
@@ -173,8 +176,8 @@ def test_threads_change_nothing(tmp_path):
             )
         found.append(stages.contents.levels)
     for one, other in zip(*found, strict=True):
-        for name in ("start", "geom", "stands", "blocks", "upper"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        for arrays in zip(take_entries(one), take_entries(other), strict=True):
+            np.testing.assert_array_equal(*arrays)
 
 
 def test_what_lies_at_the_floors_height_does_not_stand_there(tmp_path):

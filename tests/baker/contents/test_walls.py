@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from box_worlds import stages_of_xml
-from navbake.baker.contents.walls import BUILDING, OBJECT, STRUCTURE, WALL
+from navbake.baker.kernels.constants import BUILDING, OBJECT, STRUCTURE, WALL
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
 from navbake.config.settings import load_config

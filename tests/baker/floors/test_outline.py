@@ -18,7 +18,7 @@ from navbake.baker.floors.outline import (
 )
 from navbake.baker.floors.sheets import SheetFacts
 from navbake.baker.kernels.arrays import Band
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.stages import bake_stages
 from standable import sheets_of
 
@@ -49,7 +49,7 @@ def endings_at(tmp_path: Path):
 
         def is_occupied(cells, floors, band: Band | None = None, /):
             volume = narrow if band is None else narrow.between(band)
-            return check_occupancy(columns, tiled, volume, cells, floors).occupied
+            return look_at_cells(columns, tiled, volume, cells, floors).occupied
 
         sheets, settings = sheets_of(stages), stages.config.floors
         is_large = sheets.left(sheets.size > 0, settings)

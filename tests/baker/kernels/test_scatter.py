@@ -18,13 +18,15 @@ from numpy.random import Generator
 
 from navbake.baker.contents.walls import WALL_BAND, wall_candidates
 from navbake.baker.kernels.constants import MEETS, SAME, TOUCH, UNDECIDED
+from navbake.baker.kernels.contents import take_entries
 from navbake.baker.kernels.tiles import TILE, cell_bits, cells_near
-from navbake.baker.occupancy.occupancy import Footprint, check_occupancy
+from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
+from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.stages import Stages, bake_stages
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
-from oracles.gather import geoms_that_meet, line_meets, prism_over
+from oracles.gather import geoms_that_meet, line_meets, prisms_over
 
 MORE = int(os.environ.get("NAVBAKE_EXAMPLES", "0"))
 FOLDER = tempfile.TemporaryDirectory()
@@ -80,15 +82,15 @@ def _text(values) -> str:
 @given(st.integers(0, 2**32 - 1))
 def test_occupancy_as_when_every_cell_asks_every_geom(seed):
     stages = random_stages(seed)
-    footprint, columns = stages.footprints.whole, stages.columns
+    footprint, columns = stages.footprint, stages.columns
     for level, occupied in zip(stages.floors.levels, stages.occupancy.levels, strict=True):
         assert occupied[np.isnan(level.floor)].all()
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             band = floor + footprint.low, floor + footprint.high
-            prism = prism_over(columns, cell, *band, footprint.square, footprint.radius)
-            answers = set(geoms_that_meet(stages.tiled, prism).values())
-            if MEETS in answers or line_meets(columns, cell, prism):
+            prisms = prisms_over(columns, cell, *band, footprint.square, footprint.radius)
+            answers = set(geoms_that_meet(stages.tiled, prisms).values())
+            if MEETS in answers or line_meets(columns, cell, prisms[0]):
                 assert occupied.flat[cell], cell
             elif UNDECIDED not in answers:
                 assert not occupied.flat[cell], cell
@@ -99,13 +101,14 @@ def test_occupancy_as_when_every_cell_asks_every_geom(seed):
 def test_contents_as_when_every_cell_asks_every_geom(seed):
     stages = random_stages(seed)
     columns, contents = stages.columns, stages.contents
-    footprint, height = stages.footprints.whole, stages.config.agent.height
+    footprint, height = stages.footprint, stages.config.agent.height
     half = stages.lattice.cell_size / 2 - TOUCH
     extents = measure_geoms(stages.scene.shapes, len(stages.scene.geoms))
     candidates = wall_candidates(stages.scene, extents)
     tops = [*(level.ground for level in stages.floors.levels[1:]), stages.scene.bounds[1, 2]]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
+        at, geom, flags = take_entries(listed)
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
             volumes = {
@@ -115,19 +118,20 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
             }
             sure, maybe = {}, {}
             for name, sizes in volumes.items():
-                prism = prism_over(columns, cell, *sizes)
-                answers = geoms_that_meet(stages.tiled, prism)
-                lines = {g for g in range(len(candidates)) if line_meets(columns, cell, prism, g)}
+                prisms = prisms_over(columns, cell, *sizes)
+                answers = geoms_that_meet(stages.tiled, prisms)
+                geoms = range(len(candidates))
+                lines = {g for g in geoms if line_meets(columns, cell, prisms[0], g)}
                 sure[name] = lines | {g for g, answer in answers.items() if answer == MEETS}
                 maybe[name] = lines | set(answers)
             for allowed in (sure, maybe):
                 allowed["blocks"] = allowed["blocks"] if occupied.flat[cell] else set()
                 walls = set(np.flatnonzero(candidates).tolist())
                 allowed["upper"] = allowed["upper"] & allowed["stands"] & walls
-            here = slice(listed.start[cell], listed.start[cell + 1])
-            assert (np.diff(listed.geom[here]) > 0).all()
-            for name in volumes:
-                found = set(listed.geom[here][getattr(listed, name)[here]].tolist())
+            here = at == cell
+            assert (np.diff(geom[here]) > 0).all()
+            for name, flag in zip(volumes, (STANDS, BLOCKS, PROBED), strict=True):
+                found = set(geom[here & (flags & flag > 0)].tolist())
                 assert sure[name] <= found <= maybe[name], (cell, name)
 
 
@@ -138,12 +142,12 @@ def test_queries_in_any_order_and_more_than_one_a_cell():
     cells = rng.integers(0, num, 3000)
     floors = rng.choice([-0.5, 0.0, 0.3, 1.2], 3000)
     ask = stages.columns, stages.tiled, footprint
-    together = check_occupancy(*ask, cells, floors).occupied
+    together = look_at_cells(*ask, cells, floors).occupied
     assert together.any() and not together.all()
     for n in range(0, 3000, 40):
-        one = check_occupancy(*ask, cells[n : n + 1], floors[n : n + 1])
+        one = look_at_cells(*ask, cells[n : n + 1], floors[n : n + 1])
         assert one.occupied[0] == together[n]
-    assert not len(check_occupancy(*ask, cells[:0], floors[:0]).occupied)
+    assert not len(look_at_cells(*ask, cells[:0], floors[:0]).occupied)
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
@@ -152,8 +156,8 @@ def test_any_number_of_threads_finds_the_same():
     for threads in (1, 2):
         with limit_threads(threads):
             stages = random_stages(11)
-            listed = stages.contents.levels[0]
-            answers.append([stages.occupancy.levels[0], *listed[1:-1]])
+            listed = take_entries(stages.contents.levels[0])
+            answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)
 

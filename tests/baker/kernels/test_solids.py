@@ -18,13 +18,13 @@ from navbake.baker.kernels.constants import (
     SPHERE,
 )
 from navbake.baker.kernels.gjk import make_simplex, solid_meets_prism
-from navbake.baker.kernels.solids import part_of_solid
+from navbake.baker.kernels.solids import solid_meets
 from navbake.baker.scene.shapes import Solids
 
 # parts of kernels as functions that Python can call
 make_simplex = numba.njit(make_simplex.py_func)
 solid_meets_prism = numba.njit(solid_meets_prism.py_func)
-part_of_solid = numba.njit(part_of_solid.py_func)
+solid_meets = numba.njit(solid_meets.py_func)
 
 SIMPLEX = make_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}
@@ -67,20 +67,9 @@ def test_agrees_with_the_iteration(name, is_round):
             np.zeros(1, np.int32), np.array([kind], np.int32), pos[None], mat.reshape(1, 9),
             size[None], bounds_of(kind, pos, mat, size)[None],
         )  # fmt: skip
-        square, radius = (0.0, half) if is_round else (half, 0.0)
-        prism = Prism(0.0, 0.0, -half_z, half_z, square, radius)
-        found = part_of_solid(solids, 0, prism, is_round, SIMPLEX)
-        expected = solid_meets_prism(solids, 0, prism, is_round, SIMPLEX)
+        prism = Prism(0.0, 0.0, -half_z, half_z, half, is_round)
+        found = solid_meets(solids, 0, prism, SIMPLEX)
+        expected = solid_meets_prism(solids, 0, prism, SIMPLEX)
         assert found == expected, (pos, mat, size, half, half_z)
         seen.add(expected)
     assert seen == {APART, MEETS}
-
-
-def test_a_prism_of_no_width_meets_nothing():
-    solids = Solids(
-        np.zeros(1, np.int32), np.array([SPHERE], np.int32), np.zeros((1, 3)),
-        np.eye(3).reshape(1, 9), np.ones((1, 3)), np.array([[-1.0, -1, -1, 1, 1, 1]]),
-    )  # fmt: skip
-    prism = Prism(0.0, 0.0, -0.1, 0.1, 0.3, 0.0)
-    assert part_of_solid(solids, 0, prism, True, SIMPLEX) == APART
-    assert part_of_solid(solids, 0, prism, False, SIMPLEX) == MEETS

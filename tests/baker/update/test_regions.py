@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.baker.columns import Columns, empty_crossings
-from navbake.baker.contents.contents import LevelContents
-from navbake.baker.kernels.flags import BLOCKS, STANDS
 from navbake.baker.lattice import cells_near
 from navbake.baker.update.columns import KeptColumns
-from navbake.baker.update.kernels.contents import EntryPool, count_taken
-from navbake.baker.warn import count_taken_cells
 from navbake.navgrid.lattice import Lattice
 
 LATTICE = Lattice(-1.0, 2.0, 0.25, 23, 17)
@@ -74,27 +70,3 @@ def test_columns_that_are_put_are_taken_again(seed):
         other = next(b for b in blocks if cell < b.known_rows.end * LATTICE.width).crossings
         for found in (take(one, cell), take(other, cell)):
             assert all(map(np.array_equal, found, expected))
-
-
-@settings(deadline=None)  # its kernels may be compiled first
-@given(seeds)
-def test_taken_cells_are_counted_as_for_a_whole_level(seed):
-    rng = np.random.default_rng(seed)
-    counts = rng.integers(0, 5, 12)
-    start = np.concatenate([[0], np.cumsum(counts)])
-    geom = rng.integers(0, 8, start[-1]).astype(np.int32)
-    flags = rng.choice(np.array([STANDS, STANDS | BLOCKS], dtype=np.uint8), start[-1])
-    body_of = np.array([-1, 1, 1, 2, 2, 3, 4, -1])
-    taken, expected = np.zeros((2, 5), dtype=np.int64)
-    line = Lattice(0.0, 0.0, 0.25, 1, 1)
-    cells = np.flatnonzero(rng.random(12) < 0.7)
-    pool = EntryPool(start[:-1].copy(), counts.astype(np.int32), geom, flags)
-    count_taken(pool, cells, body_of, taken, -1)
-    for cell in cells:
-        here = slice(start[cell], start[cell + 1])
-        listed = np.array([0, counts[cell]])
-        marks = [(flags[here] & flag) > 0 for flag in (STANDS, BLOCKS)]
-        none = np.zeros(1, dtype=np.int32)
-        level = LevelContents(line, listed, geom[here], *marks, marks[0], none)
-        count_taken_cells(level, body_of, expected, -1)
-    assert np.array_equal(taken, expected)
