@@ -21,7 +21,7 @@ from navbake.baker.kernels.cracks import (
     WAY,
     list_sides,
 )
-from navbake.baker.kernels.occupancy import lines_blocked
+from navbake.baker.kernels.overlap import lines_blocked
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
