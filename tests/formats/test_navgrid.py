@@ -475,11 +475,17 @@ CULPRITS = {
     "two doors of one id": (with_doors("a", "b", "a"), r"got 'a' twice at `.*doors\[2\].id`"),
     "a door's level twice": (
         with_doors(closed=[[1, [0, 1]], [0, [1, 1]], [1, [2, 1]]]),
-        r"one entry a level, got level 1 twice at `.*doors\[0\].cells.closed`",
+        r"each level once.* in state closed at `.*doors\[0\]`",
     ),
-    "a door's state": (with_doors(ajar=[]), r"known state at `.*doors\[0\].cells`"),
-    "a door's cells": (with_doors(open=[[0, [5, 2]]]), r"within the grid at `.*cells.open`"),
-    "a link": (house(metadata={"navbake": {"links": [0, 1, 2, 0]}}), "level.* got 2 in link 0"),
+    "a door's state": (with_doors(ajar=[]), r"'ajar' at `key` in `.*doors\[0\].cells`"),
+    "a door's cells": (
+        with_doors(open=[[0, [5, 2]]]),
+        r"within the grid, in state open at `.*doors\[0\]`",
+    ),
+    "a link": (
+        house(metadata={"navbake": {"links": [0, 1, 2, 0]}}),
+        "got cell 0 of level 2 in link 0",
+    ),
 }
 
 
@@ -795,7 +801,7 @@ UNWRITABLE = {
     ),
     "a link": (
         make_house(metadata={"navbake": {"links": [0, 0, 0, 6]}}),
-        "cell.* got 6 in link 0",
+        "got cell 6 of level 0 in link 0",
     ),
 }
 
