@@ -2,7 +2,6 @@
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,21 +17,16 @@ Window = tuple[slice, slice]
 """Rows and columns of the whole lattice, with a start and a stop each."""
 
 # Where the two cells of each edge are in an array: left and right, upper and lower
-EDGES = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+EDGES: tuple[tuple[Any, Any], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
 
 
-def list_differing(values: NDArray[Any]) -> Iterator[tuple[Int, Int]]:
-    """The cells beside each other whose values differ, ids of both; edge by edge of `EDGES`.
-
-    Args:
-        values: shape (height, width).
-    """
-    width = values.shape[1]
-    offsets = iter((1, width))  # of the next cell in a row, and in a column
-    for one, other in EDGES:
+def list_differing(values: NDArray[Any]) -> Int:
+    """The ids of cells beside each other whose values differ, (height, width); shape (2, n)."""
+    width, pairs = values.shape[1], list[Int]()
+    for (one, other), offset in zip(EDGES, (1, width), strict=True):
         row, col = np.nonzero(values[one] != values[other])
-        cell = row * width + col
-        yield cell, cell + next(offsets)
+        pairs.append(row * width + col + np.array([[0], [offset]]))
+    return np.concatenate(pairs, axis=1)
 
 
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:

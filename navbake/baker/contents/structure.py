@@ -92,10 +92,9 @@ def find_steps(floors: Floors, carrier: Int32, lattice: Lattice) -> Steps:
     floor = np.concatenate([level.floor.ravel() for level in floors.levels])
     pairs = [floors.links[:, [0, 2]] * carrier.shape[1] + floors.links[:, [1, 3]]]
     for number, geom in enumerate(carrier.reshape(-1, *lattice.shape)):
-        for one, other in list_differing(geom):
-            meet = (carrier[number][one] >= 0) & (carrier[number][other] >= 0)
-            # cells of all levels are numbered on
-            pairs.append(np.stack([one[meet], other[meet]], axis=1) + number * geom.size)
+        cells = list_differing(geom).T
+        meet = (carrier[number][cells] >= 0).all(axis=1)
+        pairs.append(cells[meet] + number * geom.size)  # cells of all levels are numbered on
     cells = np.concatenate(pairs)
     rise = floor[cells[:, 1]] - floor[cells[:, 0]]
     geoms = carrier.ravel()[cells].astype(np.int64)

@@ -4,6 +4,7 @@ All gaps part spaces at first; then spaces are joined where a gap is as wide as 
 """
 
 import heapq
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -55,12 +56,8 @@ class CloseCall(NamedTuple):
     parts: bool
 
 
-class GapsOfDirection(NamedTuple):
-    """The gaps of a direction, and the lattice as they are measured in it."""
-
-    direction: Direction
-    scan: Scan
-    gaps: Gaps
+Found = tuple[Direction, Scan, Gaps]
+"""The gaps of a direction, and the lattice as they are measured in it."""
 
 
 def part_at_gaps(
@@ -74,17 +71,17 @@ def part_at_gaps(
     found, label, cells = find_gaps(open_cells, holes, cell_size, door_width)
     spaces = Spaces(found, cells, cell_size, door_width)
     spaces.join_all()
-    return spaces.wholes()[label], spaces.close_calls()
+    return spaces.whole[label], spaces.close_calls()
 
 
 def find_gaps(
     open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
-) -> tuple[list[GapsOfDirection], Int32, Int]:
+) -> tuple[list[Found], Int32, Int]:
     """The gaps of each direction, the spaces that all of them part, and how many cells each has."""
     space = open_cells | holes
     directions = find_directions(space, cell_size)
-    marks = _mark_gaps(space, directions, cell_size, door_width or 0.0)
-    marked = _join_marks(marks, directions, open_cells)
+    thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
+    marks, marked = _mark_gaps(space, directions, thickness, cell_size, door_width or 0.0)
     label, count = label_parts(open_cells & ~marked)
     cells = np.bincount(label.ravel(), minlength=count + 1)
     keeps = cells * cell_size**2 >= ISLAND
@@ -94,57 +91,42 @@ def find_gaps(
         number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
         label, cells = number[label], np.bincount(number, cells).astype(np.int64)
     found = []
-    for direction, own in zip(directions, marks, strict=True):
-        depths = [max(1, round(depth * direction.stretch / cell_size)) for depth in DEPTHS]
-        leans = np.rint(np.array(depths) * direction.slope / direction.stretch**2)
-        scan = Scan(
-            turned(label, direction),
-            turned(space, direction),
-            direction.shift,
-            np.array(depths, dtype=np.int64),
-            leans.astype(np.int64),
-        )
-        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-        gaps = _list_gaps(scan, turned(marked, direction), own, thickness)
-        found.append(GapsOfDirection(direction, scan, gaps))
+    for direction, own, thick in zip(directions, marks, thickness, strict=True):
+        depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
+        leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
+        scanned = turned(label, direction), turned(space, direction), direction.shift
+        scan = Scan(*scanned, depths, leans)
+        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
     return found, label, cells
 
 
 def _mark_gaps(
-    open_cells: Bool, directions: list[Direction], cell_size: float, door_width: float
-) -> list[Marks]:
-    """Mark the cells of the gaps of each direction, as it is scanned.
+    space: Bool,
+    directions: list[Direction],
+    thickness: list[int],
+    cell_size: float,
+    door_width: float,
+) -> tuple[list[Marks], Bool]:
+    """Mark the cells of the gaps of each direction, as it is scanned; and of all of them.
 
     Gaps with steps on both sides, such as doorways, come first. They are walls to what is found
     then: so a line across a corridor does not lead through a door into a room, and a wall that
     ends in the middle of a wide opening goes on up to the line of that opening.
     """
-    marks = [np.zeros(turned(open_cells, d).shape, dtype=np.uint8) for d in directions]
-
-    def mark_direction(
-        direction: Direction, own: Marks, is_open: Bool, widest: float, both: bool
-    ) -> None:
-        step = direction.stretch * cell_size
-        limits = int(widest / step), GROWTH, RISE / step
-        thickness = int(THICKNESS * direction.stretch / cell_size) + 2
-        scanned = turned(is_open, direction), direction.shift
-        kernels.mark_gaps(*scanned, *limits, thickness, both, own)
-
+    marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
+    marked = np.zeros_like(space)
     for widest, both in ((max(WIDE, door_width), True), (max(PASSAGE, door_width), False)):
-        is_open = open_cells & ~_join_marks(marks, directions, open_cells)
-        limits = is_open, widest, both
-        pairs = zip(directions, marks, strict=True)
-        for wait in [run_beside(mark_direction, *pair, *limits) for pair in pairs]:
+        waiting = []
+        for direction, thick, own in zip(directions, thickness, marks, strict=True):
+            step = direction.stretch * cell_size
+            limits = int(widest / step), GROWTH, RISE / step, thick, both, own
+            scanned = turned(space & ~marked, direction), direction.shift
+            waiting.append(run_beside(kernels.mark_gaps, *scanned, *limits))
+        for wait in waiting:
             wait()
-    return marks
-
-
-def _join_marks(marks: list[Marks], directions: list[Direction], like: Bool) -> Bool:
-    """The cells that are marked in any direction."""
-    marked = np.zeros(like.shape, dtype=np.bool_)
-    for mark, direction in zip(marks, directions, strict=True):
-        marked |= (mark.T if direction.swapped else mark) > 0
-    return marked
+        for direction, own in zip(directions, marks, strict=True):
+            marked |= (own.T if direction.swapped else own) > 0
+    return marks, marked
 
 
 def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
@@ -191,22 +173,24 @@ class Spaces:
 
     Spaces are joined one pair at a time, at the widest gap of all. What a gap's shares depend on
     is near it: they are measured again only where one of the two spaces is joined to one that the
-    gap's lines met. `cells` are how many each space has, from 0 for none.
+    gap's lines met.
+
+    Attributes:
+        whole: the space that each one is part of now.
     """
 
     def __init__(
-        self, found: list[GapsOfDirection], cells: Int, cell_size: float, door_width: float | None
+        self, found: list[Found], cells: Int, cell_size: float, door_width: float | None
     ) -> None:
         self._found, self._cell_size, self._door_width = found, cell_size, door_width
-        self._cells = cells.astype(np.int64)
-        self._first = self._cells.copy()  # before any was joined
-        self._parent = np.arange(len(cells), dtype=np.int32)
+        self._cells, self._first = cells.astype(np.int64), cells  # now, and before any was joined
+        self.whole = np.arange(len(cells), dtype=np.int32)
         # of each gap, those of all directions together
-        self._start = np.cumsum([0, *(len(g.gaps.first) for g in found)])
-        spans = [(g.gaps.last - g.gaps.first + 1) * g.direction.stretch for g in found]
+        self._start = np.cumsum([0, *(len(gaps.first) for *_, gaps in found)])
+        spans = [(gaps.last - gaps.first + 1) * d.stretch for d, _, gaps in found]
         self._width = np.concatenate([np.empty(0), *spans])  # [cells]
-        self._is_doorway = np.concatenate([np.empty(0), *(g.gaps.is_doorway for g in found)]) > 0
-        pairs = [np.stack([g.gaps.above, g.gaps.below], axis=1) for g in found]
+        self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
+        pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
         self._shares = np.ones((len(self._width), 2))
         # the share that decided about each gap, NaN for none
@@ -235,12 +219,13 @@ class Spaces:
             return (False, -share) if share >= NARROWER else None
 
         for decide in (as_both, as_narrower):
-            queue = [(order, k) for k in self._all() if (order := decide(k)) is not None]
+            apart = self.list_apart(np.arange(len(self._width))).tolist()
+            queue = [(order, k) for k in apart if (order := decide(k)) is not None]
             heapq.heapify(queue)
             while queue:
                 order, gap = heapq.heappop(queue)
                 # what was measured again is in the queue again; a passage may have grown long
-                if not self._is_apart(gap) or order != decide(gap):
+                if not len(self.list_apart([gap])) or order != decide(gap):
                     continue
                 for k in self.join(gap):
                     if (again := decide(k)) is not None:
@@ -249,7 +234,7 @@ class Spaces:
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""
         above, below = (float(share) for share in self._shares[gap])
-        narrow = self._root(int(self._pairs[gap, 0 if above >= below else 1]))
+        narrow = self.whole[self._pairs[gap, 0 if above >= below else 1]]
         is_long = self._cells[narrow] >= LONG * self._width[gap] ** 2
         width = float(self._width[gap]) * self._cell_size - ROUNDING
         may_part = self._door_width is None or width <= self._door_width
@@ -264,14 +249,11 @@ class Spaces:
         """The gaps between two spaces of some size that were decided by little."""
         close = np.abs(self._decided - NARROWER) <= CLOSE
         close &= self._width * self._cell_size >= CLOSE_WIDTH
-        least = CLOSE_AREA / self._cell_size**2
-        whole = self.wholes()
         calls = []
         for k in np.flatnonzero(close).tolist():
-            parts = self._is_apart(k)
-            pair = self._pairs[k]
-            sizes = self._cells[whole[pair]] if parts else self._first[pair]
-            if (sizes < least).any():
+            parts, pair = len(self.list_apart([k])) > 0, self._pairs[k]
+            sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
+            if (sizes < CLOSE_AREA / self._cell_size**2).any():
                 continue
             number = int(np.searchsorted(self._start, k, side="right")) - 1
             direction, _, gaps = self._found[number]
@@ -282,52 +264,36 @@ class Spaces:
             calls.append(CloseCall(cell, float(self._width[k]) * self._cell_size, parts))
         return calls
 
-    def wholes(self) -> Int32:
-        """The space that each one is part of now."""
-        return np.array([self._root(k) for k in range(len(self._parent))], dtype=np.int32)
-
-    def _all(self) -> list[int]:
-        """The gaps whose sides are two spaces still."""
-        whole = self.wholes()[self._pairs]
-        apart: list[int] = np.flatnonzero(whole[:, 0] != whole[:, 1]).tolist()
+    def list_apart(self, gaps: Sequence[int] | Int) -> Int:
+        """Those of some gaps whose sides are two spaces still."""
+        chosen = np.asarray(gaps, dtype=np.int64)
+        sides = self.whole[self._pairs[chosen]]
+        apart: Int = chosen[sides[:, 0] != sides[:, 1]]
         return apart
-
-    def _is_apart(self, gap: int) -> bool:
-        one, other = self._pairs[gap].tolist()
-        return self._root(one) != self._root(other)
-
-    def _root(self, space: int) -> int:
-        parent = self._parent
-        while parent[space] != space:
-            parent[space] = parent[parent[space]]
-            space = int(parent[space])
-        return space
 
     def measure(self, gaps: Int) -> None:
         """Measure the share that gaps have of the spaces on both sides."""
         place = np.searchsorted(self._start, gaps, side="right") - 1
         for number in np.unique(place).tolist():
             _, scan, listed = self._found[number]
-            chosen = gaps[place == number]
-            numbers = chosen - self._start[number]
-            shares, start, met = kernels.measure_gaps(scan, listed, numbers, self._parent)
-            self._shares[chosen] = shares
-            of_met = np.repeat(chosen, np.diff(start))
-            for k, space in np.stack([of_met, met], axis=1).tolist():
-                self._met_by[space].add(k)
+            chosen, start = gaps[place == number], int(self._start[number])
+            asked = scan, listed, chosen - start, self.whole
+            self._shares[chosen], met = kernels.measure_gaps(*asked)
+            for k, space in met:
+                self._met_by[space].add(start + k)
 
     def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
-        one, other = (self._root(int(space)) for space in self._pairs[gap])
+        one, other = self.whole[self._pairs[gap]].tolist()
         changed = (self._at[one] & self._met_by[other]) | (self._at[other] & self._met_by[one])
         to, gone = min(one, other), max(one, other)
-        self._parent[gone] = to
+        self.whole[self.whole == gone] = to
         self._cells[to] += self._cells[gone]
         for gaps in (self._at, self._met_by):
             small, large = sorted((gaps[to], gaps[gone]), key=len)
             large |= small
             gaps[to], gaps[gone] = large, set()
-        apart = [k for k in sorted(changed) if self._is_apart(k)]
-        if apart:
-            self.measure(np.array(apart, dtype=np.int64))
-        return apart
+        apart = self.list_apart(sorted(changed))
+        self.measure(apart)
+        again: list[int] = apart.tolist()
+        return again

@@ -17,8 +17,8 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
 from navbake.baker.rooms.flags import RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
-from navbake.baker.rooms.outdoors import find_outdoors
 from navbake.baker.rooms.segmentation import (
+    find_outdoors,
     give_covered,
     labels_in_order,
     segment_by_gaps,
@@ -100,7 +100,7 @@ class Rooms:
     def with_doors(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
         """The same rooms, with the doors between neighbours in the table; see `match_doors`.
 
-        `doors` has the ids of the rooms that each door joins, and for each level the cells that it
+        Of each door, that takes the ids of the rooms that it joins, and by level the cells that it
         blocks when it is closed.
         """
         keys = {room: key for key, room in self._ids.items()}
@@ -183,26 +183,24 @@ class _Assignment:
 
         What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
         """
-        lattice, settings = self._flags.lattice, self._settings
-        cell_size, least = lattice.cell_size, settings.min_area
-        door_width = None if settings.door_width == "auto" else settings.door_width
-        labels: list[Int32] = []
-        names: list[str | None] = []
-        outdoors: set[int] = set()
+        lattice, least = self._flags.lattice, self._settings.min_area
+        given = self._settings.door_width
+        door_width = None if given == "auto" else given
+        labels, count, outdoors = list[Int32](), 0, set[int]()
         for number, (floor, open_cells, hole, edge, *_) in enumerate(self._flags.levels):
-            asked = open_cells, cell_size, least, floor, hole, edge, door_width
+            asked = open_cells, lattice.cell_size, least, floor, hole, edge, door_width
             segment, close = segment_by_gaps(*asked)
             if close and door_width is None:
                 self.warnings.append(_describe_close(close, number, lattice))
             owner = self._owner[number]
             if owner.any():
                 owner = give_covered(owner, self._under[number] * open_cells, segment)
-                self._owner[number], segment = share_rest(owner, segment, cell_size, least)
+                self._owner[number], segment = share_rest(owner, segment, lattice.cell_size, least)
             segment, outside = find_outdoors(segment, self._flags, number)
-            outdoors.update(room + len(names) for room in outside)
-            labels.append(np.where(segment > 0, segment + len(names), 0) if names else segment)
-            names += [None] * int(segment.max(initial=0))
-        self.add(MarkedRooms(names, labels, outdoors=outdoors), "auto")
+            outdoors.update(room + count for room in outside)
+            labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
+            count += int(segment.max(initial=0))
+        self.add(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
 
     def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
         """Number the rooms of each level from 1, by their first cells; also list them so."""
@@ -280,11 +278,9 @@ def find_openings(
     openings = []
     for number, (rooms, floor) in enumerate(zip(index, floors, strict=True)):
         on_level = (links[:, [0, 2]] == number).all(axis=1)
-        joined, height = [links[on_level][:, [1, 3]]], floor.ravel()
-        for one, other in list_differing(rooms):  # few: only their heights are compared
-            is_step = np.abs(height[one] - height[other]) <= max_step + SLACK
-            joined.append(np.stack([one[is_step], other[is_step]], axis=1))
-        cells = np.concatenate(joined)
+        beside = list_differing(rooms).T  # few: only their heights are compared
+        is_step = np.abs(np.subtract(*floor.ravel()[beside.T])) <= max_step + SLACK
+        cells = np.concatenate([links[on_level][:, [1, 3]], beside[is_step]])
         ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
         meet = (ends[:, 0] > 0) & (ends[:, 0] != ends[:, 1])
         key = ends[meet] @ (PAIR, 1)
@@ -301,12 +297,11 @@ def find_openings(
 def find_room_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
     """Find the pairs of rooms on two levels between which a step leads, each once."""
     flat = [rooms.ravel() for rooms in index]
-    pairs: set[tuple[RoomKey, RoomKey]] = set()
-    for level_a, cell_a, level_b, cell_b in links.tolist():
-        a = level_a, int(flat[level_a][cell_a])
-        b = level_b, int(flat[level_b][cell_b])
-        if a[1] and b[1] and level_a != level_b:
-            pairs.add((min(a, b), max(a, b)))
+    pairs = set()
+    for level_a, cell_a, level_b, cell_b in links[links[:, 0] != links[:, 2]].tolist():
+        a, b = sorted((k, int(flat[k][cell])) for k, cell in ((level_a, cell_a), (level_b, cell_b)))
+        if a[1] and b[1]:
+            pairs.add((a, b))
     return sorted(pairs)
 
 

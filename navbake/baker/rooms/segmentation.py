@@ -1,12 +1,15 @@
-"""The spaces of a level as rooms: gaps part them, stairs and what is small join another one."""
+"""The spaces of a level as rooms: gaps part them, stairs and what is small join another one.
+
+What is open, floor under the sky up to the edge of the grid, is outdoors.
+"""
 
 import heapq
-from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.connect import label_parts, list_runs
-from navbake.baker.lattice import EDGES, bounding_window
+from navbake.baker.connect import connect, label_parts, list_runs, touching
+from navbake.baker.lattice import bounding_window, list_differing
+from navbake.baker.rooms.flags import RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, part_at_gaps
 from navbake.baker.rooms.walls import squared_distances, wall_nodes
 from navbake.types import Bool, Float, Int, Int32
@@ -20,13 +23,13 @@ STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
 # at most this, as measured over all angles and offsets [half cells]
 ROUGHNESS = 1.0
 ROUNDING = 1e-6  # of a cell, or of half a cell
-
-
-class Segments(NamedTuple):
-    """The room of each cell of a level from 1, in reading order, 0 for none; and close calls."""
-
-    rooms: Int32
-    close: list[CloseCall]
+# What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
+# edge is so wide [m]
+EDGE_LENGTH = WIDEST
+# What is no further from the edge lies under eaves, if it isn't under the sky [m]
+EAVES = 1.2
+# Outdoors, at least this share of the floor is under the sky or under eaves
+OPEN_SHARE = 0.5
 
 
 def segment_by_gaps(
@@ -37,7 +40,7 @@ def segment_by_gaps(
     holes: Bool | None = None,
     edge: Bool | None = None,
     door_width: float | None = None,
-) -> Segments:
+) -> tuple[Int32, list[CloseCall]]:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
     A gap is where walls come near to each other at once: a line in the direction of a wall that is
@@ -63,6 +66,9 @@ def segment_by_gaps(
         edge: cells at the edge of the grid, see `LevelFlags`.
         door_width: the widest gap that parts two rooms [m], > 0.
 
+    Returns:
+        The room of each cell from 1, in reading order, 0 for none; and close calls.
+
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
         analysis" (ICRA 2016), on regions between the "virtual walls" that continue walls, in
@@ -70,7 +76,7 @@ def segment_by_gaps(
     """
     rooms = np.zeros(open_cells.shape, dtype=np.int32)
     if not open_cells.any():
-        return Segments(rooms, [])
+        return rooms, []
     # with the walls round it: their directions count, the edge of the grid is none
     around = [slice(max(part.start - 1, 0), part.stop + 1) for part in bounding_window(open_cells)]
     window, none = tuple(around), np.zeros(open_cells.shape, dtype=np.bool_)
@@ -95,7 +101,7 @@ def segment_by_gaps(
         label = regions.wholes(least)[label]
     rooms[window] = renumber(label)
     row, col = (part.start for part in around)
-    return Segments(rooms, [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in close])
+    return rooms, [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in close]
 
 
 def spread(label: Int32, open_cells: Bool) -> None:
@@ -161,7 +167,7 @@ class _Regions:
 
     def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
         self._cells = cells.copy()
-        # distance to the walls at the region's widest place [half cells]
+        # at the region's widest place [half cells]
         self._peak = np.sqrt(widest_nodes(label, distance, len(cells)))
         self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now
         # of each edge between cells of two regions: these, and the distance at its widest node
@@ -314,16 +320,14 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
 
 def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
     """The owner that each part has most edges in common with, 0 for none; of several the first."""
-    keys = []
-    base = int(owner.max(initial=0)) + 1
-    for one, other in EDGES:
-        for a, b in ((one, other), (other, one)):
-            meet = (part[a] > 0) & (owner[b] > 0)
-            keys.append(part[a][meet].astype(np.int64) * base + owner[b][meet])
-    key, edges = np.unique(np.concatenate(keys), return_counts=True)
+    node = np.where(owner > 0, owner + np.int32(count), part)  # parts have no owner
+    low, high = np.sort(node.ravel()[list_differing(node)], axis=0)
+    base, meet = int(node.max(initial=0)) + 1, (low > 0) & (low < count) & (high >= count)
+    keys = low[meet].astype(np.int64) * base + high[meet]
+    key, edges = np.unique(keys, return_counts=True)
     order = np.lexsort((-key, edges))  # the last one written stays
     touched = np.zeros(count, dtype=np.int32)
-    touched[key[order] // base] = key[order] % base
+    touched[key[order] // base] = key[order] % base - count
     return touched
 
 
@@ -340,3 +344,70 @@ def labels_in_order(label: Int32) -> Int:
     *_, value = list_runs(label)
     used, first = np.unique(value, return_index=True)
     return used[np.argsort(first)]
+
+
+def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
+    """Find the segments of a level that are outdoors, and unite those that touch.
+
+    They reach the edge of the grid in one piece that is wider than any door; and at least half of
+    their cells have nothing above an agent's head, or lie under eaves, 1.2 m from where the scene
+    ends at most. What walls enclose is a room, with a ceiling or without one: a gap parts it from
+    what is outdoors, and doors at the edge are too narrow. Walls part two pieces of outdoors, too;
+    a ditch does not, nor what stands on endless ground, because one walks round it.
+
+    Returns the segments of the level, of which those that are outdoors and touch have the least
+    number of all; and the numbers of those that are outdoors.
+    """
+    own, cell_size = flags.levels[level], flags.lattice.cell_size
+    count = int(segment.max(initial=0)) + 1
+    candidates = _longest_runs(segment, own.edge & (segment > 0), count) * cell_size > EDGE_LENGTH
+    if not candidates.any():
+        return segment, set()
+    asked = candidates[segment]
+    is_open = own.sky[asked]
+    if not is_open.all() and flags.ends.any():
+        # a window of a larger scene cuts through rooms, and they go on beyond it
+        end = asked & edge_cells(flags.empty, flags.ends)
+        if end.any():
+            away = squared_distances(end, int(EAVES / cell_size) + 1)[asked]
+            is_open |= np.sqrt(away) * cell_size <= EAVES
+    open_cells = np.bincount(segment[asked][is_open], minlength=count)
+    all_cells = np.bincount(segment[asked], minlength=count)
+    outdoors = candidates & (open_cells >= OPEN_SHARE * all_cells)
+    united = _unite_touching(segment, outdoors, own.bank)
+    if outdoors.any() and flags.has_ground:
+        united[outdoors] = united[outdoors].min()
+    return united[segment], set(np.unique(united[outdoors]).tolist())
+
+
+def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
+    """By segment, the least number of the chosen ones that it touches, or its own.
+
+    Those touch, too, that steep ground lies between.
+    """
+    part, count = label_parts(steep)
+    node = np.where(steep, part + len(chosen) - 1, segment)
+    joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
+    pairs = node.ravel()[list_differing(node)]
+    # the first node of a part is its least
+    number = connect(pairs[:, joins[pairs].all(axis=0)], len(joins))
+    least = np.unique(number, return_index=True)[1].astype(np.int32)
+    return least[number][: len(chosen)]
+
+
+def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
+    """How far each segment's cells at the edge reach at most without a break [cells]."""
+    rows, cols = np.nonzero(edge)
+    number = segment[rows, cols]
+    cell = rows * segment.shape[1] + cols
+    pairs = touching(cell, segment.shape[1])
+    run = connect(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
+    reach = np.zeros(len(cell))
+    for place in (rows, cols):
+        low, high = np.full(len(cell), np.inf), np.full(len(cell), -np.inf)
+        np.minimum.at(low, run, place)
+        np.maximum.at(high, run, place)
+        reach = np.hypot(reach, (high - low)[run])
+    longest = np.zeros(count)
+    np.maximum.at(longest, number, reach + 1)
+    return longest

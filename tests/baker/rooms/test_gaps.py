@@ -27,11 +27,11 @@ def hall(rows, cols):
 
 
 def count(is_open, holes=None):
-    rooms = segment_by_gaps(is_open, CELL, 1.0, holes=holes).rooms
+    rooms = segment_by_gaps(is_open, CELL, 1.0, holes=holes)[0]
     assert (rooms[~is_open] == 0).all()
     for quarters in (1, 2, 3):
         there = None if holes is None else np.rot90(holes, quarters)
-        turned = segment_by_gaps(np.rot90(is_open, quarters), CELL, 1.0, holes=there).rooms
+        turned = segment_by_gaps(np.rot90(is_open, quarters), CELL, 1.0, holes=there)[0]
         assert turned.max() == rooms.max()
     return rooms.max()
 
@@ -68,13 +68,13 @@ def test_a_gap_wider_than_a_given_door_parts_nothing(cell_size, door_width):
     widest = int(door_width / cell_size + 1e-9)
     for more, rooms in ((-1, 2), (0, 2), (1, 1), (2, 1)):
         is_open = two_rooms(widest + more, 2, max(60, 2 * widest))
-        found = segment_by_gaps(is_open, cell_size, 1.0, door_width=door_width).rooms
+        found = segment_by_gaps(is_open, cell_size, 1.0, door_width=door_width)[0]
         assert found.max() == rooms
 
 
 def test_a_gap_as_wide_as_the_space_parts_nothing_however_narrow():
     is_open = two_rooms(9, 2, 10)
-    assert segment_by_gaps(is_open, CELL, 0.5, door_width=1.0).rooms.max() == 1
+    assert segment_by_gaps(is_open, CELL, 0.5, door_width=1.0)[0].max() == 1
 
 
 @pytest.mark.parametrize("cell_size", [0.05, 0.1])
@@ -87,7 +87,7 @@ def test_doors_in_walls_off_the_lattice(cell_size):
             across = (edges + cell_size > wall) & (edges < wall + 0.12)
             along = (edges + cell_size > jamb + gap) | (edges < jamb)
             is_open = ~(across[None] & along[:, None])
-            assert segment_by_gaps(is_open, cell_size, 1.0, door_width=1.0).rooms.max() == rooms
+            assert segment_by_gaps(is_open, cell_size, 1.0, door_width=1.0)[0].max() == rooms
 
 
 def test_a_niche_an_l_and_pillars_part_nothing():
@@ -137,7 +137,7 @@ def test_stairs_belong_to_where_they_begin():
     is_open[1:15, 45:85] = is_open[27:, 45:85] = False
     rise = np.tile(np.interp(np.arange(132), [45, 85], [0.0, 2.4]), (42, 1))
     for floor in (rise, 2.4 - rise):
-        rooms = segment_by_gaps(is_open, CELL, 1.0, floor).rooms
+        rooms = segment_by_gaps(is_open, CELL, 1.0, floor)[0]
         assert rooms.max() == 2
         assert rooms[20, 65] == rooms[20, 20 if floor is rise else 110]
     assert count(is_open) == 3
@@ -149,7 +149,7 @@ def test_what_is_tiny_joins_what_it_opens_to_and_what_is_shut_in_is_none():
     is_open[11:19, 31] = True  # shut in, 0.08 m²
     is_open[1:9, 45] = is_open[8, 45:] = False
     is_open[4:8, 45] = True  # a closet of less than 1 m²
-    rooms = segment_by_gaps(is_open, CELL, 1.2).rooms
+    rooms = segment_by_gaps(is_open, CELL, 1.2)[0]
     assert rooms.max() == 1
     assert not rooms[11:19, 31].any() and rooms[4, 50] == 1
 
@@ -158,7 +158,7 @@ def test_rooms_hang_together_and_turn_with_the_map():
     rng = np.random.default_rng(3)
     for _ in range(8):
         is_open = ndimage.gaussian_filter(rng.normal(size=(80, 90)), 3) > -0.05
-        rooms = segment_by_gaps(is_open, CELL, 0.3).rooms
+        rooms = segment_by_gaps(is_open, CELL, 0.3)[0]
         assert (rooms[~is_open] == 0).all()
         for room in range(1, int(rooms.max()) + 1):
             assert ndimage.label(rooms == room)[1] == 1
@@ -205,8 +205,8 @@ def test_holes_narrow_no_space():
 
 
 def test_nothing_open_and_no_walls():
-    assert not segment_by_gaps(np.zeros((4, 5), dtype=np.bool_), CELL, 1.0).rooms.any()
-    assert segment_by_gaps(np.ones((40, 50), dtype=np.bool_), CELL, 1.0).rooms.min() == 1
+    assert not segment_by_gaps(np.zeros((4, 5), dtype=np.bool_), CELL, 1.0)[0].any()
+    assert segment_by_gaps(np.ones((40, 50), dtype=np.bool_), CELL, 1.0)[0].min() == 1
 
 
 @pytest.mark.parametrize("angle", [0.0, 12.0, 33.0, 45.0, 78.0])
@@ -219,7 +219,7 @@ def test_walls_at_an_angle(angle):
     assert len(find_directions(is_open, CELL)) == 2
     spaces, _ = part_at_gaps(is_open, np.zeros_like(is_open), CELL, None)
     assert len(np.unique(spaces)) == 3  # 0 is for gaps; no cells between their lines are a space
-    rooms = segment_by_gaps(is_open, CELL, 1.0).rooms
+    rooms = segment_by_gaps(is_open, CELL, 1.0)[0]
     assert rooms.max() == 2
     left, right = rooms[is_open & (u < -0.4)], rooms[is_open & (u > 0.4)]
     assert len(np.unique(left)) == len(np.unique(right)) == 1
@@ -230,11 +230,11 @@ def test_close_calls_are_told():
     is_open = hall(25, 90)
     is_open[:, 45:47] = False
     is_open[1:20, 45:47] = True
-    (call,) = segment_by_gaps(is_open, CELL, 1.0).close
+    (call,) = segment_by_gaps(is_open, CELL, 1.0)[1]
     assert call.width == pytest.approx(1.9)
     assert 44 <= call.cell[1] <= 47
     is_open[1:10, 45:47] = False
-    assert segment_by_gaps(is_open, CELL, 1.0).close == []
+    assert segment_by_gaps(is_open, CELL, 1.0)[1] == []
 
 
 def test_sills_go_from_wall_to_wall():

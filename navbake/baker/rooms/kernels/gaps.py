@@ -17,13 +17,14 @@ import numpy as np
 
 from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.navgrid.kernels.union_find import find_root
 from navbake.types import Bool, Int, Int32
 
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
 # The bit of a way that follows its line exactly, see `_hold`
 EXACT = 8
+# The bits of the cells that are at most one line from the one above, on and below the line
+BESIDE = 0b011, 0b111, 0b110
 # What `flag_columns` finds out: nothing in the column; no floor, and nothing at the height of an
 # agent's body; no floor, and ground too steep to stand on under the sky; a floor under the sky; and
 # a floor that something stands on that reaches above heads
@@ -170,11 +171,11 @@ def mark_bridges(low, wall, shift, bridge):
     held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
         to_before = shift[col - 1] - shift[col]
-        _hold_column(low[col], wall[col], to_before, wall[col - 1], held[col - 1], held[col])
+        _hold(low[col], wall[col], to_before, wall[col - 1], held[col - 1], held[col])
     ends = np.zeros((cols, rows), dtype=np.uint8)
     for col in range(cols - 2, -1, -1):
         to_after = shift[col + 1] - shift[col]
-        _hold_column(low[col], wall[col], to_after, wall[col + 1], ends[col + 1], ends[col])
+        _hold(low[col], wall[col], to_after, wall[col + 1], ends[col + 1], ends[col])
         for row in range(rows):
             both = held[col, row] & ends[col, row]
             if both == 0:
@@ -187,49 +188,30 @@ def mark_bridges(low, wall, shift, bridge):
 
 
 @part(**UNCOUNTED)
-def _hold_column(low, wall, to_next, next_wall, held, found):
-    """`_hold` for each row of a column; the line's next cell is `to_next` rows further down."""
-    for row in range(low.shape[0]):
-        found[row] = _hold(low, wall, row, row + to_next, next_wall, held)
-
-
-@part(inline="always")
-def _hold(low, wall, row, next_row, next_wall, held):
+def _hold(low, wall, to_next, next_wall, held, found):
     """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
 
     Bits 0 to 2 are for the cells above, on and below the line, bit 3 (`EXACT`) is for the line
-    alone. `low` and `wall` are the cell's column, `next_wall` and `held` what the next cell's
-    column has of walls and of these bits.
+    alone; `found` receives them for each row of a column. `low` and `wall` are that column,
+    `next_wall` and `held` what the next one has, `to_next` rows further down.
     """
     rows = low.shape[0]
-    if next_row < 0 or next_row >= rows:
-        return np.uint8(0)
-    first, last = max(row - 1, 0), min(row + 1, rows - 1)
-    there = held[next_row]
-    if there == 0 and not next_wall[next_row]:  # most cells: nothing there holds anything
-        return np.uint8(0)
-    if not (low[row] or low[first] or low[last]):
-        return np.uint8(0)
-    found = 0
-    if low[row] and (next_wall[next_row] or there & EXACT):
-        found = EXACT
-    for other in range(first, last + 1):
-        if wall[other]:
-            return np.uint8(found)
-    for other in range(first, last + 1):
-        if not low[other]:
+    for row in range(max(0, -to_next), min(rows, rows - to_next)):
+        at_wall, there = next_wall[row + to_next], held[row + to_next]
+        first, last = max(row - 1, 0), min(row + 1, rows - 1)
+        if there == 0 and not at_wall:  # most cells: nothing there holds anything
             continue
-        side = other - row + 1
-        reached = next_wall[next_row]
-        for beside in range(max(side - 1, 0), min(side + 1, 2) + 1):
-            reached |= there & (1 << beside) != 0
-        if reached:
-            found |= 1 << side
-    return np.uint8(found)
+        bits = EXACT if low[row] and (at_wall or there & EXACT) else 0
+        if not (wall[first] or wall[row] or wall[last]):
+            for other in range(first, last + 1):
+                side = other - row + 1
+                if low[other] and (at_wall or there & BESIDE[side]):
+                    bits |= 1 << side
+        found[row] = bits
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, parent):
+def measure_gaps(scan, gaps, chosen, whole):
     """How open the lines of some gaps are, seen from the regions above them and below them.
 
     Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
@@ -238,52 +220,42 @@ def measure_gaps(scan, gaps, chosen, parent):
     The line begins straight behind the gap's ends, at right angles to it. A region that ends before
     the first depth is measured where it ends.
 
-    `chosen` are the gaps to measure, `parent` the union-find of the regions that have been joined,
-    by label. Returns the least share over all depths, from above and from below, (n, 2), 1 where
-    both sides are one region. Then which other regions the lines met, ragged: `start`, (n + 1,),
-    and their labels. Only when one of these is joined to a side of the gap will its shares change.
+    `chosen` are the gaps to measure, `whole` the region that each label is part of by now. Returns
+    the least share over all depths, from above and from below, (n, 2), 1 where both sides are one
+    region; and which other regions a gap's lines met, as pairs of both, not each once. Only when
+    one of these is joined to a side of the gap will its shares change.
     """
     shares = np.ones((len(chosen), 2))
-    start = np.zeros(len(chosen) + 1, dtype=np.int64)
-    met = np.empty(16, dtype=np.int64)
-    count = np.int64(0)
+    met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
-        above = find_root(parent, gaps.above[k])
-        below = find_root(parent, gaps.below[k])
-        if above != below:
-            for side in range(2):
-                own, other = (above, below) if side == 0 else (below, above)
-                for depth in range(len(scan.depths)):
-                    rows, lean = scan.depths[depth], scan.leans[depth]
-                    if depth == 0:
-                        rows = _count_behind(scan, gaps, k, side)
-                        lean = lean if rows == scan.depths[0] else np.int64(0)
-                    line = side, rows, lean, own, other
-                    share, met, count = _measure_line(
-                        scan, gaps, k, line, parent, met, start[i], count
-                    )
-                    shares[i, side] = min(shares[i, side], share)
-        start[i + 1] = count
-    return shares, start, met[:count]
+        above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
+        if above == below:
+            continue
+        for side in range(2):
+            own, other = (above, below) if side == 0 else (below, above)
+            # how many open rows lie behind the gap in its middle, up to the first depth
+            ends, way = (gaps.top[k], -1) if side == 0 else (gaps.bottom[k], 1)
+            row, col = (ends[0] + ends[1]) // 2, (gaps.first[k] + gaps.last[k]) // 2
+            deep = 0
+            while deep < scan.depths[0] and 0 <= row + way * (deep + 1) < len(scan.is_open):
+                if not scan.is_open[row + way * (deep + 1), col]:
+                    break
+                deep += 1
+            for depth in range(len(scan.depths)):
+                rows, lean = scan.depths[depth], scan.leans[depth]
+                if depth == 0 and deep < rows:
+                    rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
+                line = side, rows, lean, own, other
+                shares[i, side] = min(
+                    shares[i, side], _measure_line(scan, gaps, k, line, whole, met)
+                )
+    return shares, met[1:]
 
 
 @part
-def _count_behind(scan, gaps, k, side):
-    """How many open rows lie behind gap k in its middle, 1 to the first depth."""
-    rows = len(scan.is_open)
-    col = (gaps.first[k] + gaps.last[k]) // 2
-    ends = gaps.top[k] if side == 0 else gaps.bottom[k]
-    row, way = (ends[0] + ends[1]) // 2, -1 if side == 0 else 1
-    for count in range(1, scan.depths[0] + 1):
-        if not 0 <= row + way * count < rows or not scan.is_open[row + way * count, col]:
-            return max(count - 1, 1)
-    return scan.depths[0]
-
-
-@part
-def _measure_line(scan, gaps, k, line, parent, met, begin, count):
-    """The share that gap k has of a line behind it, and the regions met so far.
+def _measure_line(scan, gaps, k, line, whole, met):
+    """The share that gap k has of a line behind it; `met` receives the regions that it meets.
 
     `line` is its side (0 above, 1 below), how many rows behind the gap it is and how many columns
     it leans on the way up so far, and the regions on its side and on the other one.
@@ -310,43 +282,24 @@ def _measure_line(scan, gaps, k, line, parent, met, begin, count):
             row = near_row + down + shift[near] - shift[start]
             if not 0 <= row < rows or not is_open[row, near]:
                 break
-            here = label[row, near]
-            if here > 0:
-                here = find_root(parent, here)
-                if here != own:
-                    met, count = _note(met, begin, count, here)
-                    break
+            here = np.int64(whole[label[row, near]])
+            if here > 0 and here != own:
+                met.append((k, here))
+                break
             if 0 <= col < cols and 0 <= far < cols:
                 middle = (top + bottom) // 2 + shift[col] - shift[start]
                 opposite = far_row - down + shift[far] - shift[start]
                 if 0 <= middle < rows and 0 <= opposite < rows and is_open[middle, col]:
-                    there = label[opposite, far]
-                    if there > 0:
-                        there = find_root(parent, there)
-                        if there == other:
-                            opened += 1
-                        else:
-                            met, count = _note(met, begin, count, there)
+                    there = np.int64(whole[label[opposite, far]])
+                    if there == other:
+                        opened += 1
+                    elif there > 0 and met[-1] != (k, there):
+                        met.append((k, there))
             if here > 0:
                 reached, passed = step, opened
         length += reached
         through += passed
-    return through / length, met, count
-
-
-@part
-def _note(met, begin, count, region):
-    """Add a region to those that a gap has met, from `begin` on, if it is new."""
-    for k in range(begin, count):
-        if met[k] == region:
-            return met, count
-    if count == len(met):
-        longer = np.empty(2 * count, dtype=np.int64)
-        for k in range(count):  # to assign a slice takes numba a second to compile
-            longer[k] = met[k]
-        met = longer
-    met[count] = region
-    return met, count + 1
+    return through / length
 
 
 @kernel(nogil=True)
