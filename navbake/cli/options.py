@@ -10,12 +10,12 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
@@ -106,19 +106,15 @@ def check_output(
 ) -> None:
     """Refuse an output before any work is done: one that can't be written, or would do harm.
 
-    Args:
-        suffixes: one of which its name has to end in; ``-``, which is stdout, goes without.
-        inputs: files that it must not be.
-        may_make_folder: whether its folder may be missing, as long as it can be made.
-        option: that gave it, for messages.
-
-    Raises:
-        ConfigError: it is an input, or can't be written.
-        BadParameter: its name ends in none of the suffixes.
+    Its name has to end in one of `suffixes`, it must be none of `inputs`, and its folder may be
+    missing only if it may be made. ``-``, which is stdout, is always right. `option` is for
+    messages.
     """
     if path == STDOUT:
         return
-    if any(_is_same(path, file) for file in inputs):
+    own, others = os.path.realpath(path), [os.path.realpath(file) for file in inputs]
+    there = filter(os.path.exists, others if os.path.exists(own) else [])  # hard links
+    if own in others or any(os.path.samefile(own, file) for file in there):
         raise ConfigError(f"expected an output apart from the inputs, got {path}")
     if suffixes and not path.name.lower().endswith(suffixes):
         raise BadParameter(
@@ -133,14 +129,6 @@ def check_output(
         raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _is_same(path: Path, other: Path) -> bool:
-    """Whether two paths are one file, be it by links."""
-    try:
-        return os.path.samefile(path, other)
-    except OSError:  # one of them isn't there
-        return path.resolve() == other.resolve()
-
-
 def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
     """Write a picture of a grid, or a PNG to stdout; for the arguments see `plot_grid`."""
     from navbake.views.plot import plot_grid, render_picture  # loads numpy
@@ -152,36 +140,20 @@ def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
 
 
 def write_stdout(data: bytes) -> None:
-    """Write a file's content to stdout.
-
-    Raises:
-        NavbakeError: stdout is closed.
-    """
+    """Write a file's content to stdout."""
     if sys.stdout is None:
         raise NavbakeError("cannot write to stdout: it is closed")
     sys.stdout.buffer.write(data)
     sys.stdout.buffer.flush()
 
 
-@contextmanager
-def beside_output(path: Path | None) -> Iterator[None]:
-    """Print on stderr what a command says, where its output goes to stdout."""
-    if path != STDOUT:
-        yield
-        return
-    with redirect_stdout(sys.stderr):
-        yield
+def beside_output(path: Path | None) -> AbstractContextManager[Any]:
+    """Print on stderr what a command says inside, where its output goes to stdout."""
+    return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
 def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
-    """Refuse options that do nothing.
-
-    Args:
-        uses: of each its name, whether it is given, whether it applies, and what it is for.
-
-    Raises:
-        BadParameter: one is given and doesn't apply.
-    """
+    """Refuse options that do nothing: name, whether it is given, whether it applies, what for."""
     for name, is_given, applies, purpose in uses:
         if is_given and not applies:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
@@ -269,81 +241,50 @@ def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
 # --- places -----------------------------------------------------------------------------------
 
 
-class GivenPlace(NamedTuple):
-    """A place as it was given: world x, y [m], and either z [m], or a level, or neither."""
-
-    x: float
-    y: float
-    z: float | None = None
-    level: int | None = None
+GivenPlace: TypeAlias = tuple[float, float, float | None, int | None]
+"""A place as it was given: world x, y [m], and either z [m], or a level, or neither."""
 
 
 def parse_place(text: str, option: str) -> GivenPlace:
-    """Read a place.
-
-    Raises:
-        BadParameter: the text is none.
-    """
+    """Read a place that was given to an option; what is none is a BadParameter."""
     found = SPELLED.fullmatch(text)
     if not found:
         raise BadParameter(
             f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}",
             param_hint=option,
         )
-    x, y, z, level = found.groups()
-    place = GivenPlace(
-        float(x), float(y), None if z is None else float(z), None if level is None else int(level)
-    )
-    if not all(math.isfinite(value) for value in (place.x, place.y, place.z or 0.0)):
+    x, y, z = (None if number is None else float(number) for number in found.groups()[:3])
+    if not all(math.isfinite(number or 0.0) for number in (x, y, z)):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
-    return place
+    return x or 0.0, y or 0.0, z, None if found[4] is None else int(found[4])
 
 
-def position_of_place(grid: NavGrid, place: GivenPlace, option: str) -> list[float]:
+def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[float]:
     """World x, y, z [m] of a place: where it has no z, the floor of its level there.
 
-    A place without a level is on the only one that has a floor there. On a grid of one level it
-    stays x, y.
-
-    Raises:
-        BadParameter: the place has no level, and none or several have a floor there; or its level
-            is open to the one below there.
-        QueryError: there is no such level.
+    A place without a level is on the only one that has a floor there; where none or several have,
+    it is a BadParameter, as is one on a level that is open to the one below there. On a grid of
+    one level it stays x, y. A level that there is not is a QueryError.
     """
-    x, y, z, level = place
-    if z is not None:
-        return [x, y, z]
-    if level is None:
-        if len(grid.levels) == 1:
-            return [x, y]
-        level = _only_level(grid, x, y, option)
-    cell = grid.cell_at((x, y), level)
-    z = grid.levels[level].ground if cell is None else float(grid.position_of(cell)[2])
+    x, y, z, level = given
+    if z is not None or (level is None and len(grid.levels) == 1):
+        return [x, y] if z is None else [x, y, z]
+    places = {
+        number: grid.at((x, y), number)
+        for number in (range(len(grid.levels)) if level is None else [level])
+    }
+    floors = {number: at.floor for number, at in places.items() if at and at.floor is not None}
+    if level is None and not floors:
+        raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
+    if level is None and len(floors) > 1:
+        raise BadParameter(
+            f"expected a place with a level or z, got {x:g},{y:g}, where {len(floors)} levels "
+            f"have a floor: write {' or '.join(f'{x:g},{y:g},L{number}' for number in floors)}",
+            param_hint=option,
+        )
+    level = next(iter(floors)) if level is None else level
+    z = float(floors.get(level, grid.levels[level].ground))
     found = grid.cell_at((x, y, z))
     if found is not None and found.level != level:
         raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
     return [x, y, z]
-
-
-def _only_level(grid: NavGrid, x: float, y: float, option: str) -> int:
-    """The level that alone has a floor at x, y.
-
-    Raises:
-        BadParameter: none or several have one.
-    """
-    found = [number for number in range(len(grid.levels)) if _has_floor(grid, x, y, number)]
-    if len(found) == 1:
-        return found[0]
-    if not found:
-        raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
-    spelled = [f"{x:g},{y:g},L{number}" for number in found]
-    raise BadParameter(
-        f"expected a place with a level or z, got {x:g},{y:g}, where {len(found)} levels have a "
-        f"floor: write {' or '.join(spelled)}",
-        param_hint=option,
-    )
-
-
-def _has_floor(grid: NavGrid, x: float, y: float, level: int) -> bool:
-    cell = grid.cell_at((x, y), level)
-    return cell is not None and not math.isnan(grid.levels[level].floor[cell.row, cell.col])

@@ -1,7 +1,6 @@
 """Progress bars on the terminal."""
 
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,53 +14,27 @@ progress = lazy("rich.progress")
 
 
 @contextmanager
-def stage_progress(title: str, hidden: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """A bar for each stage on the terminal's stderr; nothing where stderr is no terminal."""
+def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
+    """Yields a function that shows how far something is: its name, the share done, and a note.
+
+    Each name has a bar on the terminal's stderr; where stderr is no terminal, nothing is shown.
+    What is printed on stderr meanwhile stands above the bars.
+    """
     if hidden or not is_terminal(sys.stderr):
-        yield lambda stage, fraction: None
+        yield lambda name, share, note="": None
         return
     screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
     text = progress.TextColumn(f"{printable(title)} {{task.description}}", markup=False)
-    columns = text, progress.BarColumn(), progress.TimeElapsedColumn()
-    bars = progress.Progress(*columns, console=screen, transient=True)
+    note_column = progress.TextColumn("{task.fields[note]}", markup=False)
+    columns = text, progress.BarColumn(), note_column, progress.TimeElapsedColumn()
+    # stdout may be a pipe
+    options = {"console": screen, "transient": True, "redirect_stdout": False}
     tasks: dict[str, Any] = {}
+    with progress.Progress(*columns, progress.TimeRemainingColumn(), **options) as bars:
 
-    def show(stage: str, fraction: float) -> None:
-        if stage not in tasks:
-            tasks[stage] = bars.add_task(stage, total=1.0)
-        bars.update(tasks[stage], completed=fraction)
+        def show(name: str, share: float, note: str = "") -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(name, total=1.0, note="")
+            bars.update(tasks[name], completed=share, note=note)
 
-    with bars:
-        yield show
-
-
-@contextmanager
-def batch_progress(hidden: bool = False) -> Iterator[Callable[[int, int, int], None]]:
-    """A bar for a batch on the terminal's stderr: rate, failures, time left; else nothing.
-
-    It is told how many scenes ended, how many of these failed, and how many there are to do. What
-    is printed on stderr meanwhile stands above it.
-    """
-    if hidden or not is_terminal(sys.stderr):
-        yield lambda done, failed, total: None
-        return
-    screen = console.Console(stderr=True, markup=False, highlight=False, emoji=False)
-    bars = progress.Progress(
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TextColumn("{task.description}", markup=False),
-        progress.TimeRemainingColumn(),
-        console=screen,
-        transient=True,
-        redirect_stdout=False,  # that may be a pipe
-    )
-    task: Any = bars.add_task("", total=None)
-    begin = time.monotonic()
-
-    def show(done: int, failed: int, total: int) -> None:
-        rate = done / max(time.monotonic() - begin, 1e-3)
-        said = f"{rate:.3g}/s, {failed} failed, time left"
-        bars.update(task, completed=done, total=total, description=said)
-
-    with bars:
         yield show

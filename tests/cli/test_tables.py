@@ -6,15 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.cli.printing import (
-    lay_out,
-    make_table,
-    print_error,
-    print_tables,
-    room_table,
-    without_empty_columns,
-)
+from navbake.cli.printing import lay_out, print_error, print_tables
 from navbake.navgrid.rooms import Room
+from navbake.views.tables import make_table, room_table
 
 LONG = "living_room/shelf_left/collision_mesh_17"
 HEADINGS = ("id", "geom", "body", "why")
@@ -49,7 +43,7 @@ def test_wide_characters_take_two_columns():
 
 
 def test_columns_without_anything_are_left_out():
-    table = without_empty_columns(make_table(("a", "b", "c"), [(1, "", 2), (3, "", "")]))
+    table = make_table(("a", "b", "c"), [(1, "", 2), (3, "", "")]).without_empty_columns()
     assert lay_out(table, 80) == ["a  c", "1  2", "3"]
 
 

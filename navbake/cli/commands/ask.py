@@ -21,8 +21,9 @@ from navbake.cli.options import (
     position_of_place,
     write_picture,
 )
-from navbake.cli.printing import print_json, say
+from navbake.cli.printing import print_tables, say
 from navbake.errors import QueryError
+from navbake.views.tables import door_table, level_table, room_table
 
 if TYPE_CHECKING:
     from navbake.runtime import paths
@@ -44,10 +45,8 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if as_json:
         printing.print_json(facts)
         return
-    shown = [printing.summary_table(facts), printing.level_table(facts)]
-    if content.doors:
-        shown.append(printing.door_table(content.doors, content.level_names))
-    printing.print_tables(*shown)
+    doors = [door_table(content.doors, content.level_names)] if content.doors else []
+    print_tables(printing.summary_table(facts), level_table(facts), *doors)
     printing.print_warnings(content.warnings)
 
 
@@ -62,11 +61,11 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
         lists = {"rooms": [r.to_json() for r in found], "doors": [d.to_json() for d in doors]}
         printing.print_json({"scene_id": content.scene_id, **lists})
         return
-    printing.print_tables(printing.room_table(found, content.level_names))
+    print_tables(room_table(found, content.level_names))
     print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
     if doors:
         print()
-        printing.print_tables(printing.door_table(doors, content.level_names))
+        print_tables(door_table(doors, content.level_names))
 
 
 def why(
@@ -101,7 +100,7 @@ def why(
     if as_json:
         printing.print_json(cells)
     else:
-        printing.print_tables(*map(printing.cell_table, cells))
+        print_tables(*map(printing.cell_table, cells))
 
 
 def path(
@@ -145,9 +144,15 @@ def path(
     reason = None if found else finder.why_not(origin, goal)
     with beside_output(output):
         if as_json:
-            print_json({"path": _to_json(found) if found else None, "reason": reason})
+            _print_json(found, reason)
         elif found:
-            _print_path(found)
+            print(f"length  {found.length:.3f} m")
+            print(f"cost    {found.cost:.3f}")
+            say(f"rooms   {', '.join(found.rooms) or '-'}")
+            say(f"doors   {', '.join(found.doors) or '-'}")
+            print("      x       y       z  level")
+            for (x, y, z), level in zip(found.positions, found.levels, strict=True):
+                print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
         else:
             say(f"no path: {reason}")
     if output is not None:
@@ -156,17 +161,10 @@ def path(
         raise Exit(1)
 
 
-def _to_json(found: paths.Path) -> dict[str, Any]:
-    described = {key: getattr(found, key) for key in ("length", "cost", "rooms", "doors")}
-    arrays = {key: getattr(found, key).tolist() for key in ("positions", "levels", "cells")}
-    return described | arrays
-
-
-def _print_path(found: paths.Path) -> None:
-    print(f"length  {found.length:.3f} m")
-    print(f"cost    {found.cost:.3f}")
-    say(f"rooms   {', '.join(found.rooms) or '-'}")
-    say(f"doors   {', '.join(found.doors) or '-'}")
-    print("      x       y       z  level")
-    for (x, y, z), level in zip(found.positions, found.levels, strict=True):
-        print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
+def _print_json(found: paths.Path | None, reason: str | None) -> None:
+    keys = ("length", "cost", "rooms", "doors", "positions", "levels", "cells")
+    values = {key: getattr(found, key) for key in keys} if found else {}
+    lists = {
+        key: value.tolist() if hasattr(value, "tolist") else value for key, value in values.items()
+    }
+    printing.print_json({"path": lists or None, "reason": reason})

@@ -24,19 +24,11 @@ from navbake.cli.options import (
     refuse_unused,
     write_stdout,
 )
-from navbake.cli.printing import (
-    VOLUME,
-    level_table,
-    print_error,
-    print_tables,
-    print_warnings,
-    say,
-)
+from navbake.cli.printing import VOLUME, print_error, print_tables, print_warnings, say
 from navbake.errors import ConfigError, NavbakeError
+from navbake.views.tables import level_table
 
 if TYPE_CHECKING:
-    from navbake.baker.pipeline import BakeResult
-    from navbake.baker.scene.isolated import CompileLimits
     from navbake.config.settings import BakeConfig
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
@@ -131,7 +123,14 @@ def bake(
                     f"{target} was written for another scene: give each its own `scene.id`, or "
                     "name files by --name, as in --name '{parent}-{stem}'"
                 )
-            _check(path, config, target, may_make_folder=not is_file)
+            is_own, inputs = target == config.output, (path, *config.inputs)
+            suffixes, may_make = () if is_own else GRIDS, not (is_file or is_own)
+            check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
+            if not target.name.lower().endswith(GRIDS) and target != STDOUT:
+                endings = ", ".join(GRIDS)
+                raise ConfigError(
+                    f"expected a name that ends in {endings} as `output` in {path}, got {target}"
+                )
             _bake_one(config, target, threads, isolation, not no_timings)
             written.add(target.resolve())
     if failed:
@@ -141,7 +140,7 @@ def bake(
 
 @contextmanager
 def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
-    """Tell of an error and note who failed, where others are to be baked; else raise it."""
+    """Print an error and note who failed, where others are to be baked; else raise it."""
     try:
         yield
     except NavbakeError as error:
@@ -152,27 +151,19 @@ def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None
         print_error(f"{culprit}{error}")
 
 
-def _check(path: Path, config: BakeConfig, target: Path, *, may_make_folder: bool) -> None:
-    """Refuse an output that can't be written, or is an input, before any work is done."""
-    is_own = target == config.output
-    may_make_folder = may_make_folder and not is_own
-    suffixes = () if is_own else GRIDS
-    check_output(target, *suffixes, inputs=(path, *config.inputs), may_make_folder=may_make_folder)
-    if not target.name.lower().endswith(GRIDS) and target != STDOUT:
-        raise ConfigError(
-            f"expected a name that ends in {', '.join(GRIDS)} as `output` in {path}, got {target}"
-        )
-
-
 def _bake_one(
     config: BakeConfig, target: Path, threads: int | None, isolation: Isolation, with_timings: bool
 ) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.cli.progress import stage_progress
+    from navbake.baker.scene.isolated import CompileLimits
+    from navbake.cli.progress import progress_bars
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
+    from navbake.views.describe import describe
 
-    with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
-        limits = _limits(isolation)
+    _, *given = isolation._asdict().items()
+    stated = {name: value for name, value in given if value is not None}
+    limits = CompileLimits(**stated) if isolation.isolate else None
+    with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
         result = run_bake(config, threads=threads, progress=progress, limits=limits)
     if not with_timings:
         result.grid.timings = {}
@@ -187,28 +178,13 @@ def _bake_one(
         print_warnings(result.warnings)
         return
     with beside_output(target):
-        _print_result(result, target)
-
-
-def _limits(isolation: Isolation) -> CompileLimits | None:
-    from navbake.baker.scene.isolated import CompileLimits
-
-    if not isolation.isolate:
-        return None
-    given = {"seconds": isolation.seconds, "memory": isolation.memory}
-    return CompileLimits(**{name: value for name, value in given.items() if value is not None})
-
-
-def _print_result(result: BakeResult, target: Path) -> None:
-    from navbake.views.describe import describe
-
-    if target != STDOUT:
-        say(target)
-    print_tables(level_table(describe(result.grid)))
-    for warning in result.warnings:
-        say(f"warning: {warning}")
-    stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
-    print(f"{sum(result.timings.values()):.2f} s: {stages}")
+        if target != STDOUT:
+            say(target)
+        print_tables(level_table(describe(result.grid)))
+        for warning in result.warnings:
+            say(f"warning: {warning}")
+        stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())
+        print(f"{sum(result.timings.values()):.2f} s: {stages}")
 
 
 # --- where the grids of several scenes are written ------------------------------------------------
@@ -221,49 +197,34 @@ def is_folder(output: str) -> bool:
 
 def check_name(name: str) -> None:
     """Refuse a name with unknown fields, or one that leads out of the folder."""
-    unknown = [field for field in FIELD.findall(name) if field not in FIELDS]
+    message, unknown = "", [field for field in FIELD.findall(name) if field not in FIELDS]
     if unknown:
-        raise BadParameter(
-            f"expected fields out of {', '.join(f'{{{f}}}' for f in FIELDS)}, got {{{unknown[0]}}}",
-            param_hint="--name",
-        )
-    if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
-        raise BadParameter(
-            f"expected the name of a file in the folder, got {name!r}", param_hint="--name"
-        )
+        known = ", ".join(f"{{{field}}}" for field in FIELDS)
+        message = f"expected fields out of {known}, got {{{unknown[0]}}}"
+    elif not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
+        message = f"expected the name of a file in the folder, got {name!r}"
+    if message:
+        raise BadParameter(message, param_hint="--name")
 
 
 def lay_out(
     jobs: Sequence[tuple[Path, BakeConfig]], output: str | None, name: str | None
 ) -> list[Path]:
-    """Find the file that each scene's grid is written to.
+    """Find the file that the grid of each CONFIG and its settings is written to.
 
     That is `output`, or a file in that folder, or what the settings say, or a file in the current
     folder. In a folder, files are called by `name`, see `check_name`; without one by the scene's
     id.
-
-    Args:
-        jobs: each CONFIG, and the settings that it gives.
-        output: a file if there is but one job, a folder, or None for what the settings say.
-        name: with fields; or None.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
-    return [
-        config.output
-        if output is None and name is None and config.output
-        else Path(output or "") / f"{_fill(name or '{id}', path, config)}.grid.json"
-        for path, config in jobs
-    ]
-
-
-def _fill(name: str, path: Path, config: BakeConfig) -> str:
-    values = {
-        "id": str(config.scene.id),
-        "stem": path.stem,
-        "parent": path.resolve().parent.name,
-    }
-    filled = FIELD.sub(lambda field: values[field[1]], name)
-    if not filled:
-        raise ConfigError(f"`--name {name}` gives {path} no name")
-    return filled
+    targets = []
+    for path, config in jobs:
+        parent = path.resolve().parent.name
+        values = {"id": str(config.scene.id), "stem": path.stem, "parent": parent}
+        filled = FIELD.sub(lambda field, values=values: values[field[1]], name or "{id}")  # type: ignore[misc]
+        if not filled:
+            raise ConfigError(f"`--name {name}` gives {path} no name")
+        own = config.output if output is None and name is None else None
+        targets.append(own or Path(output or "") / f"{filled}.grid.json")
+    return targets

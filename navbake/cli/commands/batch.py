@@ -1,4 +1,4 @@
-"""The command `navbake batch`."""
+"""The commands `navbake batch` and `warm-up`."""
 
 from __future__ import annotations
 
@@ -182,20 +182,39 @@ class _Watch:
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
-        self._show: Callable[[int, int, int], None]
+        self._show: Callable[..., None]
         self._page: LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
         """Note what happens."""
+        counts = self._counts
         if event == "begin":
             _warm_up()  # compiles what all workers need, once
-            self._counts["skipped"] = values["skipped"]
-            self._total = self._counts["left"] = values["scenes"] - values["skipped"]
+            counts["skipped"] = values["skipped"]
+            self._total = counts["left"] = values["scenes"] - values["skipped"]
         self._log(event, values)
         if event == "begin":
-            self._begin_bar()
-        elif event == "scene":
-            self._end_scene(values)
+            from navbake.cli.progress import progress_bars
+
+            if self._wholly.page:
+                from navbake.batch.page import LivePage
+
+                self._page = LivePage(self._folder, self._total)
+            # on a terminal, lines and a bar would run into each other
+            hidden = VOLUME.quiet or (self._wholly.as_json and is_terminal(sys.stdout))
+            self._show = self._stack.enter_context(progress_bars("batch", hidden))
+        if event == "scene":
+            counts["failed" if values["status"] == "failed" else "baked"] += 1
+            counts["left"] -= 1
+            if values["status"] == "failed" and not self._wholly.as_json:
+                print_error(f"{values['id']}: {values['how']}: {values['error']}")
+        if event in ("begin", "scene"):
+            done = self._total - counts["left"]
+            rate = done / max(time.perf_counter() - self._begin, 1e-3)
+            note = f"{done}/{self._total}, {rate:.3g}/s, {counts['failed']} failed"
+            self._show("", done / self._total, note)
+            if self._page is not None and done:
+                self._page.refresh(done)
 
     def _log(self, event: str, values: Json) -> None:
         from navbake.batch.log import line_of_event
@@ -204,36 +223,13 @@ class _Watch:
         for take in self._takers:
             take(line)
 
-    def _begin_bar(self) -> None:
-        from navbake.cli.progress import batch_progress
-
-        if self._wholly.page:
-            from navbake.batch.page import LivePage  # not every batch has a page
-
-            self._page = LivePage(self._folder, self._total)
-        # on a terminal, lines and a bar would run into each other
-        hidden = VOLUME.quiet or (self._wholly.as_json and is_terminal(sys.stdout))
-        self._show = self._stack.enter_context(batch_progress(hidden))
-        self._show(0, 0, self._total)
-
-    def _end_scene(self, row: Json) -> None:
-        is_failed = row["status"] == "failed"
-        self._counts["failed" if is_failed else "baked"] += 1
-        self._counts["left"] -= 1
-        done = self._total - self._counts["left"]
-        self._show(done, self._counts["failed"], self._total)
-        if is_failed and not self._wholly.as_json:
-            print_error(f"{row['id']}: {row['how']}: {row['error']}")
-        if self._page is not None:
-            self._page.refresh(done)
-
     def _log_end(self, stopped: str | None) -> None:
         seconds = round(time.perf_counter() - self._begin, 3)
         self._log("end", {**self._counts, "stopped": stopped, "seconds": seconds})
 
     def interrupt(self, error: BaseException) -> None:
         """Note that the batch ended early, by a signal or because it can't go on."""
-        from navbake.batch.page import write_page  # not every batch has a page
+        from navbake.batch.page import write_page
 
         why = str(error) if isinstance(error, Exception) else "interrupted"
         if self._total and not self._wholly.as_json and not isinstance(error, Exception):
@@ -250,17 +246,14 @@ class _Watch:
         from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
-        self._counts = {
-            "baked": result.count("ok") - result.skipped,
-            "skipped": result.skipped,
-            "failed": result.count("failed"),
-            "left": result.count("left"),
-        }
-        as_json, seconds = self._wholly.as_json, time.perf_counter() - self._begin
+        count = {status: result.count(status) for status in ("ok", "failed", "left")}
+        self._counts = {"baked": count.pop("ok") - result.skipped, "skipped": result.skipped}
+        self._counts |= count
+        seconds = time.perf_counter() - self._begin
         try:
             self._log_end(result.stopped)
         except NavbakeError as error:  # of the log; what the batch came to is said all the same
-            if as_json:
+            if self._wholly.as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
         names = [NAME, *[TABLE] * self._wholly.parquet]
@@ -271,7 +264,7 @@ class _Watch:
                 names.append(PAGE)
             except NavbakeError as error:
                 print_warnings([str(error)])
-        if as_json:
+        if self._wholly.as_json:
             return
         if result.stopped:
             print_error(f"stopped: {result.stopped}")
@@ -289,23 +282,48 @@ def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
     from navbake.batch.page import draw_thumbnails
     from navbake.batch.store import FullError
-    from navbake.cli.progress import stage_progress
+    from navbake.cli.progress import progress_bars
 
     try:
-        with stage_progress(title="page", hidden=VOLUME.quiet) as show:
+        with progress_bars("page", VOLUME.quiet) as show:
             lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except FullError as error:
         print_warnings([str(error)])
-        return
-    if lacking:
-        print_warnings([f"{lacking} thumbnails can't be made of their grids"])
+    else:
+        if lacking:
+            print_warnings([f"{lacking} thumbnails can't be made of their grids"])
 
 
 def _warm_up() -> None:
     """Compile what bakes call, unless that is done: workers find it on disk."""
-    from navbake.compiled import REMEDY, cache_folder, warm_up  # loads numba
+    from navbake import compiled  # loads numba
 
-    if cache_folder() is None:
+    if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written: each worker compiles its own"
-        print_warnings([f"{lost}: {REMEDY}"])
-    warm_up()
+        print_warnings([f"{lost}: {compiled.REMEDY}"])
+    compiled.warm_up()
+
+
+def warm_up() -> None:
+    """Compile all kernels for this machine, once.
+
+    It takes a minute or two. Without it, the first bake and the first query compile what they use.
+    For a container, set NUMBA_CACHE_DIR to a folder of its own: compiled code is kept there.
+
+    Example: navbake warm-up
+    """
+    from navbake import compiled
+    from navbake.cli.progress import progress_bars
+
+    if compiled.cache_folder() is None:
+        lost = "no folder for compiled code can be written, so nothing can be kept"
+        print_warnings([f"{lost}: {compiled.REMEDY}"])
+        return
+    with progress_bars("compiling", VOLUME.quiet) as show:
+        cold = compiled.warm_up(
+            everything=True, watch=lambda done, total: show("kernels", done / total)
+        )
+    if cold:
+        print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
+    else:
+        say_unless_quiet("compiled: bakes and queries start at once from now on")

@@ -146,11 +146,8 @@ def audit(
             others = count_of(len(report.remarks) - len(report.errors), "remark")
             say(f"{len(report.checks)} checks: {errors}, {others}")
     if output is not None:
-        marks = []
-        for remark in report.remarks:
-            if remark.place is not None:
-                level = -1 if remark.level is None else remark.level
-                marks.append((level, remark.place[0], remark.place[1], remark.check))
+        placed = [(-1 if r.level is None else r.level, r.place, r.check) for r in report.remarks]
+        marks = [(level, *place[:2], kind) for level, place, kind in placed if place is not None]
         _write_marked(content, output, marks)
     if not report.ok:
         raise Exit(1)

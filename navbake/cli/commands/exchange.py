@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
@@ -23,9 +23,6 @@ from navbake.cli.printing import print_json, say_unless_quiet
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 
@@ -77,15 +74,6 @@ class ShapeOptions(NamedTuple):
     )
 
 
-def _list_formats() -> str:
-    """The table of formats as a help text shows it."""
-    lines = []
-    for form in FORMATS:
-        ways = [way for way, is_there in (("in", form.read), ("out", form.encode)) if is_there]
-        lines.append(f"{form.name} ({', '.join(form.endings)}; {', '.join(ways)}): {form.meaning}.")
-    return "\n\n".join(lines)
-
-
 def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
@@ -98,13 +86,21 @@ def convert(
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
     options = maps._asdict() | shapes._asdict()
-    write_options = _given(options, writer)
+    given = {
+        key: value
+        for key, value in options.items()
+        if value is not None and value is not False and value != []
+    }
+    for key in given.keys() - {*writer.write_options}:
+        takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
+        hint = f"--{key.replace('_', '-')}"
+        raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
     check_output(output, inputs=inputs)
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
-    files = encode_as(grid, target, writer.name, **write_options)
+    files = encode_as(grid, target, writer.name, **given)
     if output == STDOUT:
         if len(files) > 1:
             raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
@@ -117,14 +113,19 @@ def convert(
         say_unless_quiet(path)
 
 
-convert.__doc__ = f"""Convert a grid from one format to another.
+def _describe_format(form: Format) -> str:
+    ways = [way for way, is_there in (("in", form.read), ("out", form.encode)) if is_there]
+    return f"{form.name} ({', '.join(form.endings)}; {', '.join(ways)}): {form.meaning}."
 
-Example: navbake convert house.grid.json map.yaml
 
-Formats:
-
-{_list_formats()}
-"""
+convert.__doc__ = "\n\n".join(
+    (
+        "Convert a grid from one format to another.",
+        "Example: navbake convert house.grid.json map.yaml",
+        "Formats:",
+        *map(_describe_format, FORMATS),
+    )
+)
 
 
 def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
@@ -133,21 +134,6 @@ def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
     except FormatError as error:
         hint = option if name is not None else ("OUT" if writing else "IN")
         raise BadParameter(str(error), param_hint=hint) from error
-
-
-def _given(options: dict[str, Any], writer: Format) -> dict[str, Any]:
-    """The options that are given, all of which the writer takes."""
-    given = {
-        name: value
-        for name, value in options.items()
-        if value is not None and value is not False and value != []
-    }
-    for name in given:
-        if name not in writer.write_options:
-            takers = [f"{form.name} as OUT" for form in FORMATS if name in form.write_options]
-            flag = f"--{name.replace('_', '-')}"
-            raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=flag)
-    return given
 
 
 def inflate(
@@ -234,10 +220,6 @@ class Squares(NamedTuple):
     )
     square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]")
 
-    @property
-    def shape(self) -> tuple[int, int] | None:
-        return None if self.rows is None or self.cols is None else (self.rows, self.cols)
-
 
 def map_descriptor(
     squares: Squares,
@@ -256,25 +238,30 @@ def map_descriptor(
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
     if (squares.rows is None) != (squares.cols is None):
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
+    of_grids: dict[str, object] = {"level": squares.level, "corner": squares.corner}
+    of_grids |= {"square": squares.square, "explored": explored}
     refuse_unused(
-        *(
-            (name, value is not None, decode is None, "a GRID")
-            for name, value in (
-                ("--level", squares.level),
-                ("--corner", squares.corner),
-                ("--square", squares.square),
-                ("--explored", explored),
-            )
-        )
+        *((f"--{k}", v is not None, decode is None, "a GRID") for k, v in of_grids.items())
     )
-    from navbake.arena import map_descriptor as descriptor  # loads numpy
+    import numpy as np  # --help does without it
 
+    from navbake.arena import map_descriptor as descriptor
+    from navbake.arena.arena import find_obstacles, place_squares
+    from navbake.formats.npz import read_npy
+
+    shape = None if squares.rows is None or squares.cols is None else (squares.rows, squares.cols)
     if decode is not None:
         part1, part2 = decode
-        known, filled = descriptor.decode(part1, part2, squares.shape or descriptor.ARENA)
+        known, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
     else:
         assert grid is not None
-        known, filled = _read_squares(grid, squares, explored)
+        levels, number = navbake.load(grid).levels, squares.level or 0
+        if number >= len(levels):
+            raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
+        edge = SQUARE if squares.square is None else squares.square
+        placed = place_squares(levels[number], square=edge, corner=squares.corner, shape=shape)
+        filled = find_obstacles(levels[number], placed)
+        known = np.ones_like(filled) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(known, filled)
     drawing = descriptor.draw(known, filled)
     if as_json:
@@ -284,25 +271,3 @@ def map_descriptor(
     if decode is None:
         print(f"{part1}\n{part2}")
     print(drawing)
-
-
-def _read_squares(
-    path: Path, squares: Squares, explored: Path | None
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Which squares of a level are explored, and which hold an obstacle."""
-    import numpy as np  # --help does without it
-
-    from navbake.arena.arena import find_obstacles, place_squares
-    from navbake.formats.npz import read_npy  # which loads numpy
-
-    levels = navbake.load(path).levels
-    number = squares.level or 0
-    if number >= len(levels):
-        raise ConfigError(f"no level {number} in {path}: it has {len(levels)}, counted from 0")
-    level = levels[number]
-    edge = SQUARE if squares.square is None else squares.square
-    placed = place_squares(level, square=edge, corner=squares.corner, shape=squares.shape)
-    filled = find_obstacles(level, placed)
-    if explored is None:
-        return np.ones_like(filled), filled
-    return read_npy(explored), filled

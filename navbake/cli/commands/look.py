@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -23,13 +24,14 @@ from navbake.cli.options import (
     write_stdout,
 )
 from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
-    from navbake.views.viewer.exhibit import Exhibit
     from navbake.views.viewer.view import Watch
 
 # Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
+
+ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
 
 
 def plot(
@@ -108,16 +110,14 @@ def report(
     if output is None:
         raise BadParameter("expected a page to write", param_hint="-o")
     if verifications and len(verifications) != len(grids):
-        raise BadParameter(
-            f"expected one for each GRID, {len(grids)}, got {len(verifications)}",
-            param_hint="--verify",
-        )
+        message = f"expected one for each GRID, {len(grids)}, got {len(verifications)}"
+        raise BadParameter(message, param_hint="--verify")
     check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
     read = [read_verification(path) for path in verifications or ()]
     contents = [navbake.load(path) for path in grids]
     page = render_report(
         contents,
-        names=[_short_name(path) for path in grids],
+        names=[ENDING.sub("", path.name) or path.name for path in grids],
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
@@ -142,14 +142,6 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
     draw_missing_thumbnails(folders[0])
     write_page(folders[0], output)
     say_unless_quiet(page)
-
-
-def _short_name(path: Path) -> str:
-    """A file's name without the endings of grids."""
-    name = path.name
-    for suffix in (".gz", ".json", ".grid"):
-        name = name.removesuffix(suffix)
-    return name or path.name
 
 
 class Address(NamedTuple):
@@ -188,18 +180,16 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.view import check_address, check_viser
+    from navbake.views.viewer.view import Viewer, check_address, check_viser, watch_grid
 
     check_viser()
     check_address(address.host, address.port)  # before the bake, which may take long
     is_grid = source.name.lower().endswith(GRIDS)
-    if is_grid and overrides:
-        raise BadParameter("does nothing here: it is for a SCENE or CONFIG", param_hint="--set")
-    if not is_grid and (scene is not None or force):
-        which = "--scene" if scene is not None else "--force"
-        raise BadParameter("does nothing here: it is for a GRID", param_hint=which)
-    from navbake.views.viewer.view import Viewer, watch_grid
-
+    refuse_unused(
+        ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
+        ("--scene", scene is not None, is_grid, "a GRID"),
+        ("--force", force, is_grid, "a GRID"),
+    )
     watch = watch_grid(source, scene, force=force) if is_grid else _baked(source, overrides or [])
     viewer = Viewer(watch.read(), host=address.host, port=address.port, watch=watch)
     try:
@@ -213,8 +203,11 @@ def view(
 
 def _baked(path: Path, overrides: list[str]) -> Watch:
     """Where the exhibit of a scene or of settings comes from: it is baked."""
+    from navbake.baker.pipeline import run_bake
+    from navbake.baker.scene.scene import load_scene, open_file
+    from navbake.cli.progress import progress_bars
     from navbake.config.settings import load_config
-    from navbake.errors import NavbakeError
+    from navbake.views.viewer.exhibit import Exhibit
     from navbake.views.viewer.view import Watch, find_files
 
     def find() -> list[Path]:
@@ -223,20 +216,13 @@ def _baked(path: Path, overrides: list[str]) -> Watch:
         except NavbakeError:  # broken for now: whoever mends it writes it
             return find_files([path])
 
-    return Watch(lambda: _bake(path, overrides), find)
+    def bake() -> Exhibit:
+        config = load_config(path, overrides)
+        with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
+            opened = open_file(config.scene)
+            grid = run_bake(config, progress=progress, opened=opened).grid
+        print_warnings(list(grid.warnings))
+        scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
+        return Exhibit(grid, scene, config)
 
-
-def _bake(path: Path, overrides: list[str]) -> Exhibit:
-    from navbake.baker.pipeline import run_bake
-    from navbake.baker.scene.scene import load_scene, open_file
-    from navbake.cli.progress import stage_progress
-    from navbake.config.settings import load_config
-    from navbake.views.viewer.exhibit import Exhibit
-
-    config = load_config(path, overrides)
-    with stage_progress(title=str(config.scene.id), hidden=VOLUME.quiet) as progress:
-        opened = open_file(config.scene)
-        grid = run_bake(config, progress=progress, opened=opened).grid
-    print_warnings(list(grid.warnings))
-    scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-    return Exhibit(grid, scene, config)
+    return Watch(bake, find)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
@@ -204,8 +204,8 @@ def _write(grid: navbake.VoxelGrid, output: Path, layout: Layout) -> None:
     from navbake.formats.voxels import names_path, write_voxels  # loads numpy
 
     is_binvox = output.suffix.lower() == ".binvox"
-    form: Literal["airsim", "binvox"] = "airsim" if layout.airsim else "binvox"
-    mapping: Literal["compact"] | None = "compact" if layout.compact and is_binvox else None
+    form: Any = "airsim" if layout.airsim else "binvox"
+    mapping: Any = "compact" if layout.compact and is_binvox else None
     write_voxels(grid, output, free=layout.free, layout=form, mapping=mapping)
     say_unless_quiet(output)
     if grid.is_segmented and output.suffix.lower() in (".binvox", ".npz"):

@@ -7,14 +7,13 @@ import hashlib
 import html
 import zlib
 from base64 import b64encode
-from collections.abc import Sequence
 from importlib import resources
 from string import Template
-from typing import Any
 
 import orjson
 
 from navbake.types import Int, Json
+from navbake.views.tables import Table
 
 INSIDE = "data:"  # where pictures may be: in the page itself
 MAX_ROWS = 2000  # of a table; the page says how many more there are
@@ -24,34 +23,26 @@ LEVEL = 6  # of compression: 9 takes five times as long for 2 % less
 def make_page(title: str, content: Json, package: str, name: str, pictures: str = INSIDE) -> bytes:
     """The page that shows some content, UTF-8; the same content, the same bytes.
 
-    Its policy (Content-Security-Policy) names the hashes of its script and its style, and forbids
-    everything else but pictures. So nothing that a file calls a room can run, and the page asks
-    the network for nothing.
-
-    Args:
-        title: of the page.
-        content: what its script reads, besides the title.
-        package: where its body, ``name.html``, and its script, ``name.js``, are.
-        name: of these.
-        pictures: where pictures may come from, as the policy writes it.
+    Its body, ``name.html``, and its script, ``name.js``, are in `package`; the script reads the
+    content. Its policy (Content-Security-Policy) names the hashes of its script and its style, and
+    forbids everything else but pictures from `pictures`. So nothing that a file calls a room can
+    run, and the page asks the network for nothing.
     """
 
     def read(package: str, name: str) -> str:
         return resources.files(package).joinpath(name).read_text(encoding="utf-8").strip()
 
-    def hash_of(text: str) -> str:
-        return f"sha256-{b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
-
     style = read(__package__, "page.css")
     code = f"{read(__package__, 'kit.js')}\n{read(package, f'{name}.js')}"
+    hashes = [b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, code)]
     packed = orjson.dumps({"title": title, **content}, option=orjson.OPT_SERIALIZE_NUMPY)
     page = Template(read(__package__, "page.html")).substitute(
         PICTURES=pictures,
         STYLE=style,
-        STYLE_HASH=hash_of(style),
+        STYLE_HASH=f"sha256-{hashes[0]}",
         BODY=read(package, f"{name}.html"),
         SCRIPT=code,
-        SCRIPT_HASH=hash_of(code),
+        SCRIPT_HASH=f"sha256-{hashes[1]}",
         TITLE=html.escape(title),
         # a "<" could end the element that holds the content
         CONTENT=packed.replace(b"<", b"\\u003c").decode("utf-8"),
@@ -59,20 +50,15 @@ def make_page(title: str, content: Json, package: str, name: str, pictures: str 
     return page.encode("utf-8")
 
 
-def table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = ()
-) -> Json:
-    """A table of a page; `numbers` are the columns that hold some, which stand to the right.
-
-    A column that is empty in all rows is left out.
-    """
-    kept = [i for i in range(len(columns)) if any(row[i] not in ("", None) for row in rows)]
+def show_table(title: str, table: Table) -> Json:
+    """A table of a page, without the columns that are empty in all rows."""
+    shown = table.without_empty_columns()
     return {
         "title": title,
-        "columns": [columns[i] for i in kept],
-        "rows": [["" if row[i] is None else row[i] for i in kept] for row in rows[:MAX_ROWS]],
-        "numbers": [place for place, i in enumerate(kept) if i in numbers],
-        "more": max(0, len(rows) - MAX_ROWS),
+        "columns": shown.headings,
+        "rows": shown.rows[:MAX_ROWS],
+        "numbers": [i for i, heading in enumerate(shown.headings) if heading in table.numbers],
+        "more": max(0, len(shown.rows) - MAX_ROWS),
     }
 
 

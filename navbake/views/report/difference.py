@@ -13,8 +13,9 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Int, Json
-from navbake.views.page.page import pack, table
+from navbake.views.page.page import pack, show_table
 from navbake.views.report.maps import describe_place, to_url
+from navbake.views.tables import make_table
 
 MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
 MOST_ADDED = 4  # times the cells of two levels that a lattice over both may have, and
@@ -60,13 +61,13 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         if number not in [pair[side] for pair in pairs]
     ]
     columns = ("what", *names)
-    tables = [
-        table("Cells that changed", (*names, *CHANGES), cells, numbers=range(2, 2 + len(CHANGES))),
-        table("Levels that only one has", columns, alone),
-        table("Rooms that changed", columns, list_rooms(first, second, levels)),
-        table("Doors that changed", columns, list_doors(first, second)),
-        table("Settings that changed", columns, list_settings(first, second)),
-    ]
+    tables = {
+        "Cells that changed": make_table((*names, *CHANGES), cells, numbers=CHANGES),
+        "Levels that only one has": make_table(columns, alone),
+        "Rooms that changed": make_table(columns, list_rooms(first, second, levels)),
+        "Doors that changed": make_table(columns, list_doors(first, second)),
+        "Settings that changed": make_table(columns, list_settings(first, second)),
+    }
     if first.scene_id != second.scene_id:
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
     ours, theirs = (grid.levels[0].lattice.cell_size for grid in grids)
@@ -86,7 +87,7 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         "facts": [*facts.items()],
         "warnings": warnings,
         "levels": [_show_level(*each) for each in zip(levels, called, strict=True)],
-        "tables": [made for made in tables if made["rows"]],
+        "tables": [show_table(title, made) for title, made in tables.items() if made.rows],
     }
 
 

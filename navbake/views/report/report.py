@@ -1,8 +1,4 @@
-"""Writes a report on grids: one page, which a browser opens without a server or the network.
-
-`maps.py` has what it shows of each level, `difference.py` what differs between two grids;
-`report.html` and `report.js` show it.
-"""
+"""Writes a report on grids: one page, which a browser opens without a server or the network."""
 
 from __future__ import annotations
 
@@ -20,14 +16,14 @@ from navbake.formats.source import read_object, write_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.describe import describe
-from navbake.views.page.page import make_page, table
+from navbake.views.page.page import make_page, show_table
 from navbake.views.report.difference import describe_changes, flatten
 from navbake.views.report.maps import describe_map
+from navbake.views.tables import Table, door_table, level_table, make_table, room_table, summarize
 
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
 
-WAYS = {"link": "steps"}  # as `navbake rooms` has it
 PRINTED = "what `navbake verify --json` prints"
 Place = tuple[float, float, float]
 Remarked = tuple[str, int | None, Place | None, str | None, str]
@@ -132,7 +128,7 @@ def _describe_grid(
     """A sheet of the page: everything that it shows of a grid."""
     facts = describe(grid)
     names = {room.id: room.name or room.id for room in grid.rooms}
-    remarks: list[tuple[list[Json], Json]] = []
+    remarks: list[tuple[list[Json], tuple[str, Table]]] = []
     if audit is not None:
         found: list[Remarked] = [
             (each.check, each.level, each.place, each.severity, each.text) for each in audit.remarks
@@ -160,97 +156,39 @@ def _describe_grid(
         for key, value in grid.timings.items()
         if isinstance(value, int | float)
     ]
-    settings = [*flatten(grid.navbake.get("settings")).items()]
-    tables = [
-        _levels_table(facts),
-        _rooms_table(grid, names),
-        _doors_table(grid, names),
-        _links_table(grid),
-        *(made for _, made in remarks),
-        table("Settings", ("setting", "value"), settings),
-        table("Timings", ("stage", "ms"), timings, numbers=(1,)),
-        table("Made by", ("what", "version or digest"), list(facts["made_by"].items())),
-    ]
+    settings = flatten(grid.navbake.get("settings")).items()
+    tables = {
+        "Levels": level_table(facts),
+        "Rooms": room_table(grid.rooms, grid.level_names),
+        "Doors": door_table(grid.doors, grid.level_names),
+        "Links between levels": link_table(grid),
+        **dict(made for _, made in remarks),
+        "Settings": make_table(("setting", "value"), settings),
+        "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
+        "Made by": make_table(("what", "version or digest"), facts["made_by"].items()),
+    }
     area = sum(level["free_area"] for level in facts["levels"])
-    shown = [
-        ("scene", facts["scene_id"] or "not named"),
-        ("levels", str(len(levels))),
-        ("cells", f"{sum(level.free.size for level in grid.levels):,}"),
-        ("cell size", f"{facts['cell_size']:g} m"),
-        ("free", f"{area:.2f} m²"),
-        *((key, str(len(getattr(grid, key)))) for key in ("rooms", "doors")),
-        ("islands", str(facts["num_islands"])),
-        ("agent", f"{grid.agent_radius:g} m radius, {grid.agent_height:g} m high"),
-        ("highest step", f"{grid.max_step:g} m"),
-    ]
-    shown += [
-        ("inflated to", "{radius:g} m, clearance {clearance:g} m ({mode})".format_map(entry))
-        for entry in facts["inflated"]
-        if all(isinstance(entry[key], int | float) for key in ("radius", "clearance"))
-    ]
+    cells = sum(level.free.size for level in grid.levels)
+    shown = [*summarize(facts), ("rooms", str(len(grid.rooms))), ("levels", str(len(levels)))]
     return {
         "name": name,
-        "facts": shown,
+        "facts": [*shown, ("cells", f"{cells:,}"), ("free", f"{area:.2f} m²")],
         "warnings": facts["warnings"],
         "levels": levels,
-        "tables": [made for made in tables if made["rows"]],
+        "tables": [show_table(title, made) for title, made in tables.items() if made.rows],
     }
 
 
-def _levels_table(facts: Json) -> Json:
-    columns = ("level", "name", "cells", "ground [m]", "floors [m]", "floor [m²]", "free [m²]")
-    rows = []
-    for number, level in enumerate(facts["levels"]):
-        floors = "{floor_min:.3f} to {floor_max:.3f}" if level["floor_min"] is not None else "none"
-        shown = (
-            "{width} x {height}",
-            "{ground:.3f}",
-            floors,
-            "{floor_area:.2f}",
-            "{free_area:.2f}",
-        )
-        counts = level["num_islands"], level["num_rooms"]
-        rows.append((number, level["name"], *(text.format_map(level) for text in shown), *counts))
-    return table("Levels", (*columns, "islands", "rooms"), rows, numbers=(0, 2, 3, 5, 6, 7, 8))
-
-
-def _rooms_table(grid: NavGrid, names: dict[str, str]) -> Json:
-    rows = []
-    for room in grid.rooms:
-        opens_to = [
-            f"{names.get(near.room, near.room)} ({near.door or WAYS.get(near.kind, near.kind)})"
-            for near in room.neighbours
-        ]
-        level = grid.level_names[room.level] if len(grid.levels) > 1 else ""
-        where, kind = _place(room.centroid), "outdoors" if room.outdoors else ""
-        facts = (level, f"{room.area:.2f}", where, room.source, kind, ", ".join(opens_to))
-        rows.append((room.id, room.name, *facts))
-    columns = ("id", "name", "level", "m²", "centre x, y, z [m]", "from", "", "opens to")
-    return table("Rooms", columns, rows, numbers=(3,))
-
-
-def _doors_table(grid: NavGrid, names: dict[str, str]) -> Json:
-    rows = []
-    for door in grid.doors:
-        joins = " - ".join(names.get(room, room) if room else "outside" for room in door.rooms)
-        state = f"{door.state} ({door.like})" if door.like else door.state
-        levels = ", ".join(grid.level_names[level] for level in door.levels)
-        rows.append((door.id, levels if len(grid.levels) > 1 else "", joins, state, door.joint))
-    return table("Doors", ("id", "levels", "joins", "is", "joint"), rows)
-
-
-def _links_table(grid: NavGrid) -> Json:
+def link_table(grid: NavGrid) -> Table:
     """How many steps lead from level to level, and where their middle is."""
-    links = grid.link_array
-    rows = []
+    links, rows = grid.link_array, []
     for level, other in np.unique(links[:, ::2], axis=0).tolist():
         own = links[(links[:, 0] == level) & (links[:, 2] == other)]
         lattice = grid.levels[level].lattice
         middle = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
         names = grid.level_names[level], grid.level_names[other]
         rows.append((*names, len(own), _place(middle)))
-    columns = ("from", "to", "steps", "mean place x, y [m]")
-    return table("Links between levels", columns, rows, numbers=(2,))
+    return make_table(("from", "to", "steps", "mean place x, y [m]"), rows, numbers=("steps",))
 
 
 def _place(position: Iterable[float]) -> str:
@@ -272,8 +210,8 @@ def _check_is_of(grid: NavGrid, verification: Json) -> None:
 
 def _show_remarks(
     source: str, title: str, more: str, found: list[Remarked], otherwise: str
-) -> tuple[list[Json], Json]:
-    """Marks on the map, and a table; `more` names a remark's further fact."""
+) -> tuple[list[Json], tuple[str, Table]]:
+    """Marks on the map, and a table and its title; `more` names a remark's further fact."""
     marks = [
         {"level": level, "x": place[0], "y": place[1], "kind": f"{source}: {kind}", "text": text}
         for kind, level, place, _, text in found
@@ -281,4 +219,4 @@ def _show_remarks(
     ]
     rows = [(kind, level, _place(at or ()), fact, text) for kind, level, at, fact, text in found]
     columns = ("kind", "level", "x, y, z [m]", more, "what")
-    return marks, table(title, columns, rows or [("none", None, "", "", otherwise)])
+    return marks, (title, make_table(columns, rows or [("none", None, "", "", otherwise)]))

@@ -87,7 +87,9 @@ def test_tables_list_rooms_doors_and_links(house):
     assert [row[0] for row in tables["Rooms"]["rows"]] == [room.id for room in house.rooms]
     assert [row[0] for row in tables["Doors"]["rows"]] == [door.id for door in house.doors]
     steps = tables["Links between levels"]
-    assert sum(row[steps["columns"].index("steps")] for row in steps["rows"]) == len(house.links)
+    assert sum(int(row[steps["columns"].index("steps")]) for row in steps["rows"]) == len(
+        house.links
+    )
     assert ["agent.height", "1.8"] in tables["Settings"]["rows"]
     assert any(row[0] == "create" for row in tables["Timings"]["rows"])
     assert sheet["warnings"] == list(house.warnings)

@@ -1,0 +1,144 @@
+"""Tables of what is known of a grid: the command line prints them, and a report shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from navbake.errors import printable
+
+if TYPE_CHECKING:
+    from navbake.navgrid.doors import Door
+    from navbake.navgrid.rooms import Room
+    from navbake.types import Json
+
+LEVEL_COLUMNS = {
+    "#": "{index}",
+    "name": "{name}",
+    "cells": "{width} x {height}",
+    "ground m": "{ground:.3f}",
+    "floor m": "{floor}",
+    "floor m2": "{floor_area:.2f}",
+    "free m2": "{free_area:.2f}",
+    "islands": "{num_islands}",
+    "largest m2": "{largest_island_area:.2f}",
+}
+"""Headings, and how the cells under them are made from what is known of a level."""
+
+
+class Table(NamedTuple):
+    """Rows of as many cells as there are headings.
+
+    Attributes:
+        headings: one a column; all empty for a table without a line of them.
+        rows: cells as text, control characters escaped: names may hold what moves a cursor.
+        numbers: headings of the columns that are aligned on the right.
+        gap: spaces between printed columns.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: frozenset[str] = frozenset()
+    gap: int = 2
+
+    def without_empty_columns(self) -> Table:
+        """The table without the columns in which no row has anything."""
+        kept = [i for i in range(len(self.headings)) if any(row[i] for row in self.rows)]
+        rows = [[row[i] for i in kept] for row in self.rows]
+        return self._replace(headings=[self.headings[i] for i in kept], rows=rows)
+
+
+def make_table(
+    headings: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    numbers: Iterable[str] = (),
+    gap: int = 2,
+) -> Table:
+    """A table of any values; None is an empty cell."""
+    cells = [[printable("" if cell is None else str(cell)) for cell in row] for row in rows]
+    return Table(headings, cells, frozenset(numbers), gap)
+
+
+def summarize(facts: Json) -> list[tuple[str, str]]:
+    """Facts about a whole grid, from `navbake.views.describe.describe`."""
+    inflated = "{radius}, clearance {clearance} ({mode})"
+    return [
+        ("scene", facts["scene_id"] or "not named"),
+        ("cell size [m]", f"{facts['cell_size']:g}"),
+        *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
+        *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
+        ("islands", str(facts["num_islands"])),
+        ("links", str(facts["num_links"])),
+        ("doors", str(len(facts["doors"]))),
+    ]
+
+
+def level_table(facts: Json) -> Table:
+    """A row for each level, from `navbake.views.describe.describe`; rooms only if there are any."""
+    columns = dict(LEVEL_COLUMNS)
+    if any(level["num_rooms"] for level in facts["levels"]):
+        columns["rooms"] = "{num_rooms}"
+    rows = []
+    for index, level in enumerate(facts["levels"]):
+        has_floor = level["floor_min"] is not None
+        floor = "{floor_min:.3f} to {floor_max:.3f}".format_map(level) if has_floor else "none"
+        known = {**level, "index": index, "floor": floor}
+        rows.append([text.format_map(known) for text in columns.values()])
+    return make_table(tuple(columns), rows, numbers=columns.keys() - {"name"}, gap=1)
+
+
+def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
+    """A row for each room; `levels` are the levels' names. Columns that say nothing are left out.
+
+    That is the level where there is but one, and the index of rooms whose ids hold it.
+    """
+    rows = []
+    for room in rooms:
+        opens_to = []
+        for neighbour in room.neighbours:
+            how = neighbour.door or ("steps" if neighbour.kind == "link" else "")
+            opens_to.append(f"{neighbour.room} ({how})" if how else neighbour.room)
+        index = "" if room.id == f"{room.level}:{room.index}" else room.index
+        named = (room.id, room.name, levels[room.level] if len(levels) > 1 else "", index)
+        centroid = " ".join(f"{value:.2f}" for value in room.centroid)
+        source = f"{room.source or ''}{', outdoors' if room.outdoors else ''}"
+        rows.append((*named, f"{room.area:.2f}", centroid, source, ", ".join(opens_to)))
+    headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
+    return make_table(headings, rows, numbers=("index", "m2")).without_empty_columns()
+
+
+def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
+    """A row for each door; `levels` are the levels' names. Columns that say nothing are left out.
+
+    That is the level where there is but one, and the joints where they are called as the doors.
+    """
+    has_joints = any(door.joint != door.id for door in doors)
+    rows = [
+        (
+            door.id,
+            (door.joint or "none") if has_joints else "",
+            ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else "",
+            # a body that a pattern made a door may stand anywhere
+            " - ".join(room or "outside" for room in door.rooms) if any(door.rooms) else "nothing",
+            f"{door.state} ({door.like})" if door.like else door.state,
+            ", ".join(door.states),
+        )
+        for door in doors
+    ]
+    headings = ("door", "joint", "level", "joins", "is", "can be")
+    return make_table(headings, rows).without_empty_columns()
+
+
+def cell_facts(facts: Json) -> dict[str, str | list[str]]:
+    """What `navbake.views.describe.describe_cell` says of a cell, as text or lists of names."""
+    room, weight, floor = facts["room"], facts["weight"], facts["floor"]
+    return {
+        "level": str(facts["level"]),
+        "cell": "{cell} (row {row}, col {col})".format_map(facts),
+        "center [m]": ", ".join(f"{v:.3f}" for v in facts["center"]),
+        "floor [m]": "none" if floor is None else f"{floor:.3f}",
+        "weight": "infinite" if weight is None else f"{weight:g}",
+        "room": str(room["id"] if isinstance(room, dict) else room or "none"),
+        "island": str(facts["island"] or "none"),
+        **{key: facts[key] for key in ("doors", "objects", "walls")},
+    }
