@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import Facts
+from navbake.auditor.facts import Facts, read_inflations
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.navgrid.grid_base import GridBase
 from navbake.types import Bool, Float, Int, Int32
@@ -43,7 +43,7 @@ def check_empty_levels(facts: Facts) -> Iterator[Found]:
 
     An inflation may close a level, where the agent is too large for it.
     """
-    reach = facts.inflation.reach
+    reach = facts.reach
     severity = ERROR if reach is None else REMARK
     inflated = "" if reach is None else f", inflated by {reach:g} m"
     if not any(free.any() for free in facts.free):
@@ -69,7 +69,7 @@ def check_free_share(facts: Facts) -> Iterator[Found]:
 
 def check_weights(facts: Facts) -> Iterator[Found]:
     """Weights and occupancy contradict each other, or a weight is none."""
-    reach = facts.inflation.reach
+    reach = facts.reach
     for number, level in enumerate(facts.levels):
         weights, occupied, free = level.weights, level.occupancy != 0, facts.free[number]
         broken = np.isnan(weights) | (weights < 0)
@@ -115,9 +115,10 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
 
 def check_inflation(facts: Facts) -> Iterator[Found]:
     """The metadata don't tell for which radius a grid was inflated."""
-    if facts.inflation.broken is not None:
+    _, broken = read_inflations(facts.grid)
+    if broken is not None:
         # in files of other programs it may mean anything
-        yield ERROR if facts.grid.navbake else REMARK, None, None, facts.inflation.broken
+        yield ERROR if facts.grid.navbake else REMARK, None, None, broken
 
 
 def check_layers(facts: Facts) -> Iterator[Found]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
@@ -13,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.auditor.report import ERROR, Found, count_of
-from navbake.errors import FormatError
+from navbake.errors import FormatError, shorten
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
@@ -88,10 +89,51 @@ def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[In
 
 
 class Inflation(NamedTuple):
-    """What a grid's metadata say under `inflation`; None for nothing, and for nothing wrong."""
+    """One entry of a grid's metadata under `inflation` [m]."""
 
-    reach: float | None  # how far from a cell's centre may be what closed it [m]
-    broken: str | None  # what is wrong, in words
+    mode: str
+    radius: float
+    clearance: float
+
+
+def read_inflations(grid: GridBase) -> tuple[list[Inflation], str | None]:
+    """What a grid was inflated for; and what is wrong with the first entry that can't be read."""
+    stated = grid.metadata.get("inflation", [])
+    if not isinstance(stated, list):
+        return [], f"`inflation` is {stated!r}, expected a list of what was done"
+    done, broken = list[Inflation](), None
+    for number, entry in enumerate(stated):
+        if isinstance(entry, dict) and entry.get("mode") in MODES:
+            lengths = entry.get("radius"), entry.get("clearance", 0)
+            if all(is_within(length, 0, MOST_INFLATED) for length in lengths):
+                done.append(Inflation(entry["mode"], *map(float, lengths)))
+                continue
+        text = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
+        broken = broken or text
+    return done, broken
+
+
+def is_within(value: Any, least: float, most: float) -> bool:
+    """Whether something is a number in a range."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and least <= value <= most
+
+
+def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
+    """What is wrong with the sizes of an agent that a grid states, by their keys."""
+    wrong = {}
+    for key, least, expected in (
+        ("agentHeight", math.ulp(0.0), "> 0"),
+        ("agentRadius", 0.0, ">= 0"),
+        ("traversableFloorHeight", 0.0, ">= 0"),
+    ):
+        stated = grid.metadata.get(key)
+        if stated is not None and not is_within(stated, least, FARTHEST / grid.unit):
+            wrong[key] = f"`{key}` is {shorten(repr(stated))}, which is no length {expected}"
+    if not wrong and grid.max_step >= grid.agent_height:
+        text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
+        wrong["step"] = text
+    return wrong
 
 
 class Facts:
@@ -125,21 +167,10 @@ class Facts:
         return stated if isinstance(stated, dict) else {}
 
     @cached_property
-    def inflation(self) -> Inflation:
-        """What the grid says of its inflation; what can't be read counts as nothing."""
-        stated = self.grid.metadata.get("inflation", [])
-        if not isinstance(stated, list):
-            return Inflation(None, f"`inflation` is {stated!r}, expected a list of what was done")
-        reaches, broken = list[float](), None
-        for number, entry in enumerate(stated):
-            lengths: list[Any] = [None]
-            if isinstance(entry, dict) and entry.get("mode") in MODES:
-                lengths = [entry.get("radius"), entry.get("clearance", 0)]
-            if all(type(v) in (int, float) and 0 <= v <= MOST_INFLATED for v in lengths):
-                reaches.append(float(sum(lengths)))
-            elif broken is None:
-                broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
-        return Inflation(max(reaches, default=None), broken)
+    def reach(self) -> float | None:
+        """How far from a cell's centre may be what an inflation closed it for [m]."""
+        done, _ = read_inflations(self.grid)
+        return max((one.radius + one.clearance for one in done), default=None)
 
     @cached_property
     def doors(self) -> tuple[Door, ...]:

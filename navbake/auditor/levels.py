@@ -10,11 +10,10 @@ import numpy as np
 from scipy.ndimage import mean
 
 from navbake.auditor.cells import pairs_across
-from navbake.auditor.facts import Facts
+from navbake.auditor.facts import Facts, find_wrong_sizes
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.errors import FormatError
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Bool, Int, Vector3
 
 ALIGNED = 1e-3  # share of a cell that lattices may be off
@@ -137,24 +136,20 @@ def check_agent(facts: Facts) -> Iterator[Found]:
     That is another than that of the settings, which a bake states beside it.
     """
     grid, settings = facts.grid, facts.settings.get("agent", {})
-    for key, taken, least, name, default in (
-        ("agentHeight", grid.agent_height, math.ulp(0.0), "height", 1.14),
-        ("agentRadius", grid.agent_radius, 0.0, "radius", 0.05),
-        ("traversableFloorHeight", grid.max_step, 0.0, "traversable_floor_height", 0.25),
+    wrong = find_wrong_sizes(grid)
+    for key, taken, name, default in (
+        ("agentHeight", grid.agent_height, "height", 1.14),
+        ("agentRadius", grid.agent_radius, "radius", 0.05),
+        ("traversableFloorHeight", grid.max_step, "traversable_floor_height", 0.25),
     ):
         baked: Any = settings.get(name, default) if isinstance(settings, dict) else None
-        stated = grid.metadata.get(key)
-        is_length = isinstance(stated, int | float) and not isinstance(stated, bool)
-        if stated is not None and not (is_length and least <= stated <= FARTHEST / grid.unit):
-            what = ">= 0" if least == 0 else "> 0"
-            text = f"`{key}` is {stated!r}, which is no length {what}: it counts as {taken:g} m"
-            yield ERROR, None, None, text
+        if key in wrong:
+            yield ERROR, None, None, f"{wrong[key]}: it counts as {taken:g} m"
         elif facts.settings and type(baked) in (int, float) and not math.isclose(taken, baked):
             text = f"`{key}` is {taken:g} m, but its settings say that it was baked for {baked:g} m"
             yield ERROR, None, None, text
-    if grid.max_step >= grid.agent_height:
-        text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
-        yield ERROR, None, None, text
+    if "step" in wrong:
+        yield ERROR, None, None, wrong["step"]
     if grid.agent_radius > 5:
         text = f"the agent has a radius of {grid.agent_radius:g} m: is the unit right?"
         yield REMARK, None, None, text

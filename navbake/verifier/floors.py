@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +23,8 @@ SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 class Unknown(NamedTuple):
     """A place to stand that no level has."""
 
-    cell: tuple[int, int]
+    cell: tuple[int, int]  # on the lowest level's lattice
     place: Vector3
-    geom: str
     is_step: bool  # whether a step joins it to the floor of a free cell
 
 
@@ -38,126 +36,112 @@ def rounding(*coordinates: float) -> float:
 class FloorCheck:
     """Checks floors by MuJoCo's rays, and finds places that no level has.
 
-    Cells are given by level, row and column, also of cells beside the level.
+    Cells are given by row and column on the lowest level's lattice, also beside it.
     """
 
     def __init__(self, grid: GridBase, lines: Lines, agent: Agent, crack: float = CRACK) -> None:
         self.agent, self._lines, self._crack = agent, lines, crack
-        self._floors = [level.floor for level in grid.levels]
-        self._free = [level.free for level in grid.levels]
+        self._floors = [(level.floor, level.free) for level in grid.levels]
         self._lattices = [level.lattice for level in grid.levels]
 
         @lru_cache(maxsize=200_000)
-        def line_at(number: int, row: int, col: int) -> Line:
+        def line_at(row: int, col: int) -> Line:
             """What the vertical line through a cell's centre meets."""
-            return lines.at(*self.center(number, row, col))
+            return lines.at(*self.center(row, col))
 
         @lru_cache(maxsize=200_000)
-        def standable_at(number: int, row: int, col: int) -> list[Surface]:
+        def standable_at(row: int, col: int) -> list[Surface]:
             """The surfaces in a column that an agent can stand on, lowest first."""
-            return line_at(number, row, col).standable(agent.height, agent.min_up)
+            return line_at(row, col).standable(agent.height, agent.min_up)
 
         self.line_at, self.standable_at = line_at, standable_at
 
-    def run(self, sample: LevelSample, counts: LevelCounts) -> tuple[list[Finding], list[Unknown]]:
-        """Check the floors of a level, and find the places to stand that no level has.
+    def run(
+        self, sample: LevelSample, counts: LevelCounts
+    ) -> tuple[list[Finding], list[tuple[int, Unknown]]]:
+        """Check the floors of a level, and find the places to stand that no level has, by cell.
 
         A floor may lie inside of a solid: floors go on under things, of which those that are lower
         than a step block nothing. Where an agent can stand on one of these, that place is lost.
         Columns whose floor is off, or beside the centre, are not asked for more.
         """
-        findings, unknown = list[Finding](), list[Unknown]()
+        findings, unknown = list[Finding](), list[tuple[int, Unknown]]()
         for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
             x, y, z = place = sample.place(k)
-            line, off = self.line_at(sample.number, *sample.cell(k)), rounding(x, y, z)
+            line, off = self._lines.at(x, y), rounding(x, y, z)
+            standable = line.standable(self.agent.height, self.agent.min_up)
+            # at the edge of a crack, floors that slope have any height
+            is_gap = all(abs(s.z - z) > self.agent.step for s in standable)
+            min_up = self.agent.min_up if is_gap else np.inf
             counts.floors += not has_none
             if has_none or line.faces_up(z - off, z + off):
-                unknown += self._find_unknown(sample, k)
-            elif self._is_in_crack(sample, k, off):
+                cell = self._shifted(sample.number, 0, *sample.cell(k))
+                for s in standable:
+                    if not self.is_known(*cell, s.z):
+                        is_step = self._is_a_step_from_free(*cell, s.z) and self.is_sure(x, y, s.z)
+                        unknown.append((k, Unknown(cell, (x, y, s.z), is_step)))
+            elif self._lines.faces_up_beside(place, off, self._crack, min_up=min_up):
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
-                gaps = [abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP]
-                nearest = min(gaps, default=None)
-                text = f"has its floor at {place[2]:.4f} m, "
-                off_by = "" if nearest is None else f"{nearest:.4f} m off the nearest surface"
-                text += off_by or "over no surface"
+                nearest = min(
+                    (abs(s.z - z) for s in line.surfaces if s.up >= FACES_UP), default=None
+                )
+                off_by = "over no surface"
+                if nearest is not None:
+                    off_by = f"{nearest:.4f} m off the nearest surface"
+                text = f"has its floor at {z:.4f} m, {off_by}"
                 findings.append(sample.finding(FLOOR_OFF, k, text, None, nearest))
         return findings, unknown
-
-    def _is_in_crack(self, sample: LevelSample, k: int, off: float) -> bool:
-        """Whether a surface faces up at a cell's floor beside its centre."""
-        place = sample.place(k)
-        # at the edge of a crack, floors that slope have any height
-        around = self.standable_at(sample.number, *sample.cell(k))
-        is_gap = all(abs(s.z - place[2]) > self.agent.step for s in around)
-        min_up = self.agent.min_up if is_gap else np.inf
-        return self._lines.faces_up_beside(place, off, self._crack, min_up=min_up)
-
-    def _find_unknown(self, sample: LevelSample, k: int) -> list[Unknown]:
-        """The places to stand in a column that no level has, lowest first.
-
-        A place is a surface that an agent can stand on. A step beside a free cell, it is a fault.
-        """
-        (x, y), cell, found = sample.xy[k].tolist(), sample.cell(k), []
-        for z, _, number in self.standable_at(sample.number, *cell):
-            if not self.is_known(sample.number, *cell, z):
-                is_step = self._is_a_step_from_free(sample.number, *cell, z)
-                is_step = is_step and self.is_sure(sample.number, *cell, z)
-                found.append(Unknown(cell, (x, y, z), self.name(number), is_step))
-        return found
 
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
         return self._lines.obstacles.name(number)
 
-    def is_known(self, number: int, row: int, col: int, z: float) -> bool:
+    def is_known(self, row: int, col: int, z: float) -> bool:
         """Whether any level has a floor at a height in a column [m]."""
-        cells = (self.on(number, other, row, col) for other in range(len(self._lattices)))
-        floors = [floor[cell] for floor, cell in zip(self._floors, cells, strict=True) if cell]
-        return any(abs(z - floor) <= rounding(floor) for floor in floors)  # NaN is none
+        return any(abs(z - floor) <= rounding(floor) for floor, _ in self._levels_at(row, col))
 
-    def on(self, number: int, other: int, row: int, col: int) -> tuple[int, int] | None:
-        """A cell of one level, by row and column of another; None beside that."""
-        row, col = self.shifted(number, other, row, col)
-        height, width = self._floors[other].shape
-        return (row, col) if 0 <= row < height and 0 <= col < width else None
+    def _levels_at(self, row: int, col: int) -> list[tuple[float, bool]]:
+        """The floor [m], NaN for none, and whether it is free, of each level that has a cell."""
+        found = []
+        for number, (floor, free) in enumerate(self._floors):
+            r, c = self._shifted(0, number, row, col)
+            if 0 <= r < len(floor) and 0 <= c < floor.shape[1]:
+                found.append((float(floor[r, c]), bool(free[r, c])))
+        return found
 
-    def shifted(self, number: int, other: int, row: int, col: int) -> tuple[int, int]:
+    def _shifted(self, number: int, other: int, row: int, col: int) -> tuple[int, int]:
         """A cell of one level, by row and column of another, also beside it."""
         one, two = self._lattices[number], self._lattices[other]
         row += round((two.y_max - one.y_max) / one.cell_size)
         return row, col + round((one.x_min - two.x_min) / one.cell_size)
 
     def is_within(self, row: int, col: int) -> bool:
-        """Whether a cell, by row and column of the lowest level, is one of any level."""
-        return any(self.on(0, other, row, col) for other in range(len(self._lattices)))
+        """Whether a cell is one of any level."""
+        return bool(self._levels_at(row, col))
 
-    def center(self, number: int, row: int, col: int) -> tuple[float, float]:
+    def center(self, row: int, col: int) -> tuple[float, float]:
         """World x and y of a cell [m]."""
-        x_min, y_max, cell_size, *_ = self._lattices[number]
+        x_min, y_max, cell_size, *_ = self._lattices[0]
         return x_min + (col + 0.5) * cell_size, y_max - (row + 0.5) * cell_size
 
-    def is_sure(self, number: int, row: int, col: int, z: float) -> bool:
-        """Whether the place is there beside the centre, too, and is no rim or touching limit."""
-        agent, (x, y) = self.agent, self.center(number, row, col)
+    def is_sure(self, x: float, y: float, z: float) -> bool:
+        """Whether a place is there beside its centre, too, and is no rim or touching limit."""
         for a, b in AROUND[1::4]:
             found = self._lines.at(x + RIM * a, y + RIM * b)
-            places = found.standable(agent.height + OFF, agent.min_up + 1e-5)
+            places = found.standable(self.agent.height + OFF, self.agent.min_up + 1e-5)
             if not any(abs(s.z - z) <= OFF for s in places):
                 return False
         return True
 
-    def _is_a_step_from_free(self, number: int, row: int, col: int, z: float) -> bool:
-        for other, (dr, dc) in product(range(len(self._lattices)), SIDES):
-            cell = self.on(number, other, row + dr, col + dc)
-            if cell is None or not self._free[other][cell]:
-                continue
-            floor = float(self._floors[other][cell])
-            if abs(floor - z) <= self.agent.step - OFF:
-                beside = self.standable_at(number, row + dr, col + dc)
-                if any(abs(s.z - floor) <= rounding(floor) for s in beside):
-                    return True
+    def _is_a_step_from_free(self, row: int, col: int, z: float) -> bool:
+        for dr, dc in SIDES:
+            for floor, is_free in self._levels_at(row + dr, col + dc):
+                if is_free and abs(floor - z) <= self.agent.step - OFF:
+                    beside = self.standable_at(row + dr, col + dc)
+                    if any(abs(s.z - floor) <= rounding(floor) for s in beside):
+                        return True
         return False
 
 
@@ -217,28 +201,27 @@ class SheetSearch:
         self._edge = self._stride * cell_size
         self._seen: set[Node] = set()
 
-    def from_place(self, number: int, unknown: Unknown) -> Sheet | None:
-        """The sheet of a place that was looked for on a level.
+    def from_place(self, unknown: Unknown) -> Sheet | None:
+        """The sheet of a place; None if it was found before, or is as narrow as furniture.
 
-        None if it was found before, or is as narrow as furniture. Places are looked at every
-        `STRIDE`, so what is narrower may be missed, but beside a step from a free cell.
+        Places are looked at every `STRIDE`, so what is narrower may be missed, but beside a step
+        from a free cell.
         """
-        row, col = self._check.shifted(number, 0, *unknown.cell)
+        row, col = unknown.cell
         if not unknown.is_step:
             row, col = (v - v % self._stride for v in (row, col))
         start = self._near(row, col, unknown.place[2])
         if start is None:
             return None
-        first = self._check.standable_at(0, row, col)[start]
+        first = self._check.standable_at(row, col)[start]
         if not unknown.is_step:
             far = [2 * self._stride * np.array(side) for side in SIDES]
             ends = sum(self._near(row + dr, col + dc, first.z) is None for dr, dc in far)
-            is_narrow = ends >= 2
-            if (row, col, start) in self._seen or self._check.is_known(0, row, col, first.z):
+            if (row, col, start) in self._seen or self._check.is_known(row, col, first.z):
                 return None
-            if is_narrow or not self._check.is_sure(0, row, col, first.z):
+            if ends >= 2 or not self._check.is_sure(*self._check.center(row, col), first.z):
                 return None
-        place = (*self._check.center(0, row, col), first.z)
+        place = (*self._check.center(row, col), first.z)
         sheet = Sheet(place, self._check.name(first.number))
         own = self._search((row, col, start), sheet)
         places = {(r, c) for r, c, _ in own}
@@ -262,7 +245,7 @@ class SheetSearch:
         below: list[Node | None] = []
         while queue and len(own) < MOST_PLACES and not sheet.reached:
             row, col, number = here = queue.popleft()
-            z = self._check.standable_at(0, row, col)[number].z
+            z = self._check.standable_at(row, col)[number].z
             for dr, dc in SIDES:
                 r, c = row + dr * self._stride, col + dc * self._stride
                 # of what lies beside the grid, no floors are known
@@ -274,7 +257,7 @@ class SheetSearch:
                 node = (r, c, beside)
                 if node in own or node in known:
                     continue
-                if not self._check.is_known(0, r, c, self._check.standable_at(0, r, c)[beside].z):
+                if not self._check.is_known(r, c, self._check.standable_at(r, c)[beside].z):
                     own.add(node)
                 elif here in own and not self._walks(row, col, dr, dc, z):
                     below.append(self._note_edge(sheet, (row, col), (dr, dc), z))
@@ -289,7 +272,7 @@ class SheetSearch:
 
     def _near(self, row: int, col: int, z: float) -> int | None:
         """The surface of a column that is a step at most from a height; None for none."""
-        gaps = [abs(surface.z - z) for surface in self._check.standable_at(0, row, col)]
+        gaps = [abs(surface.z - z) for surface in self._check.standable_at(row, col)]
         best = min(gaps, default=np.inf)
         return gaps.index(best) if best <= self._agent.step - OFF else None
 
@@ -300,7 +283,7 @@ class SheetSearch:
             beside = self._near(row, col, z)
             if beside is None:
                 return False
-            z = self._check.standable_at(0, row, col)[beside].z
+            z = self._check.standable_at(row, col)[beside].z
         return True
 
     def _note_edge(
@@ -311,9 +294,9 @@ class SheetSearch:
         low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
         for k in range(1, self._stride + 1):
             row, col = here[0] + k * way[0], here[1] + k * way[1]
-            line = self._check.line_at(0, row, col)
+            line = self._check.line_at(row, col)
             if any(begin < low and end > high for begin, end in line.solid):
                 sheet.walls += 1
                 return None
-        lower = sum(s.z < z for s in self._check.standable_at(0, row, col))
+        lower = sum(s.z < z for s in self._check.standable_at(row, col))
         return (row, col, lower - 1) if lower else None

@@ -67,10 +67,8 @@ class Lines:
     """Casts vertical lines."""
 
     def __init__(self, obstacles: Obstacles) -> None:
-        self.obstacles = obstacles
+        self.obstacles, self._kind = obstacles, obstacles.model.geom_type.tolist()
         self._normal, self._point = np.zeros(3), np.zeros(3)
-        self._kind: list[int] = obstacles.model.geom_type.tolist()
-        self._low, self._high = obstacles.low[:, 2].tolist(), obstacles.high[:, 2].tolist()
 
     def at(self, x: float, y: float) -> Line:
         """All that the vertical line at x, y meets [m]."""
@@ -103,9 +101,8 @@ class Lines:
     ) -> bool:
         """Whether a surface faces up within reach of a place [m]: its line may run through a crack.
 
-        It may be `off` above or below. Lines are cast at some places beside it; floors whose normal
-        has a z of at least `min_up` count also between these lines, where their slope may take
-        them.
+        It may be `off` above or below, and more where it slopes, between the lines that are cast,
+        if its normal has a z of at least `min_up`.
         """
         x, y, z = at
         beyond = np.array([reach + RIM, reach + RIM, off])
@@ -137,7 +134,8 @@ class Lines:
                 return []
             z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
             return [Surface(float(z), float(normal[2]), number)]
-        above, below = self._high[number] + BEYOND, self._low[number] - BEYOND
+        above = float(self.obstacles.high[number, 2]) + BEYOND
+        below = float(self.obstacles.low[number, 2]) - BEYOND
         if kind in (CONVEX, HEIGHT_FIELD):
             ends = self._ray(number, x, y, below, UP), self._ray(number, x, y, above, DOWN)
             found = [end for end in ends if end is not None]

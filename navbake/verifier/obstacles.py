@@ -8,7 +8,7 @@ its hull is its hull there, also for rays, and what is drawn transparent is hit 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import fcl
@@ -37,16 +37,31 @@ FAR = 1e4  # half-size that stands for the infinite side of a plane with a finit
 UPRIGHT = 1e-9  # least z of a unit normal, up or down, of what a vertical line can cross
 
 
-@dataclass(eq=False)
-class Obstacle:
+SOLIDS: dict[int, tuple[Callable[[Float], Any], Callable[[Float, Float], Any]]] = {
+    GEOM.mjGEOM_SPHERE: (lambda s: fcl.Sphere(s[0]), lambda s, way: s[0]),
+    GEOM.mjGEOM_CAPSULE: (
+        lambda s: fcl.Capsule(s[0], 2 * s[1]),
+        lambda s, way: s[0] + s[1] * abs(way[2]),
+    ),
+    GEOM.mjGEOM_ELLIPSOID: (lambda s: fcl.Ellipsoid(*s), lambda s, way: np.linalg.norm(s * way)),
+    GEOM.mjGEOM_CYLINDER: (
+        lambda s: fcl.Cylinder(s[0], 2 * s[1]),
+        lambda s, way: s[0] * np.hypot(way[0], way[1]) + s[1] * abs(way[2]),
+    ),
+    GEOM.mjGEOM_BOX: (lambda s: fcl.Box(*(2 * s)), lambda s, way: (s * np.abs(way)).sum()),
+}
+"""FCL's shape of a solid by its size; how far it reaches along a unit vector of its frame [m]."""
+
+
+class Obstacle(NamedTuple):
     """One convex solid, plane, height field, or part of a mesh."""
 
     geom: int
     kind: str
-    shape: Any
-    low: Float
+    shape: Any  # FCL's, in its place
+    low: Float  # corners of its box [m]
     high: Float
-    points: Float | None
+    points: Float | None  # corners of a hull
 
     @property
     def same_in_mujoco(self) -> bool:
@@ -57,30 +72,70 @@ class Obstacle:
         return self.kind in (CONVEX, HALF_SPACE)
 
 
-class Obstacles:
-    """All obstacles, numbered as the geoms of a MuJoCo model that holds nothing else.
+class _Piece(NamedTuple):
+    """What an obstacle is made of, in its geom's frame."""
 
-    Behind them the model has a box and a cylinder to probe with, and the geoms of `facing`: of each
-    surface of a mesh, its triangles that face up, and those that face down, because where two lie
-    in one place, a ray meets only one of them. `names` are those of the scene's geoms.
+    kind: str
+    shape: Any
+    geom: Json
+    points: Float | None = None
+    triangles: Int | None = None
+
+
+class Obstacles:
+    """The geoms that count, but for some, in a pose that doors may change.
+
+    They are numbered as the geoms of a MuJoCo model that holds nothing else. Behind them that model
+    has a box and a cylinder to probe with, and the geoms of `facing`: of each surface of a mesh,
+    its triangles that face up, and those that face down, because where two lie in one place, a ray
+    meets only one of them. `names` are those of the scene's geoms.
+
+    Raises:
+        SceneError: MuJoCo can't compile them.
     """
 
-    def __init__(
-        self,
-        items: list[Obstacle],
-        names: list[str],
-        model: Any,
-        data: Any,
-        facing: dict[int, list[int]],
-    ) -> None:
-        self.items, self.names, self.facing = items, names, facing
-        self.low = np.array([item.low for item in items]).reshape(-1, 3)
-        self.high = np.array([item.high for item in items]).reshape(-1, 3)
+    def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
+        self._scene, self._spec = scene, mujoco.MjSpec()
+        self.items: list[Obstacle] = []
+        self._heights: list[Float] = []  # of height fields
+        self._meshes: dict[tuple[int, str], list[_Piece]] = {}
+        self._halves: dict[tuple[int, bytes], list[str]] = {}
+        facing: dict[int, list[Json]] = {}
+        for geom, choice in enumerate(scene.choices):
+            if not choice.counted or geom in left_out:
+                continue
+            mat, pos = data.geom_xmat[geom].reshape(3, 3).copy(), data.geom_xpos[geom]
+            if geom in scene.parts:  # in the world's frame
+                mat, pos = np.eye(3), np.zeros(3)
+            for piece in self._pieces_of(geom, choice.mesh):
+                self._put(geom, piece, mat, pos, facing)
+        self.names = [report.name for report in scene.geoms]
+        self.low = np.array([item.low for item in self.items]).reshape(-1, 3)
+        self.high = np.array([item.high for item in self.items]).reshape(-1, 3)
+        self._compile(facing)
+
+    def _compile(self, facing: dict[int, list[Json]]) -> None:
+        world = self._spec.worldbody
+        world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
+        world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
+        count, self.facing = len(self.items) + 2, dict[int, list[int]]()
+        for number, halves in facing.items():
+            self.facing[number] = list(range(count, count + len(halves)))
+            count += len(halves)
+            for half in halves:
+                world.add_geom(**half)
+        try:
+            self.model = model = self._spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            text = " ".join(str(error).split())[:300]
+            raise SceneError(f"MuJoCo can't hold the shapes that count: {text}") from error
+        for number, heights in enumerate(self._heights):
+            first = int(model.hfield_adr[number])  # compiling stretched them to 0 to 1
+            model.hfield_data[first : first + heights.size] = heights.ravel()
+        self.data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, self.data)
         # MuJoCo makes these arrays anew whenever they are asked for
-        self.model, self.data, self.size = model, data, model.geom_size
-        self.pos, self.mat = data.geom_xpos, data.geom_xmat
-        x_and_y = self.low[:, 0], self.low[:, 1], self.high[:, 0], self.high[:, 1]
-        self._sides = [np.ascontiguousarray(side) for side in x_and_y]
+        self.size, self.pos, self.mat = model.geom_size, self.data.geom_xpos, self.data.geom_xmat
 
     def probe_geom(self, *, is_round: bool) -> int:
         """The model's geom for upright boxes, or for upright cylinders."""
@@ -98,7 +153,7 @@ class Obstacles:
 
     def over(self, x: float, y: float) -> list[int]:
         """The obstacles whose boxes hold a vertical line, ascending."""
-        x0, y0, x1, y1 = self._sides
+        (x0, y0, _), (x1, y1, _) = self.low.T, self.high.T
         found: list[int] = np.flatnonzero((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).tolist()
         return found
 
@@ -113,104 +168,32 @@ class Obstacles:
         kind = int(self.model.geom_type[number])
         return float(pos @ way + SOLIDS[kind][1](self.size[number], mat.T @ way))
 
-
-SOLIDS: dict[int, tuple[Callable[[Float], Any], Callable[[Float, Float], Any]]] = {
-    GEOM.mjGEOM_SPHERE: (lambda s: fcl.Sphere(s[0]), lambda s, way: s[0]),
-    GEOM.mjGEOM_CAPSULE: (
-        lambda s: fcl.Capsule(s[0], 2 * s[1]),
-        lambda s, way: s[0] + s[1] * abs(way[2]),
-    ),
-    GEOM.mjGEOM_ELLIPSOID: (lambda s: fcl.Ellipsoid(*s), lambda s, way: np.linalg.norm(s * way)),
-    GEOM.mjGEOM_CYLINDER: (
-        lambda s: fcl.Cylinder(s[0], 2 * s[1]),
-        lambda s, way: s[0] * np.hypot(way[0], way[1]) + s[1] * abs(way[2]),
-    ),
-    GEOM.mjGEOM_BOX: (lambda s: fcl.Box(*(2 * s)), lambda s, way: (s * np.abs(way)).sum()),
-}
-"""FCL's shape of a solid by its size; how far it reaches along a unit vector of its frame [m]."""
-
-
-def build_obstacles(scene: Scene, data: Any, left_out: Collection[int] = ()) -> Obstacles:
-    """Make the obstacles of the geoms that count, but for some, in a pose that doors may change.
-
-    Raises:
-        SceneError: MuJoCo can't compile them.
-    """
-    builder = _Builder(scene, data)
-    for geom, choice in enumerate(scene.choices):
-        if choice.counted and geom not in left_out:
-            builder.add(geom, choice.mesh)
-    return builder.finish()
-
-
-class _Piece(NamedTuple):
-    """What an obstacle is made of, in its geom's frame."""
-
-    kind: str
-    shape: Any
-    geom: Json
-    points: Float | None = None
-    triangles: Int | None = None
-
-
-class _Builder:
-    def __init__(self, scene: Scene, data: Any) -> None:
-        self._scene, self._model, self._data = scene, scene.model, data
-        self._spec = mujoco.MjSpec()
-        self._items: list[Obstacle] = []
-        self._heights: list[Float] = []  # of height fields
-        self._meshes: dict[tuple[int, str], list[_Piece]] = {}
-        self._facing: dict[int, list[Json]] = {}
-        self._halves: dict[tuple[int, bytes], list[str]] = {}
-
-    def add(self, geom: int, mode: str) -> None:
-        """Add a geom of the scene; a mesh of several parts becomes several obstacles."""
-        model, part = self._model, self._scene.parts.get(geom)
+    def _pieces_of(self, geom: int, mode: str) -> list[_Piece]:
+        """What a geom of the scene is made of; a mesh may have several parts."""
+        model, part = self._scene.model, self._scene.parts.get(geom)
         kind, size = int(model.geom_type[geom]), model.geom_size[geom].copy()
-        mat, pos = self._data.geom_xmat[geom].reshape(3, 3).copy(), self._data.geom_xpos[geom]
-        if part is not None:  # in the world's frame
-            mat, pos = np.eye(3), np.zeros(3)
-            faces = part.faces.astype(np.int64)
-            pieces = self._mesh_pieces(part.vertices, faces, part.vertices, mode)
-        elif kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
+        if part is not None:
+            return self._mesh(part.vertices, part.faces.astype(np.int64), part.vertices, mode)
+        if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_SDF):
             key = int(model.geom_dataid[geom]), mode
             if key not in self._meshes:
-                self._meshes[key] = self._mesh_pieces(*_mesh_arrays(model, key[0]), mode)
-            pieces = self._meshes[key]
-        elif kind == GEOM.mjGEOM_HFIELD:
-            pieces = [self._height_field(int(model.geom_dataid[geom]))]
-        elif kind == GEOM.mjGEOM_PLANE:
-            pieces = [_plane(size)]
-        else:
-            pieces = [_Piece(CONVEX, SOLIDS[kind][0](size), {"type": kind, "size": size})]
-        for piece in pieces:
-            self._put(geom, piece, mat, pos)
+                self._meshes[key] = self._mesh(*_mesh_arrays(model, key[0]), mode)
+            return self._meshes[key]
+        if kind == GEOM.mjGEOM_HFIELD:
+            return [self._height_field(int(model.geom_dataid[geom]))]
+        if kind != GEOM.mjGEOM_PLANE:
+            return [_Piece(CONVEX, SOLIDS[kind][0](size), {"type": kind, "size": size})]
+        if (size[:2] <= 0).all():
+            shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+            return [_Piece(HALF_SPACE, shape, {"type": kind, "size": [0, 0, 1]})]
+        x, y = np.where(size[:2] > 0, size[:2], FAR)
+        corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
+        surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+        return [_Piece(SHEET, surface, {"type": kind, "size": [*size[:2], 1.0]}, corners)]
 
-    def finish(self) -> Obstacles:
-        """Compile what was added."""
-        world = self._spec.worldbody
-        world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
-        world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
-        count, facing = len(self._items) + 2, {}
-        for number, halves in self._facing.items():
-            facing[number] = list(range(count, count + len(halves)))
-            count += len(halves)
-            for half in halves:
-                world.add_geom(**half)
-        try:
-            model = self._spec.compile()
-        except (ValueError, mujoco.FatalError) as error:
-            text = " ".join(str(error).split())[:300]
-            raise SceneError(f"MuJoCo can't hold the shapes that count: {text}") from error
-        for number, heights in enumerate(self._heights):
-            first = int(model.hfield_adr[number])  # compiling stretched them to 0 to 1
-            model.hfield_data[first : first + heights.size] = heights.ravel()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        names = [report.name for report in self._scene.geoms]
-        return Obstacles(self._items, names, model, data, facing)
-
-    def _put(self, geom: int, piece: _Piece, mat: Float, pos: Float) -> None:
+    def _put(
+        self, geom: int, piece: _Piece, mat: Float, pos: Float, facing: dict[int, list[Json]]
+    ) -> None:
         """Place a piece, and in MuJoCo's model what stands for it."""
         placed = fcl.CollisionObject(piece.shape, fcl.Transform(mat, pos))
         quat = np.zeros(4)
@@ -229,11 +212,11 @@ class _Builder:
             half = np.array([reach(size, axis) for axis in mat])
             low, high = pos - half, pos + half
         if piece.triangles is not None:
-            halves = self._split_facing(piece, mat[2])
             common = place | {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}  # no hulls
-            self._facing[len(self._items)] = [common | {"meshname": half} for half in halves]
+            halves = self._split_facing(piece, mat[2])
+            facing[len(self.items)] = [common | {"meshname": half} for half in halves]
         hull = points if piece.kind == CONVEX else None
-        self._items.append(Obstacle(geom, piece.kind, placed, low, high, hull))
+        self.items.append(Obstacle(geom, piece.kind, placed, low, high, hull))
 
     def _split_facing(self, piece: _Piece, up: Float) -> list[str]:
         """Make meshes of what faces up of a surface, and of what faces down; returns their names.
@@ -250,24 +233,25 @@ class _Builder:
             self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
         return self._halves[key]
 
-    def _mesh_pieces(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[_Piece]:
-        if mode == "hull" and (hull := _hull_of(on_hull)) is not None:
-            points, triangles = hull
-            counted = np.insert(triangles, 0, 3, axis=1).ravel()
-            shape = fcl.Convex(points, len(triangles), counted)
-            name = self._name_mesh(points, triangles)
-            return [_Piece(CONVEX, shape, {"type": GEOM.mjGEOM_MESH, "meshname": name}, points)]
+    def _mesh(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[_Piece]:
+        if mode == "hull":
+            with suppress(QhullError, ValueError):  # a flat one has none
+                hull = trimesh.convex.convex_hull(on_hull)
+                points, triangles = np.array(hull.vertices), np.array(hull.faces, dtype=np.int64)
+                counted = np.insert(triangles, 0, 3, axis=1).ravel()
+                name = self._name_mesh(points, triangles)
+                geom = {"type": GEOM.mjGEOM_MESH, "meshname": name}
+                return [_Piece(CONVEX, fcl.Convex(points, len(triangles), counted), geom, points)]
+        # rays meet its halves; what stands for it in the numbering is never asked
+        stand_in: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
         pieces = []
         for kind, own in [(SHEET, faces)] if mode == "shell" else split_parts(vertices, faces):
             points, triangles = _used(vertices, own)
-            # rays meet its halves; what stands for it in the numbering is never asked
-            stand_in: Json = {"type": GEOM.mjGEOM_SPHERE, "size": [1e-3, 0, 0]}
-            shape = _surface(points, triangles)
-            pieces.append(_Piece(kind, shape, stand_in, points, triangles))
+            pieces.append(_Piece(kind, _surface(points, triangles), stand_in, points, triangles))
         return pieces
 
     def _height_field(self, number: int) -> _Piece:
-        model = self._model
+        model = self._scene.model
         rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
         first, size = int(model.hfield_adr[number]), model.hfield_size[number]
         heights = model.hfield_data[first : first + rows * cols].reshape(rows, cols).copy()
@@ -287,18 +271,6 @@ class _Builder:
         points, triangles = points.ravel(), triangles.ravel()
         self._spec.add_mesh(name=name, uservert=points, userface=triangles, inertia=shell)
         return name
-
-
-def _plane(size: Float) -> _Piece:
-    """An endless plane as a half-space, one with a finite side as a sheet."""
-    if (size[:2] <= 0).all():
-        shape = fcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-        return _Piece(HALF_SPACE, shape, {"type": GEOM.mjGEOM_PLANE, "size": [0, 0, 1]})
-    x, y = np.where(size[:2] > 0, size[:2], FAR)
-    corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-    surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    geom: Json = {"type": GEOM.mjGEOM_PLANE, "size": [size[0], size[1], 1.0]}
-    return _Piece(SHEET, surface, geom, corners)
 
 
 def _surface(vertices: Float, faces: Int) -> Any:
@@ -326,15 +298,6 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int, Float]:
         count = int(model.mesh_graph[address])
         on_hull = vertices[model.mesh_graph[address + 2 + count : address + 2 + 2 * count]]
     return vertices, faces, on_hull
-
-
-def _hull_of(points: Float) -> tuple[Float, Int] | None:
-    """Corners and triangles of a convex hull, counter-clockwise from outside; None if flat."""
-    try:
-        hull = trimesh.convex.convex_hull(points)
-    except (QhullError, ValueError):
-        return None
-    return np.array(hull.vertices, dtype=np.float64), np.array(hull.faces, dtype=np.int64)
 
 
 def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:

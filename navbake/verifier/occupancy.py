@@ -4,45 +4,32 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int
 from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, Obstacle
-from navbake.verifier.probes import APART, DISPUTED, FARTHEST, TOUCHES, Column, Probes
+from navbake.verifier.probes import DISPUTED, FARTHEST, TOUCHES, Probes
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
 from navbake.verifier.sample import Agent, LevelSample, Part
 
 MEASURED = 100  # findings of a kind whose depth or gap is measured
 
 
-class _Touched(NamedTuple):
-    """What touches the volumes over cells, each of shape (n,)."""
-
-    by: Int  # an obstacle that does, -1 for none
-    part: Int  # the number of the volume's part that it touches
-    disputed: Bool  # where the libraries contradict each other
-
-
 class OccupancyCheck:
     """Checks the cells of levels.
 
     A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
-    cell's, made larger by it, must touch something, or lie inside of something. `num_groundless`
-    counts those that touch nothing, of levels that state no floors, where the scene has no place to
-    stand at the level's ground.
+    cell's, made larger by it, must touch something, or lie inside of something. `reach` is that of
+    the inflation that closed cells [m], 0 for none. `num_groundless` counts those that touch
+    nothing, of levels that state no floors, where the scene has no place to stand at the level's
+    ground.
     """
 
     def __init__(
         self, probes: Probes, lines: Lines, agent: Agent, tolerance: float, reach: float = 0.0
     ) -> None:
-        """Take what is asked, and what is looked for.
-
-        Args:
-            reach: of the inflation that closed cells [m], 0 for none.
-        """
         self._probes, self._lines, self._agent = probes, lines, agent
         self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
         self._found: Counter[str] = Counter()
@@ -53,11 +40,11 @@ class OccupancyCheck:
     ) -> list[Finding]:
         """Check free cells by a volume."""
         asked = sample.free & ~np.isnan(sample.floor)
-        touched = self._touch(sample, asked, volume, -self._tolerance)
-        within = self._inside(sample, asked & (touched.by < 0), volume[0])
-        by = np.where(within >= 0, within, touched.by)
+        touching, part, disputed = self._touch(sample, asked, volume, -self._tolerance)
+        within = self._inside(sample, asked & (touching < 0), volume[0])
+        by = np.where(within >= 0, within, touching)
         bare = self._find_bare(sample, asked & (by < 0))
-        disputed = touched.disputed & (by < 0) & ~bare
+        disputed &= (by < 0) & ~bare
         counts.disputed += int(disputed.sum())
         counts.free_touches += int((by >= 0).sum())
         counts.free_free += int((asked & (by < 0) & ~disputed & ~bare).sum())
@@ -74,7 +61,7 @@ class OccupancyCheck:
             if within[cell] >= 0:
                 text = f"is free, but lies inside of {name!r}"
             elif self._is_measured(FREE_TOUCHES):
-                place = _column_at(sample, cell, volume[touched.part[cell]])
+                place = volume[int(part[cell])].put_over(sample, cell)
                 depth = self._probes.depth(*place, number)
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
             else:
@@ -85,14 +72,10 @@ class OccupancyCheck:
     def check_blocked(
         self, sample: LevelSample, counts: LevelCounts, volume: list[Part], excused: Bool
     ) -> list[Finding]:
-        """Check blocked cells by the baked volume.
-
-        Args:
-            excused: blocked cells that an inflation closed, and that have a reason for it.
-        """
+        """Check blocked cells by the baked volume, but those that an inflation closed rightly."""
         asked = ~sample.free & ~np.isnan(sample.floor) & ~excused
-        touched = self._touch(sample, asked, volume, self._tolerance)
-        apart = asked & (touched.by < 0) & ~touched.disputed
+        touching, _, disputed = self._touch(sample, asked, volume, self._tolerance)
+        apart = asked & (touching < 0) & ~disputed
         apart &= self._inside(sample, apart, volume[0]) < 0
         for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
             # where the scene has no place to stand within a step of the ground, it may be blocked
@@ -119,7 +102,7 @@ class OccupancyCheck:
         elif not self._is_measured(BLOCKED_APART):
             text = "is blocked, but touches nothing"
         else:
-            places = [_column_at(sample, cell, part) for part in volume]
+            places = [part.put_over(sample, cell) for part in volume]
             known = [found for place in places if (found := self._probes.nearest(*place))]
             text = f"is blocked, but nothing is within {FARTHEST:g} m"
             if known:
@@ -152,36 +135,29 @@ class OccupancyCheck:
 
     def _touch(
         self, sample: LevelSample, asked: Bool, volume: list[Part], margin: float
-    ) -> _Touched:
-        """What touches the volumes over cells, grown by a margin [m]."""
-        found = _Touched(
-            np.full(len(sample), -1), np.zeros(len(sample), np.int64), np.zeros(len(sample), bool)
-        )
+    ) -> tuple[Int, Int, Bool]:
+        """What touches the volumes over cells, grown by a margin [m].
+
+        An obstacle, -1 for none; the part of the volume that it touches; and where the libraries
+        contradict each other.
+        """
+        by, which = np.full(len(sample), -1), np.zeros(len(sample), np.int64)
+        disputed = np.zeros(len(sample), np.bool_)
         for k, part in enumerate(volume):
             asked_here = asked & (part.high > part.low)
             for number, item in enumerate(self._obstacles.items):
-                cells = _near(sample, asked_here & (found.by < 0), item, part, 2 * abs(margin))
-                answers = self._ask(sample, cells, number, part, margin)
-                found.by[cells[answers == TOUCHES]] = number
-                found.part[cells[answers == TOUCHES]] = k
-                found.disputed[cells[answers == DISPUTED]] = True
-        return found
-
-    def _ask(self, sample: LevelSample, cells: Int, number: int, part: Part, margin: float) -> Int:
-        """How the columns of cells, grown by a margin, stand to an obstacle."""
-        answers = np.full(len(cells), APART)
-        middle = (part.low[cells] + part.high[cells]) / 2
-        centers = np.column_stack([sample.xy[cells], middle])
-        last, probe = None, None
-        for k, (cell, center) in enumerate(zip(cells.tolist(), centers, strict=True)):
-            column = part.column(cell)
-            if column != last:
-                last, grown = column, column.grown(margin)
-                probe = None if grown is None else self._probes.of(grown)
-            if probe is not None:
-                probe.place(center)
-                answers[k] = probe.touches(number)
-        return answers
+                cells = _near(sample, asked_here & (by < 0), item, part, 2 * abs(margin))
+                for cell in cells.tolist():
+                    column, center = part.put_over(sample, cell)
+                    grown = column.grown(margin)
+                    if grown is None:
+                        continue
+                    self._probes.put(grown, center)
+                    answer = self._probes.touches(number)
+                    disputed[cell] |= answer == DISPUTED
+                    if answer == TOUCHES:
+                        by[cell], which[cell] = number, k
+        return by, which, disputed
 
     def _inside(self, sample: LevelSample, asked: Bool, part: Part) -> Int:
         """The enclosing obstacle that the middle of a cell's volume lies in, -1 for none."""
@@ -217,9 +193,3 @@ def _near(sample: LevelSample, asked: Bool, item: Obstacle, part: Part, beyond: 
     kept &= (x + reach > item.low[0]) & (x - reach < item.high[0])
     kept &= (y + reach > item.low[1]) & (y - reach < item.high[1])
     return np.asarray(own.start + np.flatnonzero(kept))
-
-
-def _column_at(sample: LevelSample, cell: int, part: Part) -> tuple[Column, Float]:
-    """The column of a part over a cell, and its centre [m]."""
-    middle = (part.low[cell] + part.high[cell]) / 2
-    return part.column(cell), np.array([*sample.xy[cell], middle])

@@ -8,7 +8,7 @@ and FCL's iteration may end early.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import fcl
 import mujoco
@@ -24,61 +24,57 @@ HALVINGS = 14  # of an interval of at most `FARTHEST`: to a tenth of a millimetr
 
 
 class Column(NamedTuple):
-    """An upright prism: a box, which may be turned round the vertical, or a cylinder [m]."""
+    """An upright prism: a box or a cylinder, which may be turned round the vertical [m, rad]."""
 
     half_x: float  # of a cylinder both are its radius
     half_y: float
     half_z: float
     is_round: bool
+    yaw: float = 0.0
 
     def grown(self, margin: float) -> Column | None:
         """The same, larger on all sides [m], or smaller; None if nothing is left."""
         x, y, z = (half + margin for half in self[:3])
-        return Column(x, y, z, self.is_round) if min(x, y, z) > 0 else None
+        return Column(x, y, z, *self[3:]) if min(x, y, z) > 0 else None
 
 
-class Probe:
-    """A column that can be placed anywhere."""
+def _make(column: Column) -> tuple[Any, Float]:
+    """A column as FCL's object, and its frame."""
+    x, y, z, is_round, yaw = column
+    c, s = np.cos(yaw), np.sin(yaw)
+    mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
+    return fcl.CollisionObject(shape, fcl.Transform(mat, np.zeros(3))), mat
 
-    def __init__(self, column: Column, obstacles: Obstacles) -> None:
-        self.column, self._obstacles = column, obstacles
-        x, y, z, is_round = column
-        self._object = fcl.CollisionObject(
-            fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
-        )
-        self._geom = obstacles.probe_geom(is_round=is_round)
-        self._size = np.array([x, z, 0.0] if is_round else [x, y, z])
-        self._mat, self._center, self._is_turned = np.eye(3), np.zeros(3), False
 
-    def place(self, center: Float, yaw: float = 0.0) -> None:
-        """Move it: its centre, shape (3,) [m], and its turn round the vertical [rad]."""
-        self._center = center
-        if yaw or self._is_turned:
-            c, s = np.cos(yaw), np.sin(yaw)
-            self._mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            self._object.setTransform(fcl.Transform(self._mat, center))
-            self._is_turned = True
-        else:
-            self._object.setTranslation(center)
+class Probes:
+    """Puts one column after the other among obstacles."""
 
-    def select(self) -> None:
-        """Give MuJoCo's probe this column's size; to be called before a run of questions."""
-        self._obstacles.size[self._geom] = self._size
-        radius = np.linalg.norm(self._size) + self._size.max()
-        self._obstacles.model.geom_rbound[self._geom] = radius
-        self._obstacles.mat[self._geom] = self._mat.ravel()
+    def __init__(self, obstacles: Obstacles) -> None:
+        self.obstacles, self._column = obstacles, Column(0.0, 0.0, 0.0, False)
+        self._made = lru_cache(4096)(_make)
+
+    def put(self, column: Column, center: Float) -> None:
+        """Put a column at a place, its centre of shape (3,) [m], for `touches`."""
+        obstacles = self.obstacles
+        if column != self._column:
+            x, y, z, is_round, _ = self._column = column
+            self._object, self._mat = self._made(column)
+            self._geom = geom = obstacles.probe_geom(is_round=is_round)
+            size = np.array([x, z, 0.0] if is_round else [x, y, z])
+            obstacles.size[geom], obstacles.mat[geom] = size, self._mat.ravel()
+            obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
+        self._center = obstacles.pos[self._geom] = center
+        self._object.setTranslation(center)
 
     def touches(self, number: int) -> int:
-        """APART, TOUCHES or DISPUTED: how it stands to an obstacle."""
-        item = self._obstacles.items[number]
+        """APART, TOUCHES or DISPUTED: how the column stands to an obstacle."""
+        item, obstacles = self.obstacles.items[number], self.obstacles
         by_fcl = fcl.collide(self._object, item.shape) > 0
         if not item.same_in_mujoco:
             return TOUCHES if by_fcl else APART
-        model, data = self._obstacles.model, self._obstacles.data
-        self._obstacles.pos[self._geom] = self._center
-        if self._is_turned:
-            self._obstacles.mat[self._geom] = self._mat.ravel()
-        by_mujoco = mujoco.mj_geomDistance(model, data, self._geom, number, 1e-3, None) <= 0.0
+        pair = self._geom, number
+        by_mujoco = mujoco.mj_geomDistance(obstacles.model, obstacles.data, *pair, 1e-3, None) <= 0
         if by_fcl == by_mujoco:
             return TOUCHES if by_fcl else APART
         if self._is_separated(number):
@@ -86,8 +82,8 @@ class Probe:
         return TOUCHES if by_fcl else DISPUTED
 
     def _is_separated(self, number: int) -> bool:
-        """Whether one of a few planes provably lies between it and an obstacle."""
-        ends, obstacles = np.zeros((2, 3)), self._obstacles
+        """Whether one of a few planes provably lies between the column and an obstacle."""
+        ends, obstacles = np.zeros((2, 3)), self.obstacles
         model, data = obstacles.model, obstacles.data
         mujoco.mj_geomDistance(model, data, self._geom, number, 10.0, ends.ravel())
         result = fcl.DistanceResult()
@@ -106,34 +102,18 @@ class Probe:
         return False
 
     def _support(self, way: Float) -> float:
-        """How far it reaches along a unit vector [m]."""
-        (half_x, half_y, half_z, is_round), local = self.column, self._mat.T @ way
-        if is_round:
-            across = half_x * float(np.hypot(local[0], local[1]))
-        else:
-            across = half_x * abs(local[0]) + half_y * abs(local[1])
-        return float(self._center @ way + across + half_z * abs(local[2]))
+        """How far the column reaches along a unit vector [m]."""
+        half_x, half_y, half_z, is_round, _ = self._column
+        x, y, z = np.abs(self._mat.T @ way)
+        across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
+        return float(self._center @ way + across + half_z * z)
 
-
-class Probes:
-    """Probes of the columns that are asked for, each made once."""
-
-    def __init__(self, obstacles: Obstacles) -> None:
-        self.obstacles = obstacles
-        self._made = lru_cache(4096)(lambda column: Probe(column, obstacles))
-
-    def of(self, column: Column) -> Probe:
-        """The probe of a column, ready to be placed."""
-        probe = self._made(column)
-        probe.select()
-        return probe
-
-    def depth(self, column: Column, center: Float, number: int, yaw: float = 0.0) -> float:
+    def depth(self, column: Column, center: Float, number: int) -> float:
         """By how much a column has to shrink on all sides to leave an obstacle [m].
 
         At most half of its least size, where it touches at its very middle.
         """
-        return -self._margin(column, center, number, -min(column[:3]), 0.0, yaw)
+        return -self._margin(column, center, number, -min(column[:3]), 0.0)
 
     def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
         """By how much a column has to grow on all sides to touch anything [m], and what it touches.
@@ -147,24 +127,19 @@ class Probes:
                 nearest, gap = number, self._margin(column, center, number, 0.0, gap)
         return None if nearest is None else (gap, nearest)
 
-    def _margin(
-        self, column: Column, center: Float, number: int, low: float, high: float, yaw: float = 0.0
-    ) -> float:
+    def _margin(self, column: Column, center: Float, number: int, low: float, high: float) -> float:
         """The margin by which a column has to grow to touch an obstacle, by bisection [m]."""
         for _ in range(HALVINGS):
             middle = (low + high) / 2
-            if self._touches(column, center, number, middle, yaw):
+            if self._touches(column, center, number, middle):
                 high = middle
             else:
                 low = middle
         return high
 
-    def _touches(
-        self, column: Column, center: Float, number: int, margin: float, yaw: float = 0.0
-    ) -> bool:
+    def _touches(self, column: Column, center: Float, number: int, margin: float) -> bool:
         grown = column.grown(margin)
         if grown is None:
             return False
-        probe = self.of(grown)
-        probe.place(center, yaw)
-        return probe.touches(number) != APART
+        self.put(grown, center)
+        return self.touches(number) != APART

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.errors import FormatError, QueryError
+from navbake.auditor.facts import find_wrong_sizes, is_within, read_inflations
+from navbake.errors import FormatError, QueryError, shorten
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
-from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.probes import Column
 from navbake.verifier.report import Finding
 
 SLACK = 1e-5  # that rounding may add to a step [m]
 TINY = 1e-10  # share of a radius by which a square only touches a disc; less than inflation takes
-MODES = ("exact", "minos")
-MOST_RADIUS = 10_000.0  # for which a grid can be inflated [m]
 
 
 class Agent(NamedTuple):
@@ -38,32 +35,17 @@ class Agent(NamedTuple):
         Raises:
             FormatError: what it states is no size of an agent.
         """
-        most, slope = float(FARTHEST / grid.unit), grid.navbake.get("maxSlope")
-        stated = {**grid.metadata, "maxSlope": slope}
-        for key, least, largest, expected in (
-            ("agentHeight", math.ulp(0.0), most, "a length > 0"),
-            ("agentRadius", 0, most, "a length >= 0"),
-            ("traversableFloorHeight", 0, most, "a length >= 0"),
-            ("maxSlope", 0, 90, "0 to 90 degrees"),
-        ):
-            value = stated.get(key)
-            if value is not None and not _is_within(value, least, largest):
-                raise FormatError(
-                    f"the grid's metadata: expected {expected} as `{key}`, got "
-                    f"{repr(value)[:50]}: cells can't be judged for such an agent"
-                )
-        if grid.agent_height <= grid.max_step:
+        wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope")
+        if slope is not None and not is_within(slope, 0, 90):
+            wrong.append(
+                f"`maxSlope` is {shorten(repr(slope))}, which is no slope of 0 to 90 degrees"
+            )
+        for text in wrong:
             raise FormatError(
-                f"the grid's metadata: expected `agentHeight` above `traversableFloorHeight`, got "
-                f"{grid.agent_height:g} and {grid.max_step:g} m: nothing is left to judge cells by"
+                f"the grid's metadata: {text}: cells can't be judged for such an agent"
             )
         min_up = float(np.cos(np.radians(45.0 if slope is None else slope)))
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
-
-
-def _is_within(value: Any, least: float, most: float) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and least <= value <= most
 
 
 class Inflation(NamedTuple):
@@ -82,50 +64,34 @@ def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[s
 
     Raises:
         QueryError: the grid was inflated for a larger radius, or in the mode ``minos``.
-        FormatError: the metadata state an inflation for no radius.
     """
-    done, notes = _stated_inflation(grid)
-    if radius is None:
-        return grid, done, notes
-    if done.by_centres:
-        raise QueryError(
-            "the grid was inflated in the mode minos, whose cells promise nothing for a radius: "
-            "leave the radius out, or give the grid as it was before"
-        )
-    if done.radius is not None and radius < done.radius:
-        raise QueryError(
-            f"the grid was inflated for {done.radius:g} m, which can't be undone for {radius:g} m: "
-            f"expected a radius of at least {done.radius:g} m, or the grid as it was before"
-        )
-    inflated = grid if radius == done.radius else grid.inflate(radius)
-    return inflated, Inflation(radius, radius), notes
-
-
-def _stated_inflation(grid: GridBase) -> tuple[Inflation, list[str]]:
-    """The inflation that the metadata state, and what a user should know of it."""
-    stated, notes = grid.metadata.get("inflation", []), []
-    entries = stated if isinstance(stated, list) else [stated]
-    done = [e for e in entries if isinstance(e, dict) and e.get("mode") in MODES]
-    if not isinstance(stated, list) or len(done) < len(entries):
-        done = done if isinstance(stated, list) else []
+    (done, broken), notes = read_inflations(grid), []
+    if broken is not None:
         notes.append(
             "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch "
             "something by itself"
         )
-    for entry in done:
-        if not _is_within(entry.get("radius"), 0, MOST_RADIUS):
-            raise FormatError(
-                f"the grid's metadata: expected a radius of 0 to {MOST_RADIUS:,.0f} m in "
-                f"`inflation`, got {repr(entry.get('radius'))[:50]}"
+    largest = max((one.radius for one in done), default=0.0)
+    if any(one.mode == "minos" for one in done):
+        notes.append(
+            "inflated in the mode minos, which measures from the centres of cells: free cells are "
+            "judged by the baked footprint"
+        )
+        if radius is not None:
+            raise QueryError(
+                "the grid was inflated in the mode minos, whose cells promise nothing for a "
+                "radius: leave the radius out, or give the grid as it was before"
             )
-    largest = max((float(entry["radius"]) for entry in done), default=0.0)
-    if all(entry["mode"] == "exact" for entry in done):
-        return Inflation(largest if done else None, largest), notes
-    notes.append(
-        "inflated in the mode minos, which measures from the centres of cells: free cells are "
-        "judged by the baked footprint"
-    )
-    return Inflation(None, largest, by_centres=True), notes
+        return grid, Inflation(None, largest, by_centres=True), notes
+    if radius is None:
+        return grid, Inflation(largest if done else None, largest), notes
+    if radius < largest:
+        raise QueryError(
+            f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
+            f"expected a radius of at least {largest:g} m, or the grid as it was before"
+        )
+    inflated = grid if done and radius == largest else grid.inflate(radius)
+    return inflated, Inflation(radius, radius), notes
 
 
 @dataclass(frozen=True)
@@ -178,8 +144,7 @@ def take_sample(
 ) -> list[LevelSample]:
     """Draw cells of all levels, each as likely as any other; all of them if None.
 
-    Args:
-        with_floors: of each level, what `states_floors` said before the grid was inflated.
+    `with_floors` is what `states_floors` said of each level before the grid was inflated.
     """
     sizes = [level.width * level.height for level in grid.levels]
     chosen, start = np.arange(sum(sizes)), np.cumsum([0, *sizes])
@@ -197,15 +162,12 @@ def take_sample(
 
 
 class Surroundings:
-    """The floors of all levels, each by row and column of any other's lattice."""
+    """The floors of all levels, each by row and column of any other's lattice.
+
+    All that is occupied closes cells (`by_centres`), or only what is solid.
+    """
 
     def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
-        """Take the cells of a grid.
-
-        Args:
-            step: of the agent [m].
-            by_centres: whether all that is occupied closes cells, or only what is solid.
-        """
         self._step, self._levels = step, grid.levels
         self._floors = [level.floor for level in grid.levels]
         # what is a reason has to be blocked itself, so that it is judged in its turn
@@ -224,7 +186,7 @@ class Surroundings:
         low, high = floor.copy(), floor.copy()
         for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
             for other in range(len(self._levels)):
-                there, *_ = self._look(number, other, rows + row, cols + col)
+                there, *_ = self.look(number, other, rows + row, cols + col)
                 near = np.abs(there - floor) <= self._step + SLACK
                 low = np.where(near, np.fmin(low, there), low)
                 high = np.where(near, np.fmax(high, there), high)
@@ -240,7 +202,7 @@ class Surroundings:
         is_single = len(self._levels) == 1
         for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
             for other in range(len(self._levels)):
-                there, occupied, inside = self._look(number, other, rows + row, cols + col)
+                there, occupied, inside = self.look(number, other, rows + row, cols + col)
                 if other == number:
                     is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
                     found |= (occupied | is_ledge) & (inside | (not is_single))
@@ -248,7 +210,7 @@ class Surroundings:
                     found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
         return found
 
-    def _look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
+    def look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
         """Floor and occupancy of another level at cells of one, and whether it has them.
 
         Where it has none, the floor is NaN, and they aren't occupied.
@@ -282,10 +244,14 @@ class Part(NamedTuple):
     low: Float  # the heights between which nothing may touch [m]
     high: Float
 
-    def column(self, cell: int) -> Column:
-        """Its column over a cell, of a height to the micrometre, so that few differ."""
-        half_z = round(float(self.high[cell] - self.low[cell]) / 2, 6)
-        return Column(self.half, self.half, half_z, self.is_round)
+    def put_over(self, sample: LevelSample, cell: int) -> tuple[Column, Float]:
+        """Its column over a cell, and the centre of that [m].
+
+        Heights are those to the micrometre, so that few columns differ.
+        """
+        low, high = self.low[cell], self.high[cell]
+        column = Column(self.half, self.half, round(float(high - low) / 2, 6), self.is_round)
+        return column, np.array([*sample.xy[cell], (low + high) / 2])
 
 
 def volume_over(

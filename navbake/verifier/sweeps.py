@@ -70,11 +70,11 @@ def sweep_paths(
 
 
 class _Sweep:
-    def __init__(
-        self, grid: NavGrid, probes: Probes, agent: Agent, radius: float, tolerance: float
-    ) -> None:
+    """Sweeps one cylinder along paths."""
+
+    def __init__(self, grid: NavGrid, probes: Probes, agent: Agent, radius: float, tol: float):
         self._levels, self._probes, self._agent = grid.levels, probes, agent
-        self._radius, self._tolerance = radius, tolerance
+        self._radius, self._tolerance = radius, tol
         self._around = Surroundings(grid, agent.step)
 
     def along(self, positions: Float, levels: Int) -> tuple[Finding | None, bool]:
@@ -111,14 +111,14 @@ class _Sweep:
             middles, between = (points[1:] + points[:-1]) / 2, (times[1:] + times[:-1]) / 2
             between = a[2] + between * (b[2] - a[2])
             on = sorted({int(levels[k]), int(levels[k + 1])})
+            cells = [(number, *self._levels[number].lattice.rows_cols(middles)) for number in on]
             # where it goes from one level to another, the nearer of their floors counts
-            found = np.stack([self._floors(level, middles) for level in on])
+            found = np.stack([self._around.look(cell[0], *cell)[0] for cell in cells])
             gaps = np.nan_to_num(np.abs(found - between), nan=np.inf)
             best = gaps.argmin(axis=0)
             floor = np.take_along_axis(found, best[None], axis=0)[0]
             floor = np.where(np.isnan(floor), between, floor)
             reach = self._radius + lattice.cell_size * np.sqrt(0.5)
-            cells = [(number, *self._levels[number].lattice.rows_cols(middles)) for number in on]
             under = [self._around.floors_under(*cell, floor, reach) for cell in cells]
             for n, which in enumerate(best.tolist()):
                 low, high = under[which]
@@ -130,14 +130,6 @@ class _Sweep:
                     pieces.append(Piece(points[n], points[n + 1], *heights, on[which]))
         return pieces
 
-    def _floors(self, number: int, points: Float) -> Float:
-        """The floors of a level under points, NaN for none [m]."""
-        level = self._levels[number]
-        rows, cols = level.lattice.rows_cols(points)
-        inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
-        rows, cols = np.where(inside, rows, 0), np.where(inside, cols, 0)
-        return np.where(inside, level.floor_of(rows, cols), np.nan)
-
     def _touch(self, piece: Piece, band: tuple[float, float]) -> tuple[int, float] | None:
         """The first obstacle that the cylinder touches on a piece, and how deep [m]."""
         half_z = (band[1] - band[0]) / 2 - self._tolerance
@@ -146,32 +138,28 @@ class _Sweep:
             return None
         way, middle = piece.b - piece.a, (piece.a + piece.b) / 2
         length, disc = float(np.hypot(*way)), Column(radius, radius, half_z, True)
-        columns = [(disc, piece.a, 0.0), (disc, piece.b, 0.0)]
+        columns = [(disc, piece.a), (disc, piece.b)]
         if length > 1e-9:
-            box = Column(length / 2, radius, half_z, False)
-            columns.append((box, middle, float(np.arctan2(way[1], way[0]))))
+            yaw = float(np.arctan2(way[1], way[0]))
+            columns.append((Column(length / 2, radius, half_z, False, yaw), middle))
         low, high = np.minimum(piece.a, piece.b) - radius, np.maximum(piece.a, piece.b) + radius
         box_low, box_high = np.array([*low, z - half_z]), np.array([*high, z + half_z])
         for number in self._probes.obstacles.meeting(box_low, box_high):
-            for column, at, turn in columns:
-                probe, center = self._probes.of(column), np.array([*at, z])
-                probe.place(center, turn)
-                if probe.touches(number) == TOUCHES:
-                    return number, self._probes.depth(column, center, number, turn)
+            for column, at in columns:
+                center = np.array([*at, z])
+                self._probes.put(column, center)
+                if self._probes.touches(number) == TOUCHES:
+                    return number, self._probes.depth(column, center, number)
         return None
 
 
 def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
     """Where a line goes from cell to cell, as shares of its length from 0 to 1."""
     found = [np.empty(0)]
-    ends = (
-        (a[0] - lattice.x_min, b[0] - lattice.x_min),
-        (lattice.y_max - a[1], lattice.y_max - b[1]),
-    )
-    for first, last in ends:
-        low, high = sorted((first / lattice.cell_size, last / lattice.cell_size))
-        if high - low > 1e-12:
-            edges = np.arange(np.floor(low) + 1, np.ceil(high)) * lattice.cell_size
+    corner = np.array([lattice.x_min, lattice.y_max])
+    for first, last in zip(*((p[:2] - corner) / lattice.cell_size for p in (a, b)), strict=True):
+        if abs(last - first) > 1e-12:
+            edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
             found.append((edges - first) / (last - first))
     # a line through a corner of cells is in none of those beside
     least = CORNER / max(float(np.hypot(*(b - a)[:2])), CORNER)

@@ -18,7 +18,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
 from navbake.verifier.floors import FloorCheck, SheetSearch
 from navbake.verifier.lines import CRACK, Lines
-from navbake.verifier.obstacles import UNCLEAR, Obstacles, build_obstacles
+from navbake.verifier.obstacles import UNCLEAR, Obstacles
 from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Probes
 from navbake.verifier.report import PLACE_LOST, Finding, LevelCounts, VerifyReport
@@ -152,7 +152,7 @@ def verify_scene(
     if grid.is_blocked:
         report.notes.append("what was blocked at run time is left out")
     samples = take_sample(content, options.sample, options.seed, with_floors)
-    obstacles = build_obstacles(scene, doors.data, doors.removed)
+    obstacles = Obstacles(scene, doors.data, doors.removed)
     probes, lines = Probes(obstacles), Lines(obstacles)
     check = OccupancyCheck(probes, lines, agent, options.tolerance, inflation.reach)
     around = Surroundings(content, agent.step, by_centres=inflation.by_centres)
@@ -169,7 +169,7 @@ def verify_scene(
         baked = volume_over(sample, agent, around)
         report.findings += check.check_blocked(sample, counts, baked, excused)
     if all(with_floors):
-        fixed = build_obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
+        fixed = Obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
         crack = CRACK if config is None else config.floors.crack
         floors = FloorCheck(content, Lines(fixed), agent, crack)
         _check_floors(report, content, samples, floors, config)
@@ -211,8 +211,8 @@ def _check_floors(
     for sample, counts in zip(samples, report.levels, strict=True):
         wrong, places = check.run(sample, counts)
         report.findings += wrong
-        for unknown in places:
-            sheet = search.from_place(sample.number, unknown)
+        for k, unknown in places:
+            sheet = search.from_place(unknown)
             if sheet is None:
                 continue
             how = sheet.why_floor(settings.min_area) if is_asked else None
@@ -221,7 +221,7 @@ def _check_floors(
                 left, area = left + 1, area + sheet.area
                 continue
             text = f"on {sheet.geom!r}, {sheet.area:.2f} m² or more are on no level, and {how}"
-            cell, size = (sample.number, unknown.cell), round(sheet.area, 6)
+            cell, size = (sample.number, sample.cell(k)), round(sheet.area, 6)
             found = Finding(PLACE_LOST, *cell, sheet.place, text, sheet.geom, size)
             counts.lost += 1
             report.findings.append(found)

@@ -9,7 +9,7 @@ import pytest
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.verifier.lines import Lines
-from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, UNCLEAR, build_obstacles, split_parts
+from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, UNCLEAR, Obstacles, split_parts
 from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
@@ -32,7 +32,7 @@ def obstacles_of(folder, xml, **scene):
     path.write_text(xml, encoding="utf-8")
     config = parse_config({"scene": {"path": str(path), "geoms": "all", **scene}})
     loaded = load_scene(config.scene)
-    return build_obstacles(loaded, loaded.data)
+    return Obstacles(loaded, loaded.data)
 
 
 @pytest.mark.parametrize("is_round", [False, True])
@@ -43,14 +43,14 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
     obstacles = obstacles_of(tmp_path, scene_xml(things))
     probes, seen = Probes(obstacles), set()
     half, half_z = 0.1, 0.445
-    probe = probes.of(Column(half, half, half_z, is_round))
+    column = Column(half, half, half_z, is_round)
     for number, thing in enumerate(things):
         at = np.array(thing.pos) + rng.uniform(-0.7, 0.7, (60, 3))
         prisms = Prisms(at[:, 0], at[:, 1], at[:, 2] - half_z, at[:, 2] + half_z, half, is_round)
         exact = body_meets_prisms(part_of(thing), prisms)
         for center, state in zip(at, exact, strict=True):
-            probe.place(center)
-            answer = probe.touches(number)
+            probes.put(column, center)
+            answer = probes.touches(number)
             seen.add(answer)
             assert answer != DISPUTED
             assert state != FREE or answer == APART
@@ -61,16 +61,15 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
 def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, monkeypatch):
     """MuJoCo's distance is made to be wrong, as it is in rare poses of capsules."""
     thing = Thing("capsule", (0.1, 0.4), (0.0, 0.0, 1.0))
-    probe = Probes(obstacles := obstacles_of(tmp_path, scene_xml([thing]))).of(
-        Column(0.1, 0.1, 0.4, False)
-    )
-    probe.place(np.array([0.3, 0.0, 1.0]))
-    assert probe.touches(0) == APART
+    probes = Probes(obstacles := obstacles_of(tmp_path, scene_xml([thing])))
+    column = Column(0.1, 0.1, 0.4, False)
+    probes.put(column, np.array([0.3, 0.0, 1.0]))
+    assert probes.touches(0) == APART
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: -0.01)
-    assert probe.touches(0) == APART  # proved
-    probe.place(np.array([0.1, 0.0, 1.0]))
+    assert probes.touches(0) == APART  # proved
+    probes.put(column, np.array([0.1, 0.0, 1.0]))
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
-    assert probe.touches(0) == TOUCHES  # nothing separates them
+    assert probes.touches(0) == TOUCHES  # nothing separates them
     way = np.array([1.0, 0.0, 0.0])
     assert obstacles.support(0, way) == pytest.approx(0.1)
 
@@ -108,10 +107,10 @@ def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
     low, upper = (s.z for s in lines.at(6.2, 0.2).surfaces[1:])
     assert (low, upper) == (pytest.approx(1.0, abs=1e-5), pytest.approx(1.6, abs=1e-5))
     assert lines.at(6.2, 0.2).is_inside(1.3) and not lines.at(6.2, 0.2).is_inside(1.7)
-    probe = Probes(obstacles).of(Column(0.1, 0.1, 0.4, False))
+    probes = Probes(obstacles)
     for z, expected in ((0.39, TOUCHES), (0.41, APART)):
-        probe.place(np.array([-3.0, 0.0, z]))
-        assert probe.touches(0) == expected
+        probes.put(Column(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z]))
+        assert probes.touches(0) == expected
 
 
 # ---------------------------------------------------------------- meshes
