@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from navbake.runtime.paths import Path
 from navbake.types import Json
 from navbake.views.layers import DISAGREEMENTS, Panel
+from navbake.views.tables import cell_facts
 from navbake.views.viewer.exhibit import CLICKS, INSPECT, Choices, Counts, Exhibit
 
 if TYPE_CHECKING:
@@ -37,12 +38,8 @@ SCALES_SHOWN = 3
 class Controls:
     """The panel for an exhibit.
 
-    Args:
-        gui: of the page.
-        exhibit: what is shown.
-        chosen: what is chosen at first.
-        change: is called with how the choices change, whenever the reader changes them.
-        verify: is called when the reader wants a verification.
+    `change` is called with how the choices change, whenever the reader changes them, and `verify`
+    when the reader wants a verification.
     """
 
     def __init__(
@@ -56,7 +53,7 @@ class Controls:
         self._gui, self._exhibit, self._change = gui, exhibit, change
         self._handles: dict[str, Any] = {}
         gui.reset()
-        self.status = gui.add_markdown("", visible=False)
+        self._status = gui.add_markdown("", visible=False)
         gui.add_markdown(say_grid(exhibit))
         with gui.add_folder("Layer"):
             self._add_layers(chosen, verify)
@@ -64,7 +61,7 @@ class Controls:
             self._add_agent(chosen)
         with gui.add_folder("Click"):
             click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
-            self._keep("click", click, lambda does: lambda now: replace(now, click=does))
+            self._keep("click", click, "click")
             self._keep("told", gui.add_markdown(""))
             self._keep("route", gui.add_markdown(""))
             self._keep("clear", gui.add_button("Clear", visible=False))
@@ -75,18 +72,31 @@ class Controls:
         with gui.add_folder("Picture"):
             self._add_picture(chosen)
 
-    def _keep(self, name: str, handle: Any, make: Callable[[Any], Change] | None = None) -> None:
-        """Keep an input; change the choices when the reader, and not this program, sets it."""
+    def _keep(
+        self, name: str, handle: Any, make: str | Callable[[Any], Change] | None = None
+    ) -> None:
+        """Keep an input; when the reader, and not this program, sets it, the choices change.
+
+        `make` is the field of the choices that it sets, or makes the change of its value.
+        """
         self._handles[name] = handle
+
+        def update(event: Any) -> None:
+            if event.client is not None:
+                value = event.target.value
+                self._change(
+                    (lambda now: replace(now, **{make: value}))
+                    if isinstance(make, str)
+                    else make(value)  # type: ignore[misc]
+                )
+
         if make is not None:
-            handle.on_update(
-                lambda event: event.client is not None and self._change(make(event.target.value))
-            )
+            handle.on_update(update)
 
     def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
         gui, grid, layers = self._gui, self._exhibit.grid, self._exhibit.layers
         layer = gui.add_dropdown("Layer", layers, initial_value=chosen.layer)
-        self._keep("layer", layer, lambda name: lambda now: replace(now, layer=name))
+        self._keep("layer", layer, "layer")
         if grid.levels[1:]:
             names = [ALL_LEVELS, *_unique(grid.level_names)]
 
@@ -144,11 +154,6 @@ class Controls:
 
     def _add_picture(self, chosen: Choices) -> None:
         gui, exhibit = self._gui, self._exhibit
-
-        def add_box(name: str, field: Any, **options: Any) -> None:
-            box = gui.add_checkbox(name, getattr(chosen, field), **options)
-            self._keep(field, box, lambda on: lambda now: replace(now, **{field: on}))
-
         drawing = exhibit.drawing(chosen)
         if drawing is not None:
             low = float(exhibit.bounds[0, 2])
@@ -163,23 +168,23 @@ class Controls:
             hint = "The scene is drawn up to here, so that one sees into storeys."
             slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
             self._keep("cut", slider, cut_at)
-            add_box("Scene", "with_scene")
+            self._keep("scene", gui.add_checkbox("Scene", chosen.with_scene), "with_scene")
             if drawing.has_hidden:
                 hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
-                add_box("Hidden geoms", "with_hidden", hint=hint)
+                hidden = gui.add_checkbox("Hidden geoms", chosen.with_hidden, hint=hint)
+                self._keep("hidden", hidden, "with_hidden")
         names = _unique(exhibit.grid.level_names)
         for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
 
-            def switch(on: bool, number: int = number) -> Change:
-                own = {number} if on else set()
+            def switch(on: bool, own: frozenset[int] = frozenset((number,))) -> Change:
                 return lambda now: replace(
-                    now, levels=tuple(sorted({*now.levels} - {number} | own))
+                    now, levels=tuple(sorted((own if on else set()) | ({*now.levels} - own)))
                 )
 
             self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
-        self._keep("opacity", opacity, lambda share: lambda now: replace(now, opacity=share))
-        add_box("Names", "with_names")
+        self._keep("opacity", opacity, "opacity")
+        self._keep("names", gui.add_checkbox("Names", chosen.with_names), "with_names")
         dark = gui.add_checkbox("Dark page", False)
         dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
 
@@ -217,8 +222,8 @@ class Controls:
 
     def say(self, text: str) -> None:
         """Write a line at the top of the panel; none if empty."""
-        self.status.content = text
-        self.status.visible = bool(text)
+        self._status.content = text
+        self._status.visible = bool(text)
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
@@ -251,10 +256,11 @@ def plain(text: object) -> str:
 
 def say_counts(now: Counts, before: Counts) -> str:
     """How much is free, and how much is in the grid as it is."""
-    text = f"**{now.free:,} free cells**, {now.area:,.1f} m²"
+    free, cells, area = now
+    text = f"**{free:,} free cells**, {area:,.1f} m²"
     if now != before:
-        return f"{text} — as baked: {before.free:,}"
-    return f"{text} — {now.free / now.cells:.0%} of the floor" if now.cells else text
+        return f"{text} — as baked: {before[0]:,}"
+    return f"{text} — {free / cells:.0%} of the floor" if cells else text
 
 
 def say_grid(exhibit: Exhibit) -> str:
@@ -283,32 +289,20 @@ def say_cell(facts: Json | None, inflation: tuple[float, float] | None) -> str:
     """What there is to know of a cell, and why an agent can or can't stand there."""
     if facts is None:
         return HINT_INSPECT
-    room, floor, weight = facts["room"], facts["floor"], facts["weight"]
     verdict = "**blocked**"
     if facts["free"]:
         verdict = "**free**: an agent can stand here"
     elif facts["blockers"]:
         verdict = f"**blocked** by {_listed(facts['blockers'], ', ')}"
-    elif floor is None:
+    elif facts["floor"] is None:
         verdict = "**no floor** here"
     elif inflation is not None and not facts["occupied"]:
         radius = plain(f"{inflation[0]:g}")
         verdict = f"**blocked**: nearer to something than the radius, {radius} m"
-    name = (room["name"] or room["id"]) if isinstance(room, dict) else room
-    x, y = facts["center"]
-    rows = {
-        "Verdict": verdict,
-        "Clicked": _listed([facts["clicked"]], "") if facts["clicked"] else "",
-        "Room": "none" if name is None else plain(name),
-        "Floor": "none" if floor is None else f"{plain(f'{floor:.3f}')} m",
-        "Weight": "infinite" if weight is None else plain(f"{weight:g}"),
-        "Island": str(facts["island"] or "none"),
-        "Cell": f"level {facts['level']}, row {facts['row']}, col {facts['col']}",
-        "Centre": plain(f"{x:.3f}, {y:.3f}") + " m",
-    }
-    rows |= {key.capitalize(): _listed(facts[key], ", ") for key in ("doors", "objects", "walls")}
-    lines = [f"| {key} | {text} |" for key, text in rows.items() if text]
-    return "\n".join(["| | |", "|---|---|", *lines])
+    rows = {"clicked": [facts["clicked"]] if facts["clicked"] else [], **cell_facts(facts)}
+    shown = {k: plain(v) if isinstance(v, str) else _listed(v, ", ") for k, v in rows.items()}
+    lines = [f"| {plain(key)} | {text} |" for key, text in shown.items() if text]
+    return "\n".join(["| | |", "|---|---|", f"| Verdict | {verdict} |", *lines])
 
 
 def _listed(names: Sequence[str], between: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,36 +36,21 @@ MOST_NAMES = 250  # names that are written at most, the largest rooms' first
 
 @dataclass(frozen=True)
 class Choices:
-    """What is to be shown.
+    """What is to be shown."""
 
-    Attributes:
-        levels: numbers of the levels that are shown, ascending.
-        layer: name of the layer.
-        inflation: radius and clearance [m], None for the grid as it is.
-        doors: states of the doors that are in another than in the grid, by id.
-        cut: world z above which the scene is not drawn [m], None for none.
-        with_scene: draw the scene.
-        with_hidden: draw what MuJoCo's viewers hide, too: the geom groups from 3 on.
-        with_names: write names of rooms and doors.
-        opacity: of the layer, above 0, up to 1.
-        click: what a click does, one of `CLICKS`.
-        start, goal: of the path, None for none.
-        inspected: the cell that is described, None for none.
-    """
-
-    levels: tuple[int, ...]
+    levels: tuple[int, ...]  # numbers, ascending
     layer: str = "occupancy"
-    inflation: tuple[float, float] | None = None
-    doors: tuple[tuple[str, str], ...] = ()
-    cut: float | None = None
+    inflation: tuple[float, float] | None = None  # radius, clearance [m]; None as the grid is
+    doors: tuple[tuple[str, str], ...] = ()  # ids and states of those in another than the grid's
+    cut: float | None = None  # world z above which the scene is not drawn [m], None for none
     with_scene: bool = True
-    with_hidden: bool = False
-    with_names: bool = True
-    opacity: float = 0.9
-    click: str = INSPECT
-    start: Pick | None = None
+    with_hidden: bool = False  # what MuJoCo's viewers hide, too: the geom groups from 3 on
+    with_names: bool = True  # of rooms and doors
+    opacity: float = 0.9  # of the layer, above 0, up to 1
+    click: str = INSPECT  # one of `CLICKS`
+    start: Pick | None = None  # of the path
     goal: Pick | None = None
-    inspected: Pick | None = None
+    inspected: Pick | None = None  # the cell that is described
 
     def with_level(self, grid: NavGrid, number: int | None) -> Choices:
         """Look at one level from above, or at all of them: the scene is cut over the highest."""
@@ -124,22 +109,15 @@ def keep_choices(chosen: Choices, grid: NavGrid) -> Choices:
     )
 
 
-class Counts(NamedTuple):
-    """How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
-
-    free: int
-    cells: int
-    area: float
+Counts: TypeAlias = tuple[int, int, float]
+"""How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
 
 
 class Exhibit:
     """A grid, its scene, and what follows from them for what is chosen.
 
-    Args:
-        grid: as it was baked or read.
-        scene: the scene that it was baked from; None to show the grid alone.
-        config: the settings of the bake, where they are known.
-        note: what the reader should know of the grid and the scene, in one line.
+    Without the scene that it was baked from, the grid is shown alone. `config` are the settings of
+    the bake, where they are known; `note` is what the reader should know, in one line.
     """
 
     def __init__(
@@ -197,7 +175,7 @@ class Exhibit:
         free = [int(np.count_nonzero(level.free)) for level in levels]
         cells = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
         areas = [n * level.lattice.cell_size**2 for n, level in zip(free, levels, strict=True)]
-        return Counts(sum(free), cells, sum(areas))
+        return sum(free), cells, sum(areas)
 
     def panel(self, chosen: Choices, number: int) -> Panel:
         """The chosen layer of a level; its occupancy until the scene is verified."""
@@ -211,15 +189,13 @@ class Exhibit:
     def overlay(self, chosen: Choices, number: int) -> bytes:
         """The chosen layer of a level, as it lies in the scene: GLB."""
         panel = self.panel(chosen, number)
+
+        def make() -> tuple[Panel, bytes]:
+            rgb = paint(panel)
+            return panel, meshes.draw_overlay(self.carpets[number], rgb, chosen.opacity)
+
         # the panel is kept with its picture: an id counts as long as its object is there
-        return self._keep(
-            f"overlay {number}",
-            (id(panel), chosen.opacity),
-            lambda: (
-                panel,
-                meshes.draw_overlay(self.carpets[number], paint(panel), chosen.opacity),
-            ),
-        )[1]
+        return self._keep(f"overlay {number}", (id(panel), chosen.opacity), make)[1]
 
     def names(self, chosen: Choices) -> list[tuple[str, tuple[float, float, float]]]:
         """Names on the shown levels and their places [m], but for those below another floor."""
@@ -261,6 +237,14 @@ class Exhibit:
             return drawing.surfaces
         key = chosen.doors, chosen.with_hidden, height
         return self._keep("surfaces", key, lambda: meshes.cut_drawing(drawing, height))
+
+    def scene_glb(self, chosen: Choices) -> bytes:
+        """What is drawn of the scene, as GLB; empty for nothing."""
+        surfaces, drawing = self.surfaces(chosen), self.drawing(chosen)
+        if drawing is None or not surfaces:
+            return b""
+        key = chosen.doors, chosen.with_hidden, chosen.cut
+        return self._keep("scene", key, lambda: meshes.draw_surfaces(surfaces, drawing.textures))
 
     def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
         """The choices after a click along a ray: its origin and its direction."""

@@ -63,27 +63,16 @@ NEAREST, MIPMAPS, CLAMP = 9728, 9987, 33071  # how pictures are sampled
 
 
 class Surface(NamedTuple):
-    """Triangles that are drawn alike.
+    """Triangles that are drawn alike; arrays by vertex, and None for white, plain or no geom."""
 
-    Attributes:
-        vertices: shape (n, 3), world frame [m].
-        faces: indices into `vertices`, shape (m, 3).
-        geom: of each vertex, shape (n,), int32; None for what is no geom.
-        colors: of each vertex, 0 to 1, linear light and opacity, shape (n, 4); None for white.
-        uv: of each vertex on its picture, from the upper left corner, shape (n, 2); None without.
-        texture: id of the picture, -1 for none.
-        is_round: shaded as a round surface, else as flat triangles.
-        opacity: of all of it; below 1, what is behind shines through.
-    """
-
-    vertices: NDArray[Any]
-    faces: NDArray[Any]
-    geom: NDArray[np.int32] | None = None
-    colors: NDArray[Any] | None = None
-    uv: NDArray[Any] | None = None
-    texture: int = -1
-    is_round: bool = False
-    opacity: float = 1.0
+    vertices: NDArray[Any]  # shape (n, 3), world frame [m]
+    faces: NDArray[Any]  # indices into `vertices`, shape (m, 3)
+    geom: NDArray[np.int32] | None = None  # shape (n,)
+    colors: NDArray[Any] | None = None  # linear light and opacity, 0 to 1, shape (n, 4)
+    uv: NDArray[Any] | None = None  # on the picture, from the upper left corner, shape (n, 2)
+    texture: int = -1  # id of the picture, -1 for none
+    is_round: bool = False  # shaded as a round surface, else as flat triangles
+    opacity: float = 1.0  # of all of it; below 1, what is behind shines through
 
     @property
     def owners(self) -> Int:
@@ -94,39 +83,24 @@ class Surface(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A scene as triangles.
-
-    Attributes:
-        surfaces: what is drawn.
-        textures: pictures by MuJoCo's texture id, shape (height, width, 3 or 4), uint8.
-        bounds: lower and upper corner of all, world frame, shape (2, 3) [m].
-        names: of each geom as grids name it, by geom id.
-        solid: whether a geom is one convex piece, so that a cut through it can be closed.
-        has_hidden: some geoms are drawn only with hidden ones.
-    """
+    """A scene as triangles."""
 
     surfaces: tuple[Surface, ...]
-    textures: dict[int, NDArray[np.uint8]]
-    bounds: Float
-    names: tuple[str, ...]
-    solid: Bool
-    has_hidden: bool
+    textures: dict[int, NDArray[np.uint8]]  # by MuJoCo's id, shape (height, width, 3 or 4)
+    bounds: Float  # lower and upper corner of all, world frame, shape (2, 3) [m]
+    names: tuple[str, ...]  # of each geom as grids name it, by geom id
+    solid: Bool  # whether a geom is one convex piece, so that a cut through it can be closed
+    has_hidden: bool  # some geoms are drawn only with hidden ones
 
 
 def draw_scene(
     scene: Scene, *, data: Any = None, removed: Collection[int] = (), with_hidden: bool = False
 ) -> Drawing:
-    """Make triangles of a scene.
+    """Make triangles of a scene, in its own pose or that of another mujoco.MjData.
 
     Drawn is what MuJoCo's viewers draw: geoms of the groups 0 to 2 that aren't clear; all groups
-    where these hold nothing. Textures of meshes are drawn; other geoms have the mean colour of
-    theirs.
-
-    Args:
-        scene: a loaded scene.
-        data: its mujoco.MjData in another pose.
-        removed: ids of geoms that are left out.
-        with_hidden: draw the other groups, too.
+    where these hold nothing, or with hidden ones. Geoms whose ids are `removed` are left out.
+    Textures of meshes are drawn; other geoms have the mean colour of theirs.
     """
     model, data = scene.model, scene.data if data is None else data
     plain, textured, texture = _find_looks(model)
@@ -142,20 +116,20 @@ def draw_scene(
     bounds = _bounds_of(pieces)
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
-    alike: dict[tuple[bool, bool, int], list[Surface]] = {}
-    for piece in pieces:
-        is_clear = bool(plain[piece.owners[0], 3] < 1)
-        alike.setdefault((is_clear, piece.is_round, piece.texture), []).append(piece)
+    looks = [(plain[piece.owners[0], 3] < 1, piece.is_round, piece.texture) for piece in pieces]
     surfaces = []
-    for (_, is_round, number), some in sorted(alike.items(), key=lambda one: one[0]):
+    for look in sorted(set(looks)):
+        some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
+        _, is_round, number = look
         vertices, faces = trimesh.util.append_faces(
             [piece.vertices for piece in some], [piece.faces for piece in some]
         )
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
         uv = [piece.uv for piece in some if piece.uv is not None]
-        look = (textured if uv else plain)[geom], np.concatenate(uv) if uv else None
+        colors = (textured if uv else plain)[geom]
         triangles = vertices.astype(np.float32), faces.astype(np.uint32)
-        surfaces.append(Surface(*triangles, geom, *look, number, is_round))
+        places = np.concatenate(uv) if uv else None
+        surfaces.append(Surface(*triangles, geom, colors, places, number, is_round))
     used = {one.texture for one in surfaces if one.texture >= 0}
     textures = {number: _read_texture(model, number) for number in used}
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
@@ -208,8 +182,15 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
             part = scene.parts[geom]
             yield _piece(geom, np.asarray(part.vertices), np.asarray(part.faces))
             continue
-        if kind == HFIELD:
-            vertices, faces = _hfield_triangles(model, number)
+        if kind == HFIELD:  # its upper side
+            rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+            first, size = int(model.hfield_adr[number]), model.hfield_size[number]
+            z = model.hfield_data[first : first + rows * cols].astype(np.float64) * size[2]
+            y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (rows, cols)), indexing="ij")
+            vertices = np.stack([x.ravel() * size[0], y.ravel() * size[1], z], axis=1)
+            corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
+            quads = corner[:, None] + np.array([0, 1, cols + 1, cols])
+            faces = quads[:, QUAD].reshape(-1, 3)
         elif kind >= MESH and number >= 0:
             mesh, has_uv = model.mesh(number), int(textures[geom]) >= 0
             first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
@@ -230,18 +211,6 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
 
 def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
     return Surface(vertices, faces, np.full(len(vertices), geom, np.int32))
-
-
-def _hfield_triangles(model: Any, hfield: int) -> tuple[Float, NDArray[Any]]:
-    """The upper side of a height field, in its geom's frame."""
-    rows, cols = int(model.hfield_nrow[hfield]), int(model.hfield_ncol[hfield])
-    first = int(model.hfield_adr[hfield])
-    half_x, half_y, top = (float(v) for v in model.hfield_size[hfield, :3])
-    z = model.hfield_data[first : first + rows * cols].astype(np.float64) * top
-    x, y = np.meshgrid(np.linspace(-half_x, half_x, cols), np.linspace(-half_y, half_y, rows))
-    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-    quads = np.stack([corner, corner + 1, corner + cols + 1, corner + cols], axis=1)
-    return np.stack([x.ravel(), y.ravel(), z], axis=1), quads[:, QUAD].reshape(-1, 3)
 
 
 def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
@@ -265,12 +234,10 @@ def _bounds_of(pieces: Sequence[Surface]) -> Float:
 def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], Int]:
     """How geoms look, as MuJoCo's own viewers have it, by geom id.
 
-    A geom with a material has the material's colour, unless it states one of its own.
-
-    Returns:
-        Linear light, times the mean of its texture if it has one, and opacity, shape (n, 4); the
-        same for triangles that lie on their texture; MuJoCo's id of a texture that meshes with
-        coordinates lie on, -1 for none.
+    A geom with a material has the material's colour, unless it states one of its own. Returns
+    linear light, times the mean of its texture if it has one, and opacity, shape (n, 4); the same
+    for triangles that lie on their texture; MuJoCo's id of a texture that meshes with coordinates
+    lie on, -1 for none.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
@@ -373,9 +340,8 @@ def _close(surface: Surface, height: float, solid: Bool) -> Surface:
 def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST) -> Surface:
     """The floor of a level, on which its layers are laid: a rectangle where it is even.
 
-    Args:
-        with_holes: draw nothing where there is no floor; else these cells lie at its ground.
-        most: how many rectangles there may be, unless single cells are more.
+    Without holes, cells without a floor lie at the level's ground. There are at most `most`
+    rectangles, unless single cells are more.
     """
     from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
 
@@ -483,18 +449,12 @@ def make_glb(
 
 
 class Pick(NamedTuple):
-    """What a click has met.
-
-    Attributes:
-        cell: level, row and column.
-        position: world x, y of the click, and z of the cell's floor, or of the level's ground
-            where it has none [m].
-        geom: id of the geom that was clicked, None where it was the grid itself.
-    """
+    """What a click has met."""
 
     cell: Cell
+    # world x, y of the click, and z of the cell's floor, or of the level's ground without one [m]
     position: tuple[float, float, float]
-    geom: int | None
+    geom: int | None  # that was clicked, None where it was the grid itself
 
 
 def pick(
@@ -505,13 +465,9 @@ def pick(
 ) -> Pick | None:
     """Find the cell under a click, on one of the levels that are shown; None for none.
 
-    The cell is the one below the nearest thing, be it a geom or the grid. Of several levels it is
-    the one whose floor is the nearest below; where none has a floor there, whose ground is.
-
-    Args:
-        ray: origin [m] and direction of the line of sight, world frame.
-        surfaces: what is drawn of the scene, and of the levels after that.
-        levels: which levels are shown.
+    The cell is the one below the nearest thing that the ray, an origin [m] and a direction, meets:
+    a surface of a geom or of the grid, which come last. Of several levels it is the one whose
+    floor is the nearest below; where none has a floor there, whose ground is.
     """
     origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
     distance, geom = np.inf, -1

@@ -1,29 +1,21 @@
-"""The page of a viewer: its scene, and one thread that brings it up to date."""
+"""What is on the page of a viewer: the scene, the grid, names, a path."""
 
 from __future__ import annotations
 
-import logging
 import math
-import threading
 from collections.abc import Callable, Iterable
 from itertools import product
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navbake.errors import NavbakeError
 from navbake.navgrid.colors import ROUTE, rgb_of
 from navbake.runtime.paths import Path
 from navbake.types import Float, Json
-from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
-from navbake.views.viewer.exhibit import Choices, Exhibit, first_choices, keep_choices
-from navbake.views.viewer.meshes import draw_surfaces
+from navbake.views.viewer.exhibit import Choices, Exhibit
 
 if TYPE_CHECKING:
     import viser
-
-LOG = logging.getLogger("navbake")
 
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
 START_COLOR, GOAL_COLOR, LIT_COLOR = (47, 158, 68), rgb_of(ROUTE), (255, 146, 43)
@@ -39,11 +31,9 @@ MARGIN = 1.08  # by which the first camera is farther away than the box needs
 
 
 def find_camera(bounds: Float, aspect: float) -> Float:
-    """Where a box fills the page that is looked at from the south and above, shape (3,) [m].
+    """Where a box, shape (2, 3) [m], fills the page, seen from the south and above: shape (3,) [m].
 
-    Args:
-        bounds: lower and upper corner of the box, shape (2, 3) [m].
-        aspect: width of the page by its height.
+    `aspect` is the width of the page by its height.
     """
     middle = bounds.mean(axis=0)
     away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
@@ -92,12 +82,10 @@ class Stage:
         self, exhibit: Exhibit, chosen: Choices, route: Path | str | None, told: Json | None
     ) -> None:
         """Bring the page up to date."""
-        surfaces, drawing = exhibit.surfaces(chosen), exhibit.drawing(chosen)
-        textures = {} if drawing is None else drawing.textures
-        self._put_glb("/scene", surfaces, lambda: draw_surfaces(surfaces, textures))
+        self._put_glb("/scene", exhibit.scene_glb(chosen))
         for number in range(len(exhibit.grid.levels)):
             overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
-            self._put_glb(f"/grid/{number}", overlay, lambda overlay=overlay: overlay)  # type: ignore[misc]
+            self._put_glb(f"/grid/{number}", overlay)
         names = exhibit.names(chosen)
         self._put("/names", names, lambda: map(self._write_name, names))
         low, high = exhibit.bounds
@@ -111,25 +99,21 @@ class Stage:
 
     def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
         """Put other nodes under a name, where the key is another than before."""
-        before, nodes = self._shown.get(name, (None, ()))
+        before, nodes = self._shown.get(name, (None, []))
         if before != key:
             for node in nodes:
                 node.remove()
             self._shown[name] = key, list(make())
 
-    def _put_glb(self, name: str, content: Any, make: Callable[[], bytes]) -> None:
+    def _put_glb(self, name: str, content: bytes) -> None:
         """Put a GLB on the page, where it is another than before; empty content takes it away."""
-        before, nodes = self._shown.get(name, (None, []))
-        if before is content:
-            return
-        if not content:
-            self._put(name, content, list)
-        elif nodes:
-            nodes[0].glb_data = make()
-        else:
-            nodes = [self._scene.add_glb(name, make(), **PLAIN)]
-        if content:
+        before, nodes = self._shown.get(name, (b"", []))
+        if content and nodes and content is not before:  # the node stays: nothing flickers
+            nodes[0].glb_data = content
             self._shown[name] = content, nodes
+        else:
+            add = self._scene.add_glb
+            self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
 
     def _write_name(self, name: tuple[str, tuple[float, float, float]]) -> Any:
         text, place = name
@@ -164,97 +148,3 @@ class Stage:
                 side="double",
                 **PLAIN,
             )
-
-
-class Page:
-    """What the reader sees of an exhibit.
-
-    What the reader does comes from threads of the server. It is collected, and one thread of the
-    page's own works on all that has come, then shows the result once. So a slider that is dragged
-    shows its latest place, not all that it passed.
-
-    Args:
-        server: of the page.
-        exhibit: what is shown.
-    """
-
-    def __init__(self, server: viser.ViserServer, exhibit: Exhibit) -> None:
-        self.server, self.exhibit = server, exhibit
-        self.chosen = first_choices(exhibit.grid)
-        self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
-        set_theme(server.gui, dark=False)
-        self._stage = Stage(server)
-        self._set_up(exhibit)
-        self._stage.place_camera(exhibit.bounds)
-        server.scene.on_click()(self._click)
-        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
-        self._thread.start()
-
-    def _set_up(self, exhibit: Exhibit) -> None:
-        gui = self.server.gui
-        gui.set_panel_label(exhibit.grid.scene_id or "navbake")
-        self._controls = Controls(gui, exhibit, self.chosen, self.change, self._verify)
-        gui.main_panel.dock_right()  # beside the scene, not over it
-
-    def change(self, change: Change) -> None:
-        """Change what is chosen, soon; from any thread."""
-        self._changes.put(change)
-
-    def exhibit_other(self, exhibit: Exhibit) -> None:
-        """Show another exhibit with the same choices, as far as it has them; from any thread."""
-
-        def take(chosen: Choices) -> Choices:
-            self.exhibit, self.chosen = exhibit, keep_choices(chosen, exhibit.grid)
-            self._stage.clear()
-            self._set_up(exhibit)
-            return self.chosen
-
-        self.change(take)
-
-    def say(self, text: str) -> None:
-        """Write a line at the top of the panel; none if empty; from any thread."""
-
-        def write(chosen: Choices) -> Choices:
-            self._controls.say(text)
-            return chosen
-
-        self.change(write)
-
-    def close(self) -> None:
-        """End the page's thread."""
-        self._changes.put(None)
-        self._thread.join()
-
-    def _click(self, event: viser.SceneClickEvent) -> None:
-        ray = event.ray_origin, event.ray_direction
-        self.change(lambda chosen: self.exhibit.click(chosen, ray))
-
-    def _verify(self) -> None:
-        def compare(chosen: Choices) -> Choices:
-            self._controls.say("Comparing the grid with the scene…")
-            self.exhibit.verify()
-            self._controls.say("")
-            return chosen
-
-        self.change(compare)
-
-    def _work(self) -> None:
-        changes: list[Change | None] = []
-        while None not in changes:
-            for change in [*changes, self._show]:
-                try:  # an error is shown, and the page lives on
-                    self.chosen = change(self.chosen) if change else self.chosen
-                except Exception as error:
-                    if not isinstance(error, NavbakeError):
-                        LOG.exception("the viewer failed to show something")
-                    self._controls.say(say_error(error))
-            changes = [self._changes.get()]
-            while not self._changes.empty():
-                changes.append(self._changes.get())
-
-    def _show(self, chosen: Choices) -> Choices:
-        route, told = self.exhibit.route(chosen), self.exhibit.tell(chosen)
-        with self.server.atomic():
-            self._stage.show(self.exhibit, chosen, route, told)
-            self._controls.show(chosen, route, told)
-        return chosen

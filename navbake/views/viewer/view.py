@@ -1,8 +1,4 @@
-"""`navbake.view`: a grid in its scene, in the browser.
-
-`exhibit.py` has what is chosen and what follows from that, without a browser, `meshes.py` turns
-scene and grid into triangles, `page.py` brings the page up to date, `controls.py` is its panel.
-"""
+"""`navbake.view`: a grid in its scene, in the browser."""
 
 from __future__ import annotations
 
@@ -16,9 +12,11 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout, suppress
+from functools import partial
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from navbake.errors import MissingDependencyError, NavbakeError
@@ -26,9 +24,9 @@ from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.grid_base import GridBase
-from navbake.views.viewer.controls import say_error
-from navbake.views.viewer.exhibit import Exhibit
-from navbake.views.viewer.page import Page
+from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
+from navbake.views.viewer.exhibit import Choices, Exhibit, first_choices, keep_choices
+from navbake.views.viewer.page import Stage
 
 if TYPE_CHECKING:
     import viser
@@ -45,6 +43,10 @@ PERIOD = 0.5  # between two looks at files [s]
 class Viewer:
     """A page that shows a grid, until it is closed; also as a context manager.
 
+    What the reader does comes from threads of the server. It is collected, and one thread works on
+    all that has come, then shows the result once. So a slider that is dragged shows its latest
+    place, not all that it passed.
+
     Attributes:
         url: where the page is.
     """
@@ -54,8 +56,16 @@ class Viewer:
     ) -> None:
         self._server = open_server(host, port)
         self.url = url_of(self._server)
+        self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
+        self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
-        self.page = Page(self._server, exhibit)
+        set_theme(self._server.gui, dark=False)
+        self._stage = Stage(self._server)
+        self._set_up()
+        self._stage.place_camera(exhibit.bounds)
+        self._server.scene.on_click()(self._click)
+        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
+        self._thread.start()
         if watch is not None:
             threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
 
@@ -63,7 +73,7 @@ class Viewer:
         self, grid: NavGrid | str | PathLike[str], scene: Any = None, *, data: Any = None
     ) -> None:
         """Show another grid on the page; takes what `view` takes."""
-        self.page.exhibit_other(make_exhibit(grid, scene, data=data))
+        self._show_other(make_exhibit(grid, scene, data=data))
 
     def open(self) -> None:
         """Open the page in this machine's browser, where it has one with windows."""
@@ -82,11 +92,11 @@ class Viewer:
 
     def close(self) -> None:
         """Take the page away, and free its port."""
-        if self._closed.is_set():
-            return
-        self._closed.set()
-        self.page.close()
-        close_server(self._server)
+        if not self._closed.is_set():
+            self._closed.set()
+            self._changes.put(None)
+            self._thread.join()
+            close_server(self._server)
 
     def __enter__(self) -> Self:
         return self
@@ -94,17 +104,75 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _set_up(self) -> None:
+        gui = self._server.gui
+        gui.set_panel_label(self._exhibit.grid.scene_id or "navbake")
+        change = self._changes.put
+        self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
+        gui.main_panel.dock_right()  # beside the scene, not over it
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        ray = event.ray_origin, event.ray_direction
+        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
+
+    def _verify(self) -> None:
+        def compare(chosen: Choices) -> Choices:
+            self._controls.say("Comparing the grid with the scene…")
+            self._exhibit.verify()
+            self._controls.say("")
+            return chosen
+
+        self._changes.put(compare)
+
+    def _show_other(self, exhibit: Exhibit) -> None:
+        """Show another exhibit with the same choices, as far as it has them; from any thread."""
+
+        def take(chosen: Choices) -> Choices:
+            self._exhibit, self._chosen = exhibit, keep_choices(chosen, exhibit.grid)
+            self._stage.clear()
+            self._set_up()
+            return self._chosen
+
+        self._changes.put(take)
+
+    def _work(self) -> None:
+        changes: list[Change | None] = []
+        while None not in changes:
+            for change in [*changes, self._show]:
+                try:  # an error is shown, and the page lives on
+                    self._chosen = change(self._chosen) if change else self._chosen
+                except Exception as error:
+                    if not isinstance(error, NavbakeError):
+                        LOG.exception("the viewer failed")
+                    self._controls.say(say_error(error))
+            changes = [self._changes.get()]
+            while not self._changes.empty():
+                changes.append(self._changes.get())
+
+    def _show(self, chosen: Choices) -> Choices:
+        route, told = self._exhibit.route(chosen), self._exhibit.tell(chosen)
+        with self._server.atomic():
+            self._stage.show(self._exhibit, chosen, route, told)
+            self._controls.show(chosen, route, told)
+        return chosen
+
     def _watch(self, watch: Watch) -> None:
         """Read again whatever has changed; what can't be read is said, and the last stays."""
+
+        def say(chosen: Choices) -> Choices:
+            self._controls.say("Files have changed: baking again…")
+            return chosen
+
+        def fail(error: Exception, chosen: Choices) -> Choices:
+            raise error
+
         while not self._closed.wait(PERIOD):
             try:
                 if watch.look():
-                    self.page.say("Files have changed: baking again…")
-                    self.page.exhibit_other(watch.read())
+                    self._changes.put(say)
+                    self._show_other(watch.read())
             except Exception as error:  # whoever mends the file may mend this, too
-                if not isinstance(error, NavbakeError):
-                    LOG.exception("the viewer failed to read what has changed")
-                self.page.say(say_error(error))
+                self._changes.put(partial(fail, error))
 
 
 def view(
@@ -200,11 +268,8 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
 class Watch:
     """Notices when files have changed and rest again: whoever writes them may take some time.
 
-    Made before the files are read first, it misses no change meanwhile.
-
-    Args:
-        read: reads or bakes the exhibit.
-        list_files: the files; called again after each change, for a scene may name others then.
+    Made before the files are read first, it misses no change meanwhile. `read` reads or bakes the
+    exhibit; `list_files` is called again after each change, for a scene may name others then.
     """
 
     def __init__(
@@ -236,12 +301,7 @@ class Watch:
 
 
 def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
-    """Serve an empty page at an address of this machine; port 0 is any that is free.
-
-    Raises:
-        MissingDependencyError: viser is not installed.
-        NavbakeError: the port is taken, or there is no such address here.
-    """
+    """Serve an empty page at an address of this machine; port 0 is any that is free."""
     check_viser()
     # viser takes the next free port, without a word, and waits forever for an unknown host
     check_address(host, port)

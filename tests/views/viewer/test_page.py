@@ -136,7 +136,7 @@ NASTY = (f"a\\|{IMAGE}", f"b\r\r{IMAGE}", f"c`` {IMAGE}", f"d\n\n{IMAGE}", f"e|{
 
 
 def test_names_from_files_do_not_run():
-    facts = dict.fromkeys(("floor", "weight", "island", "level", "row", "col"), 0)
+    facts = dict.fromkeys(("floor", "weight", "island", "level", "cell", "row", "col"), 0)
     facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
     facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
     facts |= {"clicked": NASTY[0]}

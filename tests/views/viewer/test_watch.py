@@ -77,4 +77,4 @@ def test_the_watch_goes_on_after_any_error(tmp_path, caplog):
         for text in ("ab", "abc"):
             touch(path, text)
             wait_until(lambda text=text: asked[-1:] == [text], "another look")
-    assert "failed to read" in caplog.text
+    assert "the viewer failed" in caplog.text
