@@ -1,26 +1,35 @@
-"""The bake, end to end: its stages, and the grid that they make."""
+"""The bake, end to end: its stages, and the grid that is put together from what they found."""
 
 from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake._version import __version__
 from navbake.baker.arguments import take_input
-from navbake.baker.assemble import build_grid
+from navbake.baker.boxes import written_ground
 from navbake.baker.clock import Progress, StageClock
+from navbake.baker.lattice import cut_cells
 from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.model import OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look
+from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning
+from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.islands import add_layers
+from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
-from navbake.types import Json
+from navbake.types import Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -186,3 +195,130 @@ def _verified(
     metadata = {**grid.metadata, "navbake": own}
     checked: SceneGrid2D | MultiLevelGrid = grid.with_levels(grid.levels, metadata)
     return checked
+
+
+# ---------------------------------------------------------------- the grid
+
+
+def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
+    """Put what the stages found into the grid that is written."""
+    doors = _cut_doors(stages)
+    metadata = _metadata(stages, doors)
+    count = len(stages.floors.levels)
+    grids = [_level_grid(stages, number, doors, metadata) for number in range(count)]
+    grid: SceneGrid2D | MultiLevelGrid = grids[0]
+    if len(grids) > 1:
+        grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)
+    add_layers(grid, stages.config.attributes)
+    return grid
+
+
+def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Json) -> SceneGrid2D:
+    """One level's grid, blocked by the doors in their states."""
+    window, num_levels = stages.boxes.windows[number], len(stages.floors.levels)
+    level, part = stages.floors.levels[number], stages.lattice.cut(*window)
+    occupied = stages.occupancy.levels[number][window].copy()
+    for door in doors:
+        occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+    attributes: dict[str, NDArray[Any]] = {
+        "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
+        "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
+        "occupancy": occupied.view(np.uint8),
+    }
+    if stages.occupancy.solid is not None:
+        solid = stages.occupancy.solid[number][window].copy()
+        for door in doors:
+            solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
+        attributes["solid"] = solid.view(np.uint8)
+    user_data = UserData()
+    if stages.contents is not None and stages.config.names.enabled:  # read on first use
+        named = stages.contents.user_data(number, window)
+        user_data = with_door_names(named, doors, number, num_levels)
+    return SceneGrid2D(
+        width=part.width,
+        height=part.height,
+        cell_size=part.cell_size,
+        min_yup=(part.x_min, written_ground(level), 0.0 - part.y_max),
+        bbox_yup=stages.boxes.boxes[number],
+        weights=np.where(occupied, np.inf, 1.0),
+        attributes=attributes,
+        user_data=user_data,
+        metadata=metadata,
+    )
+
+
+def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
+    config, agent, levels = stages.config, stages.config.agent, stages.floors.levels
+    warned = collect_warnings(stages)
+    return {
+        "sceneId": stages.scene.id,
+        "cellAttributes": [
+            {"name": "floorHeight", "type": "Float32Array", "dataType": "continuous"},
+            {"name": "roomIndex", "type": "Uint16Array", "dataType": "categorical"},
+            {"name": "occupancy", "type": "Uint8Array", "dataType": "categorical"},
+        ],
+        "agentHeight": agent.height,
+        "agentRadius": agent.radius,
+        "traversableFloorHeight": agent.traversable_floor_height,
+        "useCellFloorHeight": True,
+        # what the format doesn't know
+        "navbake": {
+            "version": __version__,
+            "mujoco": mujoco_version(),
+            "sceneDigest": stages.scene.digest,
+            **stages.stated_settings,
+            "worldFrame": {
+                "up": "z",
+                "unit": "m",
+                "handedness": "right",
+                "fileFromWorld": "(X, Y, Z) = (x, z, -y)",
+            },
+            "maxSlope": agent.max_slope,
+            "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
+            "links": _cut_links(stages).tolist(),
+            "names": config.names.enabled,
+            "rooms": stages.room_table,
+            "doors": [_door_entry(door) for door in doors],
+            **({"warnings": warned} if warned else {}),
+        },
+    }
+
+
+def _door_entry(door: Door) -> Json:
+    """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
+
+    def by_state(cells: Mapping[str, Mapping[int, Runs]]) -> Json:
+        return {state: list(map(list, runs.items())) for state, runs in cells.items()}
+
+    stated = {"id": door.id, "joint": door.joint, "rooms": list(door.rooms), "state": door.state}
+    solid = {"solid": by_state(door.solid)} if door.solid else {}
+    return {**stated, "cells": by_state(door.cells), **solid}
+
+
+def _cut_doors(stages: Stages) -> list[Door]:
+    """The doors in the wanted state, with cells counted on each level's own rectangle."""
+
+    def to_file(by_state: Mapping[str, list[Int]]) -> dict[str, dict[int, list[int]]]:
+        cut: dict[str, dict[int, list[int]]] = {}
+        for state, levels in by_state.items():
+            pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
+            inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in pairs)
+            cut[state] = {number: to_runs(cells) for number, cells in inside if len(cells)}
+        return cut
+
+    wanted, doors = stages.config.doors.state, list[Door]()
+    for door in stages.doors.placed:
+        cells, solid = to_file(door.cells), to_file(door.solid)
+        doors.append(Door(door.id, door.joint, door.rooms, door.state(wanted), cells, solid))
+    return doors
+
+
+def _cut_links(stages: Stages) -> Int:
+    """The links with cells counted on each level's own rectangle."""
+    links = stages.floors.links.copy()
+    for number, window in enumerate(stages.boxes.windows):
+        for level, cell in ((0, 1), (2, 3)):
+            here = links[:, level] == number
+            # a linked cell has a floor, so that none drops out
+            links[here, cell] = cut_cells(links[here, cell], window, stages.lattice.width)[0]
+    return links

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import limit_threads, run_beside
+from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
@@ -81,10 +81,8 @@ def take_first_look(
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> Stages:
-    """Load a scene, and give the stages of a bake that takes every candidate for a door.
-
-    Args:
-        opened: the scene's model, where it is in memory.
+    """Load a scene, `opened` where it is in memory; the stages of a bake that takes every candidate
+    for a door.
     """
     with clock.stage("scene"):
         scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
@@ -106,27 +104,6 @@ def settle_doors(stages: Stages) -> Stages:
         kept = [candidate for candidate in stages.candidates if candidate not in rejected]
         stages = replace(stages, candidates=kept)
     return stages
-
-
-class WholeScene(NamedTuple):
-    """The scene on which floors are judged.
-
-    Attributes:
-        tiled: the geometry without doors, by tiles of a lattice over the whole scene.
-        window: the rows and columns of that lattice that are baked.
-        columns: all surfaces.
-    """
-
-    tiled: TiledShapes
-    window: Window
-    columns: ColumnSource
-
-
-class _Cells(NamedTuple):
-    """What is found in cells once their floors are known, all in one pass over the columns."""
-
-    finder: CellFinder
-    of_columns: ColumnFlags
 
 
 @dataclass(eq=False)
@@ -174,22 +151,26 @@ class Stages:
         return lay_whole(self.lattice, self.scene.bounds, self.config.grid.max_cells)
 
     @cached_property
-    def whole(self) -> WholeScene:
-        """The scene on which floors are judged, also where `grid.bounds` show less of it."""
-        config, (_, window) = self.config, self.judged
-        tiled = self._judged_shapes
-        columns = ColumnBlocks(tiled, config.agent, config.floors.crack, self.clock)
-        return WholeScene(tiled, window, columns)
+    def judged_shapes(self) -> TiledShapes:
+        """The geometry without doors by tiles of the lattice on which floors are judged."""
+        lattice, _ = self.judged
+        return self.tiled if lattice == self.lattice else self._tile(lattice)
+
+    @cached_property
+    def judged_columns(self) -> ColumnSource:
+        """All surfaces on that lattice, of which not all are kept where they are many."""
+        config = self.config
+        return ColumnBlocks(self.judged_shapes, config.agent, config.floors.crack, self.clock)
 
     @cached_property
     def columns(self) -> Columns:
         """All surfaces on the vertical line through each cell's centre, or beside a crack there."""
-        return join_columns(self.whole.columns, self.whole.window, self.lattice)
+        return join_columns(self.judged_columns, self.judged[1], self.lattice)
 
     @property
     def _blocks(self) -> ColumnSource:
         """The same columns, of which not all are kept where they are many."""
-        columns = self.whole.columns
+        columns = self.judged_columns
         return columns if columns.lattice == self.lattice else self.columns
 
     @cached_property
@@ -198,30 +179,27 @@ class Stages:
 
         They are found on the whole scene, and cut to the lattice.
         """
-        _ = self.whole  # columns take all threads; most of what floors take then is one thread's
-        if self._asks_contents:
-            _ = self._extents
+        # columns take all threads; most of what floors take then is one thread's
+        _ = self.judged_columns, self._extents
         return self.judge_floors()[0]
 
-    @property
-    def _asks_contents(self) -> bool:
-        return bool(self.config.names.enabled or self.config.rooms.sources)
-
     @cached_property
-    def _extents(self) -> Callable[[], Extents]:
-        """Boxes round the geoms, measured beside what is asked for next."""
+    def _extents(self) -> Callable[[], Extents | None]:
+        """Boxes round the geoms, measured beside what is asked for next; none if nothing asks."""
+        if not self.config.names.enabled and not self.config.rooms.sources:
+            return lambda: None
         return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
 
     def judge_floors(self) -> tuple[Floors, FloorFinder]:
         """Find `floors`, and what keeps those of the whole scene up to date."""
-        config, (tiled, window, columns) = self.config, self.whole
+        config, columns = self.config, self.judged_columns
         given = None if config.levels == "auto" else list(config.levels)
         with self.clock.stage("floors"), self._errors_say_where():
             is_occupied = self.occupancy_test(columns)
-            asked = columns, tiled.shapes, config.agent, config.floors, given, is_occupied
-            floors, finder = find_floors(*asked)
+            asked = config.agent, config.floors, given, is_occupied
+            floors, finder = find_floors(columns, self.doorless.shapes, *asked)
             if columns.lattice != self.lattice:
-                floors = crop_floors(floors, window)
+                floors = crop_floors(floors, self.judged[1])
             return floors, finder
 
     def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
@@ -234,16 +212,10 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            known = columns.at(cells), self._judged_shapes
+            known = columns.at(cells), self.judged_shapes
             return look_at_cells(*known, volume, cells, floors).occupied
 
         return is_occupied
-
-    @cached_property
-    def _judged_shapes(self) -> TiledShapes:
-        """The geometry by tiles of the lattice on which floors are judged."""
-        lattice, _ = self.judged
-        return self.tiled if lattice == self.lattice else self._tile(lattice)
 
     @cached_property
     def occupancy(self) -> Occupancy:
@@ -260,12 +232,12 @@ class Stages:
     @property
     def finder(self) -> CellFinder:
         """What finds the occupancy and the contents of cells."""
-        return self._cells.finder
+        return self._cells[0]
 
     @cached_property
     def of_columns(self) -> ColumnFlags:
         """What rooms read of columns."""
-        return self._cells.of_columns
+        return self._cells[1]
 
     @cached_property
     def room_flags(self) -> RoomFlags:
@@ -288,12 +260,11 @@ class Stages:
             return find_rooms(self.room_flags, self.config.rooms, max_step)
 
     @cached_property
-    def _cells(self) -> _Cells:
-        """What is found in the cells, block by block."""
+    def _cells(self) -> tuple[CellFinder, ColumnFlags]:
+        """What is found in the cells once their floors are known, in one pass over the columns."""
         floors, columns, agent = self.floors, self._blocks, self.config.agent
         with self.clock.stage("occupancy"):
-            extents = self._extents() if self._asks_contents else None
-            finder = CellFinder(self.doorless, self.lattice, floors, agent, extents)
+            finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
             of_columns = ColumnFlags(floors, agent)
             for block in columns.blocks():
                 finder.add(block, self.tiled)
@@ -301,7 +272,7 @@ class Stages:
                     first, end = block.known_rows.cells(self.lattice)
                     crossings = block.crossings._replace(start=block.start[first : end + 1])
                     of_columns.look(slice(first, end), crossings, floors.levels)
-            return _Cells(finder, of_columns)
+            return finder, of_columns
 
     @property
     def around_doors(self) -> Surroundings:
@@ -313,20 +284,16 @@ class Stages:
     def doors(self) -> Doors:
         """What each door blocks in each state, and which candidates are no doors."""
         around = self.around_doors
-        # a door is too small to be worth more than one thread
-        with self.clock.stage("doors"), limit_threads(1):
+        with self.clock.stage("doors"):
             placings = place_doors(self.scene, self.candidates, around)
             return Doors(placings, self.config.doors.state)
 
     @cached_property
     def boxes(self) -> LevelBoxes:
         """The rectangle and the box of each level, by which the original client finds it."""
-        levels, occupied, height = (
-            self.floors.levels,
-            self.occupancy.levels,
-            self.config.agent.height,
-        )
-        return find_level_boxes(levels, occupied, self.lattice, self.scene.bounds, height)
+        levels, occupied = self.floors.levels, self.occupancy.levels
+        within = self.lattice, self.scene.bounds, self.config.agent.height
+        return find_level_boxes(levels, occupied, *within)
 
     @cached_property
     def floor_layers(self) -> list[NDArray[np.float32]]:
@@ -355,7 +322,7 @@ class Stages:
         They are the largest of all values, and nothing needs them once the doors are settled. One
         that is asked for again is found again.
         """
-        names = "tiled", "whole", "columns", "_judged_shapes", "_extents", "_cells"
+        names = "tiled", "judged_shapes", "judged_columns", "columns", "_extents", "_cells"
         for name in (*names, "room_flags", "of_columns"):
             self.__dict__.pop(name, None)
 

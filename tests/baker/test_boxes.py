@@ -12,10 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from box_worlds import box, stages_of_xml, world
-from navbake.baker.assemble import build_grid
 from navbake.baker.boxes import GAP, MARGIN, find_level_boxes
 from navbake.baker.floors.levels import LevelFloor
-from navbake.baker.pipeline import run_bake
+from navbake.baker.pipeline import build_grid, run_bake
 from navbake.baker.warn import collect_warnings
 from navbake.config.settings import load_config
 from navbake.navgrid.grid import MultiLevelGrid

@@ -113,7 +113,7 @@ def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
     run_bake(stages.config)
     assert "floors" in kept
     # the grid needs none of them
-    assert not {"tiled", "whole", "columns", "_cells"} & {*kept, *vars(stages)}
+    assert not {"tiled", "judged_columns", "columns", "_cells"} & {*kept, *vars(stages)}
     assert isinstance(stages.columns, Columns)
 
 

@@ -17,7 +17,7 @@ from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
-from navbake.baker.lattice import EDGES
+from navbake.baker.lattice import EDGES, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
@@ -25,6 +25,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.doors import STATES
+from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
 # How far from each side of a closed leaf a room is looked for [m]
@@ -84,15 +85,12 @@ class Placing(NamedTuple):
     is_part: bool
     box: Float | None
 
-    def depends_on(self, row: Int, col: Int, around: Surroundings) -> bool:
+    def depends_on(self, cells: Int, around: Surroundings) -> bool:
         """Whether it may be another one where something changed in some cells."""
         lattice = around.rooms.lattice
         reach = max(SIGHT, around.footprint.reach) + lattice.cell_size
         window = None if self.box is None else lattice.window(self.box, reach)
-        if window is None:
-            return False
-        (top, bottom), (left, right) = ((part.start, part.stop) for part in window)
-        return bool(((row >= top) & (row < bottom) & (col >= left) & (col < right)).any())
+        return window is not None and bool(cut_cells(cells, window, lattice.width)[1].any())
 
 
 @dataclass(frozen=True)
@@ -109,10 +107,7 @@ class Doors:
 
     @property
     def rejected(self) -> list[DoorCandidate]:
-        """The candidates that are parts of the scene, which is to be baked again with them.
-
-        See `settle_doors`.
-        """
+        """The candidates that are parts of the scene; see `settle_doors`."""
         return [one.candidate for one in self.placings if one.is_part]
 
     @property
@@ -129,11 +124,11 @@ class Doors:
                         f"joint opens it by {door.travel} only: check its range, whether the file "
                         "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
                     )
-        immovable = [door for door in self.placed if door.state(self.wanted) != self.wanted]
         warnings += [
             f"door {door.id!r} can't be {self.wanted}, as it has no hinge or slide of its own: it "
             "stays as modelled"
-            for door in immovable
+            for door in self.placed
+            if door.state(self.wanted) != self.wanted
         ]
         return warnings + [door.carried for door in self.placed if door.carried]
 
@@ -164,48 +159,23 @@ def place_doors(
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
     placings = []
-    for candidate in candidates:
-        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
-        boxes = [box for shapes in own.values() if (box := shapes.bounds) is not None]
-        box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
-        by_state = _blocked_by_state(own, candidate, around)
-        blocked = {state: cells for state, (cells, _) in by_state.items()}
-        leaf = largest_side(extents["closed"], candidate.geoms)
-        rooms = _rooms_beside(leaf, extents["closed"], blocked["closed"], around)
-        if rooms is None and not candidate.named:
-            bounds, reach = own["modelled"].bounds, around.footprint.reach
-            is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
-            placings.append(Placing(candidate, None, is_part, box))
-            continue
-        occupied, squares = around.occupancy.levels, around.occupancy.solid
-        cells = {state: _only_free(levels, occupied) for state, levels in blocked.items()}
-        solid = {}
-        if squares is not None:
-            met = {state: levels for state, (_, levels) in by_state.items()}
-            solid = {state: _only_free(levels, squares) for state, levels in met.items()}
-        travel = ""
-        if candidate.positions:
-            by = abs(candidate.positions["open"] - candidate.positions["closed"])
-            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-        names, sides = (candidate.id, candidate.joint), rooms or (None, None)
-        carried = _warn_walkable(candidate, own, extents, around)
-        door = PlacedDoor(*names, sides, cells, blocked["closed"], solid, travel, carried)
-        placings.append(Placing(candidate, door, False, box))
+    with limit_threads(1):  # a door is too small to be worth more
+        for candidate in candidates:
+            own = {state: candidate.only(shapes) for state, shapes in posed.items()}
+            placings.append(_place_door(candidate, own, extents, scene, around))
     return placings
 
 
-# ---------------------------------------------------------------- what a door blocks
-
-
-def _blocked_by_state(
-    own: dict[str, Shapes], candidate: DoorCandidate, around: Surroundings
-) -> dict[str, tuple[list[Int], list[Int]]]:
-    """For each state that the door has, and each level, the cells that it blocks.
-
-    First those that it blocks with the whole footprint, then those whose squares it meets. A door
-    that can't move is closed as it is modelled.
-    """
+def _place_door(
+    candidate: DoorCandidate,
+    own: dict[str, Shapes],
+    extents: dict[str, Extents],
+    scene: Scene,
+    around: Surroundings,
+) -> Placing:
+    boxes = [box for shapes in own.values() if (box := shapes.bounds) is not None]
+    box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
+    # by state that the door has; one that can't move is closed as it is modelled
     blocked: dict[str, tuple[list[Int], list[Int]]] = {}
     state_at: dict[float | None, str] = {}
     for state, shapes in own.items():
@@ -214,16 +184,37 @@ def _blocked_by_state(
         blocked[state] = blocked.get(first) or _blocked_cells(shapes, around)
     if not candidate.positions:
         del blocked["open"]
-    return blocked
+    closed, _ = blocked["closed"]
+    leaf = largest_side(extents["closed"], candidate.geoms)
+    rooms = _rooms_beside(leaf, extents["closed"], closed, around)
+    if rooms is None and not candidate.named:
+        bounds, reach = own["modelled"].bounds, around.footprint.reach
+        is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
+        return Placing(candidate, None, is_part, box)
+
+    def only_free(number: int, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
+        """By state and level, the cells that nothing else occupies."""
+        pairs = {s: zip(both[number], occupied, strict=True) for s, both in blocked.items()}
+        return {s: [ids[~mask.ravel()[ids]] for ids, mask in both] for s, both in pairs.items()}
+
+    cells = only_free(0, around.occupancy.levels)
+    solid = only_free(1, around.occupancy.solid) if around.occupancy.solid is not None else {}
+    travel = ""
+    if candidate.positions:
+        by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
+    names, sides = (candidate.id, candidate.joint), rooms or (None, None)
+    carried = _warn_walkable(candidate, own, extents, around)
+    door = PlacedDoor(*names, sides, cells, closed, solid, travel, carried)
+    return Placing(candidate, door, False, box)
 
 
-def _only_free(cells: list[Int], occupied: Sequence[Bool]) -> list[Int]:
-    """For each level, the cells that nothing else occupies."""
-    return [ids[~mask.ravel()[ids]] for ids, mask in zip(cells, occupied, strict=True)]
+# ---------------------------------------------------------------- what a door blocks
 
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
-    """For each level, the cells with a floor whose volume the shapes meet; and over the square."""
+    """By level, the cells whose volume over the floor shapes meet, and whose squares they do."""
     lattice, reach = around.rooms.lattice, around.footprint.reach
     bounds = shapes.bounds
     window = None if bounds is None else lattice.window(bounds, reach)

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.arguments import take_input
-from navbake.baker.assemble import build_grid
 from navbake.baker.clock import StageClock
+from navbake.baker.pipeline import build_grid
 from navbake.baker.scene.scene import open_file
 from navbake.baker.stages import Stages, take_first_look
-from navbake.baker.update.following import FollowedDoors, FollowedScene, FullBake, Moved
-from navbake.baker.update.poses import Poses
+from navbake.baker.update.following import FollowedDoors, FollowedScene, FullBake, Moved, Poses
 from navbake.baker.update.stages import LiveStages
 from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
@@ -103,7 +102,7 @@ class Baker:
             self._poses = Poses(opened.model, first.scene.data, str(config.scene.path))
             # None while they are brought up to date, and after that has failed
             self._passes: list[LiveStages] | None = self._bake(first)
-            self._grid = self._build(self._passes[-1])
+            self._grid = build_grid(self._passes[-1].stages)
         for warning in self._grid.warnings:
             warnings.warn(warning, BakeWarning, stacklevel=2)
 
@@ -158,10 +157,10 @@ class Baker:
             known, self._passes = self._passes, None
             passes, reason = self._follow(known, moved)
             moved.scene.digest = moved.digest()  # found beside all of that
-            old, grid = self._grid, self._build(passes[-1])
+            old, grid = self._grid, build_grid(passes[-1].stages)
             cells, is_new = _compare(old, grid)
             self._poses.keep()
-            self._scene.keep(moved.scene, np.flatnonzero(moved.every))
+            self._scene.keep(moved.scene)
             self._grid, self._passes = grid, passes
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
@@ -174,9 +173,9 @@ class Baker:
                 raise FullBake("the last update failed")
             differ, reasons = self._candidates.pose(moved.scene, moved.every), []
             for one in passes:
-                rejected = [candidate.id for candidate in one.stages.doors.rejected]
+                rejected = [body.id for body in one.stages.doors.rejected]
                 reasons.append(one.follow(moved, differ))
-                if rejected != [candidate.id for candidate in one.stages.doors.rejected]:
+                if rejected != [body.id for body in one.stages.doors.rejected]:
                     raise FullBake("another body is a door, or none any more")
             return passes, next(filter(None, reasons), "")
         except FullBake as why:
@@ -193,9 +192,6 @@ class Baker:
             kept = [candidate for candidate in last.candidates if candidate not in rejected]
             passes.append(LiveStages(replace(last, candidates=kept)))
         return passes
-
-    def _build(self, live: LiveStages) -> NavGrid:
-        return build_grid(live.stages)
 
 
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:

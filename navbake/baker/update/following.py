@@ -1,22 +1,26 @@
-"""A scene whose geoms moved: what moved, the scene as it is now, and the candidates for doors."""
+"""A scene in one pose after the other: what moved, the scene as it is now, and its doors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates
-from navbake.baker.kernels.constants import HINGE, MESH, SLIDE
+from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.model import OpenScene
-from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
+from navbake.baker.scene.model import OpenScene, check_data
+from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
+from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
 from navbake.baker.scene.shapes import Shapes, Solids, Triangles
 from navbake.config.settings import BakeConfig
+from navbake.errors import QueryError
+from navbake.known_names import suggest
 from navbake.types import Bool, Float, Int
 
 
@@ -36,96 +40,67 @@ class Moved(NamedTuple):
 
     Attributes:
         scene: as it is now.
-        geoms: ids of the geoms that count now or did, and whose geometry differs, ascending.
-        boxes: the boxes of the geometry that they had and have, shape (n, 6) [m].
-        box_geom: the geom of each box, shape (n,).
+        geoms: those that count now or did, and whose geometry differs, shape (ngeom,), bool.
+        shapes: their geometry, as it was and as it is.
         every: all geoms that moved, whether they count or not, shape (ngeom,), bool.
         digest: gives the scene's digest, which it does not have yet.
     """
 
     scene: Scene
-    geoms: Int
-    boxes: Float
-    box_geom: Int
+    geoms: Bool
+    shapes: tuple[Shapes, Shapes]
     every: Bool
     digest: Callable[[], str]
 
 
 class FollowedScene:
-    """A scene of one model, in one pose after the other.
-
-    Args:
-        opened: the model.
-        scene: in its first pose.
-    """
+    """A scene of one model, in one pose after the other."""
 
     def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
-        self._config, self._opened = config, opened
+        self._config, self._opened, self._meshes = config, opened, scene.meshes
         self._names = digest_names(opened.model)
-        self._first = scene
-        self._is_large = np.zeros(opened.model.ngeom, dtype=np.bool_)
-        self.keep(scene, np.arange(opened.model.ngeom))
+        self.keep(scene)
 
-    def keep(self, scene: Scene, moved: Int) -> None:
-        """Take a scene for the one that the next pose is compared with; `moved` are geoms' ids."""
-        model = scene.model
-        room = self._room(scene.data)
-        for geom in moved[model.geom_type[moved] == MESH].tolist():
-            self._is_large[geom] = room.is_large(geom)
-        chosen = [np.array(getattr(model, name)) for name in CHOOSING]
-        self.scene, self._chosen, self._poses = scene, chosen, _poses_of(scene.data)
-
-    def _room(self, data: Any) -> HiddenRoom:
-        scene, config = self._first, self._config
-        return HiddenRoom(scene.model, data, scene.meshes, config.agent, config.floors)
+    def keep(self, scene: Scene) -> None:
+        """Take a scene for the one that the next pose is compared with."""
+        self._chosen = [np.array(getattr(scene.model, name)) for name in CHOOSING]
+        self.scene, self._poses = scene, _poses_of(scene.data)
 
     def pose(self, data: Any) -> Moved:
-        """Find what moved in a pose; `keep` makes it the one that the next is compared with.
-
-        Args:
-            data: a mujoco.MjData of the model, with all geoms placed.
+        """Find what moved in a pose, a mujoco.MjData of the model with all geoms placed.
 
         Raises:
             SceneError: a geom that counts stands at no finite place.
         """
         was, model = self.scene, self.scene.model
-        moved = np.flatnonzero((_poses_of(data) != self._poses).any(axis=1))
-        choices_hold = all(
-            np.array_equal(known, getattr(model, name))
-            for known, name in zip(self._chosen, CHOOSING, strict=True)
-        )
-        if not choices_hold or self._may_count_otherwise(moved, data):
-            return self._load(data)
+        moved = (_poses_of(data) != self._poses).any(axis=1)
+        pairs = zip(self._chosen, CHOOSING, strict=True)
+        choices_hold = all(np.array_equal(one, getattr(model, name)) for one, name in pairs)
+        if not choices_hold or self._may_count_otherwise(moved & (model.geom_type == MESH), data):
+            opened, config = self._opened._replace(data=data), self._config
+            scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
+            every = np.ones(model.ngeom, dtype=np.bool_)
+            return Moved(scene, every, (was.shapes, scene.shapes), every, lambda: scene.digest)
         digest = start_digest(model, data, was.parts, self._names)
-        counted = np.array([geom for geom in moved.tolist() if was.choices[geom].counted], np.int64)
-        every, mask = np.zeros((2, model.ngeom), dtype=np.bool_)
-        every[moved], mask[counted] = True, True
-        shapes, boxes, owner = was.shapes, np.empty((0, 6)), np.empty(0, dtype=np.int64)
-        if len(counted):
-            chosen = was.choices, was.parts, counted.tolist(), was.meshes
-            new = collect_shapes(model, data, *chosen).shapes
-            shapes = _with(was.shapes, new, mask)
-            boxes, owner = _join_boxes(was.shapes.only(mask), new)
-        bounds = shapes.bounds if len(counted) else was.bounds
+        mask = moved & [choice.counted for choice in was.choices]
+        before = after = was.shapes.only(mask)
+        shapes, bounds = was.shapes, was.bounds
+        if mask.any():
+            chosen = was.choices, was.parts, np.flatnonzero(mask).tolist(), was.meshes
+            after = collect_shapes(model, data, *chosen).shapes
+            shapes = _with(was.shapes, after, mask)
+            bounds = shapes.bounds
         scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)
-        return Moved(scene, counted, boxes, owner, every, digest)
+        return Moved(scene, mask, (before, after), moved, digest)
 
-    def _may_count_otherwise(self, moved: Int, data: Any) -> bool:
-        """Whether a mesh moved that is so large that its pose decides as what it counts."""
-        meshes = moved[self.scene.model.geom_type[moved] == MESH]
-        if not len(meshes):
+    def _may_count_otherwise(self, meshes: Bool, data: Any) -> bool:
+        """Whether one of some meshes is or was so large that its pose decides as what it counts."""
+        config, scene = self._config, self.scene
+        if not meshes.any():
             return False
-        room = self._room(data)
-        return any(self._is_large[geom] or room.is_large(geom) for geom in meshes.tolist())
-
-    def _load(self, data: Any) -> Moved:
-        """Choose the geoms that count again."""
-        config, was = self._config, self.scene
-        opened = self._opened._replace(data=data)
-        scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-        every = np.ones(scene.model.ngeom, dtype=np.bool_)
-        boxes = _join_boxes(was.shapes, scene.shapes)
-        return Moved(scene, np.flatnonzero(every), *boxes, every, lambda: scene.digest)
+        geoms, known = np.flatnonzero(meshes).tolist(), (self._meshes, config.agent, config.floors)
+        rooms = [HiddenRoom(scene.model, posed, *known) for posed in (scene.data, data)]
+        return any(room.is_large(geom) for room in rooms for geom in geoms)
 
 
 def _poses_of(data: Any) -> Float:
@@ -153,25 +128,16 @@ def _put(old: Any, at: Int, new: Any) -> Any:
     return copy
 
 
-def _join_boxes(*shapes: Shapes) -> tuple[Float, Int]:
-    found = [boxes_of(one) for one in shapes]
-    boxes, owner = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-    return boxes, owner
-
-
-def boxes_of(shapes: Shapes) -> tuple[Float, Int]:
-    """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes; and the geoms."""
-    solids, triangles, planes = shapes.solids, shapes.triangles, shapes.planes
-    boxes, owner = [solids.bounds], [solids.geom.astype(np.int64)]
-    if len(triangles.geom):
-        first = np.flatnonzero(np.diff(triangles.geom, prepend=np.int32(-1)))
-        low = np.minimum.reduceat(triangles.corners.min(axis=1), first)
-        high = np.maximum.reduceat(triangles.corners.max(axis=1), first)
-        boxes.append(np.concatenate([low, high], axis=1))
-        owner.append(triangles.geom[first].astype(np.int64))
-    boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(planes.geom), 1)))
-    owner.append(planes.geom.astype(np.int64))
-    return np.concatenate(boxes), np.concatenate(owner)
+def boxes_of(shapes: Shapes) -> Float:
+    """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
+    geom, corners = shapes.triangles.geom, shapes.triangles.corners
+    boxes = [shapes.solids.bounds]
+    if len(geom):
+        first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
+        low = np.minimum.reduceat(corners.min(axis=1), first)
+        boxes.append(np.hstack([low, np.maximum.reduceat(corners.max(axis=1), first)]))
+    boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(shapes.planes.geom), 1)))
+    return np.concatenate(boxes)
 
 
 class FollowedDoors:
@@ -221,3 +187,113 @@ def _facts_of(candidate: DoorCandidate) -> tuple[Any, ...]:
     """All of a candidate but how its joint is modelled."""
     known = candidate.id, candidate.joint, candidate.joint_id, candidate.named
     return *known, candidate.geoms.tolist()
+
+
+PARTS = "qpos", "mocap_pos", "mocap_quat"  # of a data, that a pose is
+
+
+class Poses:
+    """Two datas of a model, of which one is in the pose of now, and the other becomes the next."""
+
+    def __init__(self, model: Any, data: Any, name: str) -> None:
+        self._model, self._name = model, name
+        self._now, self._next = data, data_with_joints(model, data, {})
+        self._kept = _pose_of(data)
+        self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
+        self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
+
+    def take(
+        self,
+        data: Any,
+        bodies: Mapping[str, ArrayLike] | None,
+        joints: Mapping[str, float] | None,
+    ) -> Any:
+        """The data of the next pose, with all geoms placed; see `Baker.update`."""
+        source = self._now
+        if data is not None:
+            check_data(self._model, data, self._name)
+            source = data
+        pose = self._next
+        for part in PARTS:
+            getattr(pose, part)[:] = getattr(source, part)
+        for name, placed in (bodies or {}).items():
+            self._place_body(pose, name, placed)
+        for name, position in (joints or {}).items():
+            self._turn_joint(pose, name, position)
+        self._check_finite(pose)
+        place_geoms(self._model, pose)
+        return pose
+
+    def copy(self) -> tuple[Float, Float, Float]:
+        """The joint positions of now, the mocap bodies' positions, and their quaternions."""
+        qpos, position, quaternion = (part.copy() for part in self._kept)
+        return qpos, position, quaternion
+
+    def keep(self) -> None:
+        """Let the next pose be the one of now."""
+        # whoever reads the pose on another thread has the last one, or this one
+        self._kept = _pose_of(self._next)
+        self._now, self._next = self._next, self._now
+
+    def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
+        model, body = self._model, self._bodies.get(name)
+        if body is None:
+            raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._bodies)}")
+        numbers = _numbers(placed, f"body {name!r}")
+        if numbers.shape not in ((3,), (7,)):
+            raise QueryError(
+                f"expected x, y, z [m] of body {name!r}, or these and a quaternion w, x, y, z; "
+                f"got shape {numbers.shape}"
+            )
+        if len(numbers) == 7 and not numbers[3:].any():
+            raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
+        mocap, first = int(model.body_mocapid[body]), int(model.body_jntadr[body])
+        if mocap >= 0:
+            pose.mocap_pos[mocap] = numbers[:3]
+            if len(numbers) == 7:
+                pose.mocap_quat[mocap] = numbers[3:]
+        elif first >= 0 and int(model.jnt_type[first]) == FREE:
+            address = int(model.jnt_qposadr[first])
+            pose.qpos[address : address + len(numbers)] = numbers
+        else:
+            raise QueryError(
+                f"body {name!r} can't be placed: it has no free joint and is no mocap body; turn "
+                "its joints, or write to model.body_pos and call update()"
+            )
+
+    def _turn_joint(self, pose: Any, name: str, position: ArrayLike) -> None:
+        model, joint = self._model, self._joints.get(name)
+        if joint is None:
+            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joints)}")
+        numbers = _numbers(position, f"joint {name!r}")
+        if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or numbers.size != 1:
+            raise QueryError(
+                f"expected one number [m or rad] for joint {name!r}, a hinge or a slide; place "
+                f"the bodies of other joints"
+            )
+        pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
+
+    def _check_finite(self, pose: Any) -> None:
+        if all(np.isfinite(part).all() for part in _pose_of(pose)):
+            return
+        bad = np.flatnonzero(~np.isfinite(pose.qpos))
+        what = "a mocap body"
+        if len(bad):
+            joint = int(np.searchsorted(self._model.jnt_qposadr, bad[0], side="right")) - 1
+            body = int(self._model.jnt_bodyid[joint])
+            what = f"body {body_name(self._model, body)!r}"
+        raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
+
+
+def _pose_of(data: Any) -> tuple[Float, ...]:
+    return tuple(getattr(data, part).copy() for part in PARTS)
+
+
+def _numbers(given: ArrayLike, what: str) -> Float:
+    try:
+        numbers = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise QueryError(f"expected numbers as the pose of {what}, got {given!r}") from error
+    if not np.isfinite(numbers).all():
+        raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
+    return numbers

@@ -7,15 +7,17 @@ has changed. All of it is done by the functions of a bake.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
 from navbake.baker.blocks import Blocks
-from navbake.baker.column_blocks import cast_at
-from navbake.baker.columns import take_columns
+from navbake.baker.column_blocks import cast_at, place_columns
+from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Doors, place_doors
 from navbake.baker.floors.growth import FloorChanges
@@ -25,17 +27,65 @@ from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import cells_near, lay_lattice
 from navbake.baker.rooms.flags import RoomFlags
 from navbake.baker.rooms.sources import find_markers
-from navbake.baker.stages import Stages, WholeScene
-from navbake.baker.update.columns import KeptColumns
-from navbake.baker.update.following import FullBake, Moved
+from navbake.baker.stages import Stages
+from navbake.baker.update.following import FullBake, Moved, boxes_of
 from navbake.errors import SceneError
 from navbake.threads import limit_threads
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # To bake all takes no longer than to follow what is near so large a share of the cells
 MOST_CELLS = 0.5
 # So many cells are worth a call on another thread
 LEAST_CELLS = 4096
+# The store of columns has so many times the room that it needs at first
+ROOM = 1.25
+
+
+class KeptColumns:
+    """The columns of a lattice, each a run of one store; see `ColumnSource`.
+
+    A new column is written behind all others, and its cell points at it from then on (a
+    log-structured store; Rosenblum and Ousterhout, 1992). The store is written anew when it is
+    full.
+    """
+
+    def __init__(self, columns: Columns) -> None:
+        self.lattice = columns.lattice
+        self._cells = np.arange(self.lattice.width * self.lattice.height)
+        self._fill(columns.crossings, 0)
+
+    def _fill(self, crossings: Crossings, more: int) -> None:
+        """Make the store, with room for `more` crossings at least."""
+        self._first, self._counts = crossings.start[:-1].copy(), np.diff(crossings.start)
+        self._used = len(crossings.z)
+        room, self._arrays = int((self._used + more) * ROOM) + 100, list[NDArray[Any]]()
+        for array in crossings[1:]:
+            self._arrays.append(np.empty((room, *array.shape[1:]), dtype=array.dtype))
+            self._arrays[-1][: self._used] = array
+
+    def blocks(self) -> Iterator[Columns]:
+        """All columns, in one block."""
+        yield Columns(self.lattice, self.take(self._cells))
+
+    def at(self, cells: Int | Int32) -> Columns:
+        """Columns in which those of some cells are known, whatever the order of their ids."""
+        asked = np.unique(cells).astype(np.int64)
+        return place_columns(self.lattice, asked, self.take(asked))
+
+    def take(self, cells: Int) -> Crossings:
+        """The columns of some cells, ascending, numbered as these are."""
+        return take_runs(self._arrays, self._first[cells], self._counts[cells])
+
+    def put(self, cells: Int, crossings: Crossings) -> None:
+        """Replace the columns of some cells, ascending; crossings are numbered as these are."""
+        end = self._used + len(crossings.z)
+        if end > len(self._arrays[0]):
+            self._fill(self.take(self._cells), len(crossings.z))
+            end = self._used + len(crossings.z)
+        for array, new in zip(self._arrays, crossings[1:], strict=True):
+            array[self._used : end] = new
+        self._first[cells] = self._used + crossings.start[:-1]
+        self._counts[cells], self._used = np.diff(crossings.start), end
 
 
 class LiveStages:
@@ -85,12 +135,12 @@ class LiveStages:
         candidates = [differ.get(one.id, one) for one in was.candidates]
         now = replace(was, scene=scene, candidates=candidates)
         now.stated_settings = was.stated_settings
-        own = np.zeros(scene.model.ngeom, dtype=np.bool_)
-        own[moved.geoms] = True
+        own = moved.geoms.copy()
         for candidate in candidates:
             own[candidate.geoms] = False
+        boxes = np.concatenate([boxes_of(shapes.only(own)) for shapes in moved.shapes])
         reach = max(now.footprint.reach, now.config.floors.crack) + 2 * TOUCH
-        near = cells_near(now.lattice, moved.boxes[own[moved.box_geom]], reach)
+        near = cells_near(now.lattice, boxes, reach)
         self._check(now, near)
         known, self._markers = self._markers, find_markers(scene, now.config.rooms)
         planes, before = (len(one.doorless.shapes.planes.geom) for one in (now, was))
@@ -144,7 +194,7 @@ class LiveStages:
         if heights != self._heights and now.doorless.shapes.planes.mat[:, [2, 5, 6, 7]].any():
             raise FullBake("lines that cross a plane that is not level begin at another height")
         if self._kept:
-            now.whole = WholeScene(now.tiled, now.judged[1], self._kept)
+            now.judged_columns = self._kept
 
     def _cast(self, now: Stages, near: Int) -> bool:
         """Cast the columns of some cells again; whether the surfaces that mark rooms are the same.
@@ -163,7 +213,7 @@ class LiveStages:
 
     def _find_floors(self, now: Stages, near: Int) -> tuple[str, list[FloorChanges]]:
         """Find floors again; returns whether there are other levels, and why; and what changed."""
-        source, finder = now.whole.columns, self._finder
+        source, finder = now.judged_columns, self._finder
         asked = source, now.doorless.shapes, now.occupancy_test(source), self._blocks.holding(near)
         before = [(level.name, level.ground) for level in now.floors.levels]
         try:
@@ -184,7 +234,7 @@ class LiveStages:
         Returns these cells, and whether rooms read the same there as before.
         """
         touched = np.unique(np.concatenate([near, *(change.heights for change in changes)]))
-        columns, cells, was = now.whole.columns.at(touched), self._cells, now.contents
+        columns, cells, was = now.judged_columns.at(touched), self._cells, now.contents
         crossings = take_columns(columns.crossings, touched)
         holds = not self._of_columns.look(touched, crossings, now.floors.levels)
         cells.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
@@ -202,16 +252,15 @@ def _box(stages: Stages) -> Float:
 
 def _follow_doors(was: Stages, now: Stages, differ: set[str], touched: Int) -> Doors:
     """Place again the doors that moved, and those near cells that something touched."""
-    around, (row, col) = now.around_doors, np.divmod(touched, now.lattice.width)
+    around = now.around_doors
     again = [
         new
         for new, old in zip(now.candidates, was.doors.placings, strict=True)
-        if now.rooms is not was.rooms or new.id in differ or old.depends_on(row, col, around)
+        if now.rooms is not was.rooms or new.id in differ or old.depends_on(touched, around)
     ]
     if not again:
         return was.doors
-    with limit_threads(1):
-        placed = {one.candidate.id: one for one in place_doors(now.scene, again, around)}
+    placed = {one.candidate.id: one for one in place_doors(now.scene, again, around)}
     placings = [placed.get(one.candidate.id, one) for one in was.doors.placings]
     return replace(was.doors, placings=placings)
 

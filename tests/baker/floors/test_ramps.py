@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.baker.assemble import build_grid
 from navbake.baker.blocks import Blocks
 from navbake.baker.floors.kernels.surfaces import FLOOR_LIKE, STANDS, Surfaces
 from navbake.baker.floors.labels import Joining, Labels
+from navbake.baker.pipeline import build_grid
 from navbake.baker.stages import bake_stages
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.lattice import Lattice
