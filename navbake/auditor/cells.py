@@ -12,10 +12,10 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import Facts, read_inflations
+from navbake.auditor.facts import DOWN, RIGHT, Facts, read_inflations
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Bool, Int, Int32
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free
 FEW = 0.01  # share of a level's cells under which hardly any are free
@@ -43,9 +43,8 @@ def check_empty_levels(facts: Facts) -> Iterator[Found]:
 
     An inflation may close a level, where the agent is too large for it.
     """
-    reach = facts.reach
-    severity = ERROR if reach is None else REMARK
-    inflated = "" if reach is None else f", inflated by {reach:g} m"
+    severity = ERROR if facts.reach is None else REMARK
+    inflated = "" if facts.reach is None else f", inflated by {facts.reach:g} m"
     if not any(free.any() for free in facts.free):
         yield severity, None, None, f"no cell is free, on any level{inflated}"
         return
@@ -58,11 +57,10 @@ def check_empty_levels(facts: Facts) -> Iterator[Found]:
 
 def check_free_share(facts: Facts) -> Iterator[Found]:
     """Hardly any cell is free: a map that is black but for a few specks."""
-    for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
-        num_free = int(np.count_nonzero(free))
-        num_floor = int(np.count_nonzero(free | ~np.isnan(floor)))
-        total = num_floor if facts.levels[number].uses_cell_floors else free.size
-        if total >= MANY and 0 < num_free < FEW * total:
+    for number, (level, free) in enumerate(zip(facts.levels, facts.free, strict=True)):
+        is_floor = free | ~np.isnan(facts.floors[number])
+        total = np.count_nonzero(is_floor) if level.uses_cell_floors else free.size
+        if total >= MANY and 0 < (num_free := np.count_nonzero(free)) < FEW * total:
             text = f"only {num_free} of {total} cells are free"
             yield REMARK, number, facts.first(number, free), text
 
@@ -175,8 +173,6 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
     No step and no link leads there, so it is a spike, a pit, or the top of something. One that is
     too small for a floor can't be meant; of a larger one, a person would ask.
     """
-    if not any(len(cells) for steps in facts.steps for cells in steps):
-        return
     settings = facts.settings.get("floors")
     stated = settings.get("min_area") if isinstance(settings, dict) else None
     min_area = float(stated) if isinstance(stated, int | float) else MIN_AREA
@@ -189,14 +185,19 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
     for number, island in enumerate(islands):
         cells += np.bincount(island.ravel(), minlength=count)
         padded = np.pad(island, 1)  # beyond the rim is none
-        for here, there in (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]):
+        for here, there in DOWN, RIGHT:
             differ = padded[here] != padded[there]
             for side in (here, there):
                 edges += np.bincount(padded[side][differ], minlength=count)
-        for own, down in _jumps(facts, number):
-            for num, rise, mask in zip(jumps, total, (down > 0, down < 0), strict=True):
-                num += np.bincount(own[mask], minlength=count)
-                rise += np.bincount(own[mask], np.abs(down[mask]), minlength=count)
+        # free neighbours are on two islands only where they lie more than a step apart
+        for one, step in pairs_across(island, 1):
+            own, floor = island.ravel(), facts.floors[number].ravel()
+            one = one[(own[one] > 0) & (own[one + step] > 0)]
+            down = floor[one] - floor[one + step]
+            for patches, drop in (own[one + step], -down), (own[one], down):
+                for num, rise, mask in zip(jumps, total, (drop > 0, drop < 0), strict=True):
+                    num += np.bincount(patches[mask], minlength=count)
+                    rise += np.bincount(patches[mask], np.abs(drop[mask]), minlength=count)
     cells[0], jumps[:, 0] = 0, 0
     area = cells * facts.levels[0].lattice.cell_size ** 2
     found = []
@@ -220,21 +221,6 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
     if rest := found[MOST_PATCHES:]:
         severity = REMARK if rest[0][0] else ERROR
         yield severity, None, None, f"{len(rest)} more patches of floor jump"
-
-
-def _jumps(facts: Facts, number: int) -> Iterator[tuple[Int32, Float]]:
-    """Islands beside another one, and how far that lies below [m]: above, below, left and right.
-
-    Free neighbours are on two islands only where they lie more than a step apart.
-    """
-    island, floor = facts.islands[number].ravel(), facts.floors[number].ravel()
-    steps, width = facts.steps[number], facts.levels[number].width
-    for cells, beside in ((steps.down, steps.down + width), (steps.right, steps.right + 1)):
-        apart = island[cells] != island[beside]
-        one, other = cells[apart], beside[apart]
-        down = floor[one] - floor[other]
-        yield island[other], -down
-        yield island[one], down
 
 
 def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:

@@ -27,48 +27,28 @@ MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
 SLACK = 1e-6  # metres that a step may be over the highest one
 
 
-class Steps(NamedTuple):
-    """Flat ids of marked cells that lie more than a step beside the next row's, or column's."""
-
-    down: Int
-    right: Int
+DOWN, RIGHT = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
+"""Where the cells of an array stand that have one below, or to the right; and where these stand."""
 
 
-def find_steps(mask: Bool, floor: Float, limit: float) -> Steps:
-    """Find the steps between marked cells of a level that are higher than a limit [m].
-
-    Cells without a floor are at no height, so that nothing lies a step above or below them.
-    """
-    floors, none = floor[mask], np.empty(0, dtype=np.int64)
-    low, high = np.fmin.reduce(floors, initial=np.nan), np.fmax.reduce(floors, initial=np.nan)
-    with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
-        if not high - low > limit:
-            return Steps(none, none)
-        is_down = (np.abs(floor[:-1] - floor[1:]) > limit) & mask[:-1] & mask[1:]
-        is_right = (np.abs(floor[:, :-1] - floor[:, 1:]) > limit) & mask[:, :-1] & mask[:, 1:]
-    rows, cols = np.nonzero(is_right)
-    return Steps(np.flatnonzero(is_down), rows * mask.shape[1] + cols)
-
-
-def number_islands(masks: list[Bool], steps: list[Steps], links: Int) -> list[Int32]:
+def number_islands(masks: list[Bool], floors: list[Float], limit: float, links: Int) -> list[Int32]:
     """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
 
-    Neighbours by an edge hang together unless there is a step between them (see `find_steps`), and
-    so do the ends of a link (level, cell, level, cell), shape (n, 4). These are the parts of an
-    image, which shares no code with a bake. Of parts of one size, that with the lowest cell comes
-    first.
+    Neighbours by an edge hang together unless they lie more than a limit [m] apart, and so do the
+    ends of a link (level, cell, level, cell), shape (n, 4). Cells without a floor are at no height,
+    so that nothing lies above or below them. These are the parts of an image, which shares no code
+    with a bake. Of parts of one size, that with the lowest cell comes first.
     """
     parts, count = list[Int32](), 1
-    for mask, between in zip(masks, steps, strict=True):
+    for mask, floor in zip(masks, floors, strict=True):
+        both = [mask[one] & mask[other] for one, other in (DOWN, RIGHT)]
+        with np.errstate(invalid="ignore"):  # floors that are infinite are told as such
+            steps = [np.abs(floor[one] - floor[other]) > limit for one, other in (DOWN, RIGHT)]
         joints, stride = mask, 1
-        if any(map(len, between)):
+        if any((pair & step).any() for pair, step in zip(both, steps, strict=True)):
             joints, stride = np.zeros(2 * np.array(mask.shape) - 1, dtype=np.bool_), 2
             joints[::2, ::2] = mask
-            joints[1::2, ::2] = mask[:-1] & mask[1:]
-            joints[::2, 1::2] = mask[:, :-1] & mask[:, 1:]
-            for cells, (down, right) in zip(between, ((1, 0), (0, 1)), strict=True):
-                rows, cols = np.divmod(cells, mask.shape[1])
-                joints[2 * rows + down, 2 * cols + right] = False
+            joints[1::2, ::2], joints[::2, 1::2] = both[0] & ~steps[0], both[1] & ~steps[1]
         part, num = label(joints, output=np.int32)
         part = np.ascontiguousarray(part[::stride, ::stride])
         part[mask] += count - 1
@@ -207,26 +187,17 @@ class Facts:
         doors = self.cells_of([(door, state) for door in self.doors for state in door.cells])
         return [free | door for free, door in zip(self.free, doors, strict=True)]
 
-    def _steps(self, masks: list[Bool]) -> list[Steps]:
-        layers = zip(masks, self.floors, strict=True)
-        return [find_steps(mask, floor, self.step_limit) for mask, floor in layers]
-
-    @cached_property
-    def steps(self) -> list[Steps]:
-        """Where free cells of each level lie more than a step beside each other."""
-        return self._steps(self.free)
-
     @cached_property
     def islands(self) -> list[Int32]:
         """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
-        return number_islands(self.free, self.steps, self.links)
+        return number_islands(self.free, self.floors, self.step_limit, self.links)
 
     @cached_property
     def open_islands(self) -> list[Int32]:
         """The same, if no door blocked anything."""
         if not self.doors:
             return self.islands
-        return number_islands(self.passable, self._steps(self.passable), self.links)
+        return number_islands(self.passable, self.floors, self.step_limit, self.links)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
         """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""

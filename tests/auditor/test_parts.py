@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.auditor.facts import find_steps, number_islands
+from navbake.auditor.facts import number_islands
 
 STEP = 0.25
 HEIGHTS = (0.0, 0.1, 0.3, 5.0, np.inf, np.nan)  # steps and none between them
@@ -68,21 +68,6 @@ def houses(draw):
 @given(houses())
 def test_islands_are_what_a_walk_reaches(house):
     masks, floors, links = house
-    steps = [find_steps(mask, floor, STEP) for mask, floor in zip(masks, floors, strict=True)]
-    found = number_islands(masks, steps, links)
+    found = number_islands(masks, floors, STEP, links)
     for number, expected in zip(found, walk(masks, floors, links), strict=True):
         np.testing.assert_array_equal(number, expected)
-
-
-@given(houses())
-def test_steps_are_between_marked_cells_of_two_heights(house):
-    mask, floor = house[0][0], house[1][0]
-    steps = find_steps(mask, floor, STEP)
-    for down, right, found in ((1, 0, steps.down), (0, 1, steps.right)):
-        expected = [
-            row * mask.shape[1] + col
-            for row, col in np.argwhere(mask[: len(mask) - down, : mask.shape[1] - right]).tolist()
-            if mask[row + down, col + right]
-            and _is_step(floor, (0, row, col), (0, row + down, col + right))
-        ]
-        assert found.tolist() == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.kernels.triangles import take_corners
 from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import all_names, name_at
 from navbake.baker.scene.parts import split_mesh
@@ -25,7 +25,6 @@ from navbake.baker.scene.shapes import (
     solid_bounds,
 )
 from navbake.errors import SceneError
-from navbake.threads import run_in_bands
 from navbake.types import Float, Int, Int32
 
 LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
@@ -42,17 +41,15 @@ class GeomTriangles(NamedTuple):
     closed: NDArray[np.uint8]
     kind: str
 
-    @classmethod
-    def of_one_part(cls, vertices: Float, faces: Int32, closed: int, kind: str) -> GeomTriangles:
-        """Triangles that all belong to one part."""
-        num = len(faces)
-        return cls(vertices, faces, np.zeros(num, np.int32), np.full(num, closed, np.uint8), kind)
 
-    @classmethod
-    def of_corners(cls, corners: Float, closed: int, kind: str) -> GeomTriangles:
-        """Triangles of one part by their corners, shape (m, 3, 3)."""
-        faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-        return cls.of_one_part(corners.reshape(-1, 3), faces, closed, kind)
+def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> GeomTriangles:
+    """Triangles that are all of one part, by corners of shape (m, 3, 3) if there are no faces."""
+    if faces is None:
+        vertices = vertices.reshape(-1, 3)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    num = len(faces)
+    part, codes = np.zeros(num, np.int32), np.full(num, closed, np.uint8)
+    return GeomTriangles(vertices, faces, part, codes, kind)
 
 
 class MeshTriangles:
@@ -84,10 +81,10 @@ def count_mesh(
             # vertices inside of the hull are no part of it
             used, index = np.unique(hull, return_inverse=True)
             faces = index.reshape(hull.shape).astype(np.int32)
-            return GeomTriangles.of_one_part(vertices[used], faces, constants.CONVEX_SOLID, "hull")
+            return _one_part(vertices[used], faces, constants.CONVEX_SOLID, "hull")
     faces = faces.astype(np.int32, copy=False)
     if mode == "shell":
-        return GeomTriangles.of_one_part(vertices, faces, constants.OPEN_SURFACE, "shell")
+        return _one_part(vertices, faces, constants.OPEN_SURFACE, "shell")
     split = split_mesh(vertices, faces)
     faces = np.asarray(split.faces, dtype=np.int32)
     return GeomTriangles(vertices, faces, split.part, split.closed, split.kind)
@@ -144,11 +141,11 @@ def collect_shapes(
                 continue
             endless[geom] = (half <= 0).any()
             what = "strip" if endless[geom] else "rectangle"
-            found = GeomTriangles.of_corners(plane_triangles(half), constants.OPEN_SURFACE, what)
+            found = _one_part(plane_triangles(half), None, constants.OPEN_SURFACE, what)
         elif kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
         elif kind == constants.HFIELD:
-            found = GeomTriangles.of_corners(_height_field(model, shape), constants.SOLID, "solid")
+            found = _one_part(_height_field(model, shape), None, constants.SOLID, "solid")
         else:
             mode = choices[geom].mesh
             if geom in parts:
@@ -181,23 +178,13 @@ def collect_shapes(
 
 def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
     """The triangles of all geoms in one."""
-    triangles = list(found.values())
-    counts = [len(one.faces) for one in triangles]
-    num, geom = sum(counts), np.repeat(np.array(list(found), dtype=np.int32), counts)
-    part, closed = np.empty(num, dtype=np.int32), np.empty(num, dtype=np.uint8)
-    vertices, faces = np.empty((0, 3)), np.empty((num, 3), dtype=np.int32)
-    if len(triangles) == 1:  # one large mesh is not copied
-        vertices, faces, part, closed, _ = triangles[0]
-    elif triangles:
-        vertices = np.concatenate([one.vertices for one in triangles])
-        np.concatenate([one.part for one in triangles], out=part)
-        np.concatenate([one.closed for one in triangles], out=closed)
-        first = end = 0
-        for one, count in zip(triangles, counts, strict=True):
-            np.add(one.faces, np.int32(first), out=faces[end : end + count])
-            first, end = first + len(one.vertices), end + count
-    corners = np.empty((num, 3, 3))
-    run_in_bands(take_corners, num, vertices, faces, corners, least=4096)
+    ends = np.cumsum([0, *(len(one.faces) for one in found.values())])
+    geom = np.repeat(np.array(list(found), dtype=np.int32), np.diff(ends))
+    part, closed = np.empty(len(geom), np.int32), np.empty(len(geom), np.uint8)
+    corners = np.empty((len(geom), 3, 3))
+    for one, (first, end) in zip(found.values(), pairwise(ends.tolist()), strict=True):
+        part[first:end], closed[first:end] = one.part, one.closed
+        np.take(one.vertices, one.faces, axis=0, out=corners[first:end], mode="clip")
     return Triangles(geom, part, closed, corners)
 
 

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import mujoco
 
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, MeshPart, read_mesh_parts
-from navbake.baker.scene.model import catch_warnings, load_model
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts
+from navbake.baker.scene.model import OpenScene, catch_warnings, ground_of, load_model
 from navbake.config.scene import SceneSettings
 from navbake.errors import NavbakeError, SceneError
 from navbake.files import scratch_folder
@@ -48,9 +48,7 @@ class CompileLimits(NamedTuple):
     memory: float = 4.0
 
 
-def load_isolated(
-    settings: SceneSettings, limits: CompileLimits, warnings: list[str]
-) -> tuple[Any, dict[int, MeshPart], int | None]:
+def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list[str]) -> OpenScene:
     """`load_model` in a child process.
 
     Raises:
@@ -61,12 +59,10 @@ def load_isolated(
         (place / JOB).write_bytes(pickle.dumps((settings, limits)))
         path = [entry or os.getcwd() for entry in sys.path]
         command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
-        none = subprocess.DEVNULL
+        streams: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         longest = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
         try:
-            status = subprocess.run(
-                command, stdin=none, stdout=none, stderr=none, timeout=longest
-            ).returncode
+            status = subprocess.run(command, **streams, timeout=longest).returncode
         except subprocess.TimeoutExpired:
             status = -ALARM
         if status == -ALARM:
@@ -93,7 +89,7 @@ def load_isolated(
     if scene.suffix.lower() in MESH_SUFFIXES:
         own = read_mesh_parts(scene, settings.up, settings.unit)
         parts = {int(model.geom(part.name).id): part for part in own}
-    return model, parts, None if settings.ground is None else int(model.ngeom) - 1
+    return OpenScene(model, parts, ground_of(model, settings), warnings)
 
 
 def compile_job(folder: str) -> None:
@@ -105,17 +101,14 @@ def compile_job(folder: str) -> None:
     (place / STARTED).touch()
     if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
         signal.setitimer(signal.ITIMER_REAL, limits.seconds)
-    failed: NavbakeError | None = None
+    failed: Exception | None = None
     with catch_warnings() as warned:
         try:
             model = load_model(settings, warned)[0]
             mujoco.mj_saveModel(model, str(place / MODEL), None)
         except Exception as error:
-            if lacked_memory(error):
-                lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
-                failed = SceneError(lacks)
-            elif isinstance(error, NavbakeError):
-                failed = error
-            else:
+            if not lacked_memory(error) and not isinstance(error, NavbakeError):
                 raise
+            lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
+            failed = SceneError(lacks) if lacked_memory(error) else error
     (place / RESULT).write_bytes(pickle.dumps((warned, failed)))

@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.scene.kernels.triangles import check_faces
+from navbake.baker.scene.kernels.triangles import measure_areas
 from navbake.baker.scene.mesh_readers import PREPARE, check_gltf, check_ply, read_plain
 from navbake.baker.scene.names import unique_name
 from navbake.config.scene import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
-from navbake.types import Bool, Float, Int32
+from navbake.types import Float, Int32
 
 trimesh = lazy("trimesh")
 
@@ -27,8 +27,7 @@ MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 # A turn of y-up coordinates into the world's z-up: (x, y, z) -> (x, -z, y), nothing mirrored.
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-# Triangles of less than half of this have no area [m2]
-NO_AREA = 1e-14
+NO_AREA = 5e-15  # of triangles that are no larger [m²]
 # MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
 MAX_COORDINATE = 1e10
 # Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
@@ -224,9 +223,7 @@ def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
         name = stem_of(path)
     name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-    is_used = np.zeros(len(part.vertices), dtype=np.bool_)
-    is_used[part.faces] = True
-    vertices, faces = _only_used(part.vertices, part.faces, is_used)
+    vertices, faces = _only_used(part.vertices, part.faces)
     with np.errstate(all="ignore"):
         vertices = _turn(vertices, turn)
     # two reductions, where `isfinite` and `abs` make arrays as large; NaN is the least of all
@@ -237,13 +234,15 @@ def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
         raise SceneError(
             f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         )
-    has_area, is_used = check_faces(vertices, faces, NO_AREA)
-    faces = faces if has_area.all() else faces[has_area]
-    return MeshPart(name, *_only_used(vertices, faces, is_used))
+    has_area = measure_areas(vertices, faces) > NO_AREA
+    used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
+    return MeshPart(name, *used)
 
 
-def _only_used(vertices: Float, faces: Int32, is_used: Bool) -> tuple[Float, Int32]:
+def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
     """The vertices that faces use, and the faces counted in them."""
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    is_used[faces] = True
     if is_used.all():
         return vertices, faces
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]

@@ -45,7 +45,11 @@ def mujoco_version() -> str:
 
 
 class OpenScene(NamedTuple):
-    """A scene's compiled mujoco.MjModel, before geoms are chosen."""
+    """A scene's compiled mujoco.MjModel, before geoms are chosen.
+
+    With the exact meshes of a mesh scene by geom id, the geom of `scene.ground`, what MuJoCo warned
+    of, and the pose where it is not for the settings to say.
+    """
 
     model: Any
     parts: dict[int, MeshPart]
@@ -54,10 +58,8 @@ class OpenScene(NamedTuple):
     data: Any = None
 
 
-def load_model(
-    settings: SceneSettings, warnings: list[str]
-) -> tuple[Any, dict[int, MeshPart], int | None]:
-    """The compiled model of a scene file, the exact meshes of a mesh scene, and its ground.
+def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
+    """Open a scene file: its compiled model, the exact meshes of a mesh scene, and its ground.
 
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
     other geoms and bodies keep their ids; its geom is None without. Where MuJoCo fails, `warnings`,
@@ -93,7 +95,12 @@ def load_model(
             raise SceneError(f"cannot tell what {path} is: expected one of {known}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
-    return model, parts, None if ground is None else int(model.ngeom) - 1
+    return OpenScene(model, parts, ground_of(model, settings), warnings)
+
+
+def ground_of(model: Any, settings: SceneSettings) -> int | None:
+    """The geom of `scene.ground`, None without."""
+    return None if settings.ground is None else int(model.ngeom) - 1
 
 
 def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
@@ -108,8 +115,16 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
+
+    def load() -> Any:
+        if path.suffix == ".xml":
+            return compile_spec(mujoco.MjSpec.from_file(str(path)), ground, warnings)
+        if ground is not None:  # MjSpec reads no other ending
+            raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
+        return mujoco.MjModel.from_xml_path(str(path))
+
     try:  # MuJoCo's parser is the judge of MJCF, also where Python's is stricter
-        return compile_model(path, warnings, lambda: _build_mjcf(path, ground, warnings))
+        return compile_model(path, warnings, load)
     except SceneError as error:
         try:
             ElementTree.parse(path)
@@ -139,14 +154,6 @@ def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint
         reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
         hint = "" if lacked_memory(error) else hint
         raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
-
-
-def _build_mjcf(path: Path, ground: float | None, warnings: list[str]) -> Any:
-    if path.suffix != ".xml":  # MjSpec reads no other ending
-        if ground is not None:
-            raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
-        return mujoco.MjModel.from_xml_path(str(path))
-    return compile_spec(mujoco.MjSpec.from_file(str(path)), ground, warnings)
 
 
 def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
@@ -232,6 +239,16 @@ def read_urdf(
     Raises:
         SceneError: the file is no XML, or a mesh is missing that counts.
     """
+
+    @cache
+    def find(name: str) -> Path | None:
+        return next((place for place in mesh_places(path, name) if place.is_file()), None)
+
+    def missing(thing: ElementTree.Element) -> list[str]:
+        return [
+            m.get("filename", "") for m in thing.iter("mesh") if not find(m.get("filename", ""))
+        ]
+
     try:
         root = ElementTree.parse(path).getroot()
         compiler = root
@@ -241,23 +258,25 @@ def read_urdf(
         own = {"discardvisual": "false", "fusestatic": "false"}
         compiler.attrib = {**own, **compiler.attrib, "meshdir": ""}
         compiler.attrib.pop("assetdir", None)
-        has_collision = root.find("link/collision/geometry") is not None
-        is_discarded = compiler.get("discardvisual") == "true"
-        if is_discarded or (geoms not in ("visual", "all") and has_collision):
-            left_out = _drop_missing_visuals(root, path)
+        counts = geoms in ("visual", "all") or root.find("link/collision/geometry") is None
+        if compiler.get("discardvisual") == "true" or not counts:
+            lost = [(link, v) for link in root.iter("link") for v in link.findall("visual")]
+            lost = [(link, visual) for link, visual in lost if missing(visual)]
+            left_out = [name for _, visual in lost for name in missing(visual)]
+            for link, visual in lost:
+                link.remove(visual)
             if left_out and warnings is not None:
                 more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
                 warnings.append(
                     f"mesh {left_out[0]!r}{more} of {path} not found: left out, as it is only "
                     "drawn, and visuals don't count here"
                 )
+        for name in missing(root):
+            raise SceneError(_not_found(path, name))
         taken: set[str] = set()
         keys: dict[Path, str] = {}
         for mesh in root.iter("mesh"):
-            name = mesh.get("filename", "")
-            file = _find_mesh(path, name)
-            if file is None:
-                raise SceneError(_not_found(path, name))
+            file = find(mesh.get("filename", "")) or path
             if file not in keys:  # MuJoCo names a mesh by the stem of its file
                 keys[file] = f"{unique_name(file.stem, taken)}.mesh"
             mesh.set("filename", keys[file])
@@ -265,23 +284,6 @@ def read_urdf(
         return text, {key: file for file, key in keys.items()}
     except (*BROKEN_XML, RecursionError) as error:
         raise SceneError(f"broken XML in {path}: {error}") from error
-
-
-def _drop_missing_visuals(root: ElementTree.Element, path: Path) -> list[str]:
-    """Remove the visuals whose mesh is missing, and list those meshes."""
-    missing = []
-    for link in root.iter("link"):
-        for visual in link.findall("visual"):
-            names = [mesh.get("filename", "") for mesh in visual.iter("mesh")]
-            lost = [name for name in names if _find_mesh(path, name) is None]
-            if lost:
-                link.remove(visual)
-                missing += lost
-    return missing
-
-
-def _find_mesh(urdf: Path, filename: str) -> Path | None:
-    return next((place for place in mesh_places(urdf, filename) if place.is_file()), None)
 
 
 def _not_found(urdf: Path, filename: str) -> str:
@@ -332,8 +334,8 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     """The model of a scene in memory, in the pose of a data; neither is changed.
 
     A spec is compiled as a copy. MuJoCo warned of a model when that was compiled, so these warnings
-    are known of specs alone. Of the data, a mujoco.MjData of the model, joint positions and mocap
-    bodies are the pose; without, the settings say it. Errors name the settings' path.
+    are known of specs alone. Of the data, joint positions and mocap bodies are the pose; without,
+    the settings say it. Errors name the settings' path.
 
     Raises:
         SceneError: a spec does not compile, or a mesh is broken.
@@ -354,8 +356,7 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         else:
             found = take_mesh_parts(scene, path, settings.up, settings.unit)
             model, parts = model_of_parts(found, path, ground, warned)
-    added = None if ground is None else int(model.ngeom) - 1
-    opened = OpenScene(model, parts, added, warned)
+    opened = OpenScene(model, parts, ground_of(model, settings), warned)
     if data is None:
         return opened
     if settings.keyframe is not None or settings.joints:
@@ -366,11 +367,7 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
 
 
 def check_data(model: Any, data: Any, name: str) -> None:
-    """Check that a mujoco.MjData fits a model, by its numbers of things and its joints.
-
-    Raises:
-        ConfigError: it is none, or of another model than that of a scene's name.
-    """
+    """Raise a ConfigError unless a mujoco.MjData fits a model, by numbers of things and joints."""
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
     other = data.model

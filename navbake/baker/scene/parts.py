@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import COPY, SHEET, find_parts
-from navbake.baker.scene.kernels.shells import find_cavities, find_shells, list_edges, weld_points
+from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_points
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.threads import num_threads, run_in_bands
-from navbake.types import Bool, Float, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
+MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
-@dataclass(frozen=True)
-class MeshParts:
+class MeshParts(NamedTuple):
     """The triangles of a mesh by what they enclose."""
 
     faces: NDArray[np.integer[Any]]  # without copies and without those of two corners at one place
@@ -73,23 +72,18 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     kept = found != COPY
     if not kept.all():
         faces, found, turned = faces[kept], found[kept], turned[kept]
-    part, num = _number_parts(found)
-    encloses = _find_enclosing(vertices, faces, turned, part, num)
+    # closed parts are numbered from 1 by their lowest triangles; sheets are 0
+    is_first = np.zeros(int(found.max(initial=0)) + 1, dtype=np.bool_)
+    is_first[found[found != SHEET]] = True
+    number = np.cumsum(is_first, dtype=np.int32)
+    part = np.where(found == SHEET, np.int32(0), number[found])
+    encloses = _find_enclosing(vertices, faces, turned, part, int(number[-1]))
     part = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)[part]
     closed = np.where(part > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
     turned &= part > 0
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
-
-
-def _number_parts(found: Int32) -> tuple[Int32, int]:
-    """Number closed parts from 1 by their lowest triangles; sheets are 0. Also returns how many."""
-    is_first = np.zeros(int(found.max(initial=-1)) + 1, dtype=np.bool_)
-    is_first[found[found != SHEET]] = True
-    number = np.cumsum(is_first, dtype=np.int32)
-    num = int(number[-1]) if len(number) else 0
-    return np.where(found == SHEET, np.int32(0), np.append(number, np.int32(0))[found]), num
 
 
 def _find_enclosing(
@@ -104,19 +98,61 @@ def _find_enclosing(
     best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
     measure_parts(vertices, faces, turned, part, sums, box, best, largest)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
-    facing_in = volume < -THICKNESS * area
-    facing_in[0] = False
-    if not facing_in.any():
-        return encloses
-    inner = np.flatnonzero(facing_in)
+    inner = np.flatnonzero(volume < -THICKNESS * area)
     some = np.flatnonzero(encloses[part])
-    if not len(some):
+    if not len(some) or not len(inner := inner[inner > 0]):
         return encloses
-    some = some[np.argsort(part[some], kind="stable")]
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
     origin = vertices[faces[0, 0]]
-    point = (vertices[faces[largest]] - origin).mean(axis=1)
-    inner = inner[np.argsort(point[inner, 0])]
-    corners = vertices[of_part] - origin
-    find_cavities(part[some], corners, inner, point[inner, 0], point, box, encloses)
+    point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)
+    outer, k = _find_around(vertices[of_part] - origin, part[some], point)
+    holds = (box[outer, :3] <= box[inner[k], :3]) & (box[outer, 3:] >= box[inner[k], 3:])
+    encloses[inner[k[holds.all(axis=1)]]] = True
     return encloses
+
+
+def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
+    """Find the parts that lie round points: of their triangles over one, more face up than down.
+
+    Each triangle on the vertical line over a point counts by how it winds round that line (Sunday,
+    Inclusion of a point in a polygon, 2001). Returns pairs of a part and the number of a point.
+    """
+    order = np.argsort(point[:, 0])
+    west, east = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+    first = np.searchsorted(point[order, 0], west)
+    count = np.searchsorted(point[order, 0], east, side="right") - first
+    ends = np.cumsum(count)
+    key, turns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    cuts = np.searchsorted(ends, np.arange(MOST_PAIRS, count.sum(), MOST_PAIRS))
+    for chosen in np.split(np.arange(len(count)), cuts):
+        num = count[chosen]
+        triangle = np.repeat(chosen, num)
+        k = order[np.arange(len(triangle)) - np.repeat(np.cumsum(num) - num - first[chosen], num)]
+        wound = _winding_above(corners[triangle], point[k])
+        key.append((part[triangle].astype(np.int64) * len(point) + k)[wound != 0])
+        turns.append(wound[wound != 0])
+    pairs, pair = np.unique(np.concatenate(key), return_inverse=True)
+    total = np.bincount(pair, np.concatenate(turns), len(pairs))
+    outer, k = np.divmod(pairs[total > 0], len(point))
+    return outer, k
+
+
+def _winding_above(corners: Float, point: Float) -> Int:
+    """How triangles that are above points, seen from there, wind round them, (n,).
+
+    1, 0, or -1 for one that faces down.
+    """
+    x, y = point[:, :1], point[:, 1:2]
+    ax, ay = corners[:, :, 0], corners[:, :, 1]
+    bx, by = np.roll(ax, -1, axis=1), np.roll(ay, -1, axis=1)
+    # left of the edge from its lower end to its upper one, so that both ways give one answer
+    is_back = ~((ax < bx) | ((ax == bx) & (ay < by)))
+    ux, uy = np.where(is_back, ax - bx, bx - ax), np.where(is_back, ay - by, by - ay)
+    vx, vy = x - np.where(is_back, bx, ax), y - np.where(is_back, by, ay)
+    is_left = (ux * vy - uy * vx > 0) ^ is_back
+    rises, falls = (ay <= y) & (by > y) & is_left, (ay > y) & (by <= y) & ~is_left
+    turns = rises.sum(axis=1) - falls.sum(axis=1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    height = (normal * (a - point)).sum(axis=1)
+    return np.where(np.where(normal[:, 2] > 0, height > 0, height < 0), turns, 0)

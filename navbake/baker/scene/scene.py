@@ -135,14 +135,8 @@ def load_scene(
             f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
         )
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
-    warnings += [*warn_out_of_range(model, settings), *_find_unusable(model)]
-    given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
-    warnings += [
-        f"`scene.{name}` is for mesh files and does nothing here"
-        for name, is_given in given.items()
-        if is_given and not parts
-    ]
-    warnings += [*lying(), *_warn_unit(settings, parts), *notes, *collected.notes]
+    warnings += [*warn_out_of_range(model, settings), *lying()]
+    warnings += [*_warn_geometry(model, settings, parts), *notes, *collected.notes]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
@@ -170,49 +164,44 @@ def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> O
     """The model of the file that the settings name; raises as `load_scene`."""
     with catch_warnings() as warned:
         if limits is None:
-            return OpenScene(*load_model(settings, warned), warned)
-        return OpenScene(*load_isolated(settings, limits, warned), warned)
-
-
-def _find_unusable(model: Any) -> list[str]:
-    """Warn of geometry that cannot be baked."""
-    return [
-        f"{kind} can't be baked and is left out: "
-        + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
-        for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
-        if len(starts)
-    ]
+            return load_model(settings, warned)
+        return load_isolated(settings, limits, warned)
 
 
 def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
     """Warn of a mesh scene that is probably y up, unless the settings say which axis is."""
-    suffix = Path(settings.path).suffix.lower()
     if not parts or "up" in settings.model_fields_set:
         return []
-    if suffix in (".glb", ".gltf"):
+    if Path(settings.path).suffix.lower() in (".glb", ".gltf"):
         reason = "glTF files are y up by their specification"
     elif lies_on_side(parts.values()):
         reason = "the mesh is lowest along y, and most of its surface faces along y"
     else:
         return []
-    return [
-        f"{reason}, and `scene.up` is z: if the scene lies on its side, set it to y "
-        "(z silences this)"
+    hint = "if the scene lies on its side, set it to y (z silences this)"
+    return [f"{reason}, and `scene.up` is z: {hint}"]
+
+
+def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
+    """Warn of geometry that can't be baked, of settings for mesh files, and of a probable unit."""
+    notes = [
+        f"{kind} can't be baked and is left out: "
+        + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
+        for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
+        if len(starts)
     ]
-
-
-def _warn_unit(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
-    """Warn of a mesh scene that is probably not in metres, unless the settings say its unit."""
-    if not parts or "unit" in settings.model_fields_set:
-        return []
+    if not parts:
+        given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
+        text = "is for mesh files and does nothing here"
+        return [*notes, *(f"`scene.{name}` {text}" for name, is_given in given.items() if is_given)]
     low = min(float(part.vertices[:, 2].min()) for part in parts.values())
     high = max(float(part.vertices[:, 2].max()) for part in parts.values())
-    if high - low <= HIGH_MESH:
-        return []
-    return [
-        f"the mesh is {high - low:.6g} m high: if it is in centimetres, set `scene.unit` to 0.01, "
-        "in millimetres to 0.001 (1 silences this)"
-    ]
+    if high - low > HIGH_MESH and "unit" not in settings.model_fields_set:
+        notes.append(
+            f"the mesh is {high - low:.6g} m high: if it is in centimetres, set `scene.unit` to "
+            "0.01, in millimetres to 0.001 (1 silences this)"
+        )
+    return notes
 
 
 DigestedNames = tuple[Any, NDArray[np.uint8], NDArray[np.uint8]]

@@ -5,10 +5,6 @@ counting sort), and sorted by the upper one within each list (Shell's sort, 1959
 one edge are neighbours. Triangles at an edge are united (see `union_find`). Parts of which any edge
 is met by other than two triangles, or by two in one direction, are no shells: what they enclose is
 a harder question, see `navbake.baker.kernels.parts`.
-
-Shells that face in are cavities where they lie inside of one that faces out: that is told by the
-other's triangles on a vertical line over a point of it, each counted by how it winds round that
-line (Sunday, Inclusion of a point in a polygon, 2001).
 """
 
 import numpy as np
@@ -166,67 +162,3 @@ def find_shells(faces, start, half):
     for f in range(part.shape[0]):
         is_shell[f] = is_shell[part[f]]
     return part, is_shell
-
-
-@part(inline="always")
-def _is_left(ax, ay, bx, by, x, y):
-    """Whether a point is left of the line from a to b; the same answer, turned, from b to a."""
-    if ax < bx or (ax == bx and ay < by):
-        return (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0
-    return not ((ax - bx) * (y - by) - (ay - by) * (x - bx) > 0.0)
-
-
-@part(inline="always")
-def _winding_above(c, x, y, z):
-    """How a triangle that is above a point, seen from there, winds round it.
-
-    1, 0, or -1 for one that faces down.
-    """
-    turns = 0
-    for k in range(3):
-        ax, ay, bx, by = c[k, 0], c[k, 1], c[(k + 1) % 3, 0], c[(k + 1) % 3, 1]
-        if (ay <= y) != (by <= y):
-            is_left = _is_left(ax, ay, bx, by, x, y)
-            if by > y and is_left:
-                turns += 1
-            elif by <= y and not is_left:
-                turns -= 1
-    if turns == 0:
-        return 0
-    ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
-    vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    height = nx * (c[0, 0] - x) + ny * (c[0, 1] - y) + nz * (c[0, 2] - z)
-    return turns if (height > 0.0 if nz > 0.0 else height < 0.0) else 0
-
-
-@kernel
-def find_cavities(part, corners, facing_in, order, point, box, encloses):
-    """Mark parts that face in and lie inside of one that encloses something, in `encloses`.
-
-    A part is inside of another one where more of that one's triangles over a point of it face up
-    than down, and where its box is inside of the other's.
-
-    Args:
-        part, corners: of the triangles that enclose something, by part, (m,) and (m, 3, 3) [m].
-        facing_in, order: the parts that face in, from west to east, and the x of their points [m].
-        point, box, encloses: by part, (parts, 3), (parts, 6) float64 [m] and (parts,) bool.
-    """
-    total = np.zeros(facing_in.shape[0], np.int64)
-    for t in range(part.shape[0]):
-        c, q = corners[t], part[t]
-        if t == 0 or part[t - 1] != q:
-            total[:] = 0
-        west, east = min(c[0, 0], c[1, 0], c[2, 0]), max(c[0, 0], c[1, 0], c[2, 0])
-        for i in range(np.searchsorted(order, west), len(order)):
-            if order[i] > east:
-                break
-            p = facing_in[i]
-            total[i] += _winding_above(c, point[p, 0], point[p, 1], point[p, 2])
-        if t + 1 == part.shape[0] or part[t + 1] != q:
-            for i in range(len(order)):
-                p = facing_in[i]
-                is_around = total[i] > 0
-                for k in range(3):
-                    is_around &= box[q, k] <= box[p, k] and box[q, 3 + k] >= box[p, 3 + k]
-                encloses[p] |= is_around

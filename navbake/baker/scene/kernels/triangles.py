@@ -27,15 +27,6 @@ def _length(x, y, z):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def take_corners(vertices, faces, corners, first, end):
-    """Write the corners of the triangles ``range(first, end)`` into (m, 3, 3) float64."""
-    for f in range(first, end):
-        for corner in range(3):
-            for k in range(3):
-                corners[f, corner, k] = vertices[faces[f, corner], k]
-
-
-@kernel(nogil=True, **UNCOUNTED)
 def measure_boxes(corners, bounds, first, end):
     """Write the boxes round the triangles ``range(first, end)``: lower, upper corner [m]."""
     for t in range(first, end):
@@ -64,20 +55,6 @@ def is_upright(corners, t):
         return False
     length = _length(x, y, z)
     return not length > 0.0 or abs(z / length) < UPRIGHT
-
-
-@kernel
-def check_faces(vertices, faces, smallest):
-    """Mark triangles of more than half of `smallest` [m²], and the vertices that these use."""
-    has_area = np.empty(faces.shape[0], np.bool_)
-    is_used = np.zeros(vertices.shape[0], np.bool_)
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x, y, z = _cross(vertices[a], vertices[b], vertices[c])
-        has_area[f] = _length(x, y, z) > smallest
-        if has_area[f]:
-            is_used[a] = is_used[b] = is_used[c] = True
-    return has_area, is_used
 
 
 @kernel
