@@ -28,15 +28,10 @@ INFLATION = ("radius", "clearance", "mode")
 def describe(grid: NavGrid) -> Json:
     """Summarise a grid in values that JSON can hold.
 
-    Returns:
-        ``type``; ``scene_id``; ``cell_size`` [m]; ``agent``, ``made_by``: the agent's settings,
-        and the versions and digests, as far as the file has them; ``levels``, lowest first, each
-        with ``name``, ``width`` and ``height`` [cells], ``ground``, ``floor_min`` and
-        ``floor_max`` (world z [m], None without floor), ``floor_area``, ``free_area`` and
-        ``largest_island_area`` [m2], ``num_islands``, ``num_rooms``; ``num_islands`` and
-        ``num_links`` of all levels together; ``doors``, see `navbake.navgrid.doors.Door.to_json`;
-        ``inflated``: radius and clearance [m] and mode of each inflation since the bake;
-        ``warnings`` of the bake.
+    ``agent`` and ``made_by`` are the agent's settings, and the versions and digests, as far as the
+    file has them; ``levels`` begin with the lowest, in cells, m and m2, heights are world z, None
+    without floor; ``inflated`` has radius and clearance [m] and mode of each inflation since the
+    bake. For ``doors`` see `navbake.navgrid.doors.Door.to_json`.
     """
     islands = find_islands(grid)
     stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")

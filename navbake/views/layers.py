@@ -55,17 +55,13 @@ class Tick(NamedTuple):
 
 
 class ColorScale(NamedTuple):
-    """Which colour stands for which value.
-
-    A bar runs from 0, the lowest value, to 1, the highest. Values lie on it between `values` at
-    `positions`, and the `colors` lie on it at equal distances, both by straight lines.
-    """
+    """Which colour stands for which value, on a bar from 0, the lowest value, to 1, the highest."""
 
     label: str  # what the values are, with their unit
-    values: Sequence[float]  # ascending
+    values: Sequence[float]  # ascending; other values lie between them on straight lines
     positions: Sequence[float]  # ascending, 0 to 1, of each of them
     ticks: tuple[Tick, ...]
-    colors: Sequence[str] = VIRIDIS
+    colors: Sequence[str] = VIRIDIS  # at equal distances
 
     def bar(self, count: int) -> NDArray[np.uint8]:
         """Colours at equal distances along the bar, lowest value first, shape (count, 3)."""
@@ -110,19 +106,10 @@ class Panel(NamedTuple):
 def make_panel(
     grid: NavGrid, layer: str, number: int, *, findings: Sequence[Finding] | None = None
 ) -> Panel:
-    """Show a layer of one level.
+    """Show one of `LAYERS` of a level, 0 is the lowest; `paint` turns it into colours.
 
-    Args:
-        grid: a grid of one or several levels.
-        layer: one of `LAYERS`, or `DISAGREEMENTS`.
-        number: of the level, 0 is the lowest.
-        findings: what a verification found, for the layer `DISAGREEMENTS`.
-
-    Returns:
-        The layer; `paint` turns it into colours.
-
-    Raises:
-        QueryError: there is no such layer or level, or it needs findings and has none.
+    `DISAGREEMENTS` is a layer, too, if there are findings of a verification. Another layer or
+    level is a QueryError.
     """
     check_level(number, len(grid.levels))
     if layer == DISAGREEMENTS:
@@ -161,11 +148,10 @@ def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
     lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
     a line, whatever the scale of colours spans.
     """
-    rise = np.zeros(heights.shape, dtype=np.float32)
     finite = np.where(np.isfinite(heights), heights, np.nan)
-    rise[1:] += np.nan_to_num(np.diff(finite, axis=0))
-    rise[:, 1:] += np.nan_to_num(np.diff(finite, axis=1))
-    lit: NDArray[np.float32] = np.tanh(rise / np.float32(step))
+    beside = np.float32(np.nan)
+    rises = [np.nan_to_num(np.diff(finite, axis=axis, prepend=beside)) for axis in (0, 1)]
+    lit: NDArray[np.float32] = np.tanh((rises[0] + rises[1]) / np.float32(step))
     return lit
 
 
@@ -259,28 +245,29 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
 
 
 def _titled(title: str, scale: ColorScale) -> str:
-    """A title, with the value where there is nothing to tell apart."""
+    """A title, with the value where there is only one."""
     return f"{title}: {scale.ticks[0].text}" if len(scale.ticks) == 1 else title
 
 
-def _show_clearance(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
+def _show_free(
+    title: str, label: str, values_of: Callable[[SceneGrid2D], NDArray[Any]]
+) -> Callable[[NavGrid, int], Panel]:
+    """Shows values where an agent can stand, and what is there elsewhere; high costs are dark."""
+
+    def show(grid: NavGrid, number: int) -> Panel:
+        level = grid.levels[number]
+        shown = np.where(level.free, values_of(level), np.nan).astype(np.float32)
+        scale = linear_scale(shown[np.isfinite(shown)], label, dark_high="cost" in label)
+        rgb, legend = _occupancy(level)
+        return Panel(_titled(title, scale), rgb, shown, scale, legend[1:])
+
+    return show
+
+
+def _clearance(level: SceneGrid2D) -> NDArray[Any]:
+    """As it is in the file, or as it is found [m]."""
     stored = level.attributes.get("clearance")
-    metres = clearance(level) if stored is None else stored * level.unit
-    return _show_free(level, metres, "clearance [m]", "to the nearest obstacle [m]")
-
-
-def _show_weights(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    return _show_free(level, level.weights, "weights", "cost of a cell")
-
-
-def _show_free(level: SceneGrid2D, values: NDArray[Any], title: str, label: str) -> Panel:
-    """Show values where an agent can stand, and what is there elsewhere; high costs are dark."""
-    shown = np.where(level.free, values, np.nan).astype(np.float32)
-    scale = linear_scale(shown[np.isfinite(shown)], label, dark_high="cost" in label)
-    rgb, legend = _occupancy(level)
-    return Panel(_titled(title, scale), rgb, shown, scale, legend[1:])
+    return clearance(level) if stored is None else stored * level.unit
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
@@ -307,8 +294,12 @@ def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
     palette[:2] = colors.rgb_of(colors.OCCUPIED), colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
-    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
-    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
+    return _paint_doors(rgb, grid, number)
+
+
+def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> NDArray[np.uint8]:
+    for color, blocked in ((colors.DOORWAY, False), (colors.DOOR, True)):
+        rgb[doorway_cells(grid, number, blocked=blocked)] = colors.rgb_of(color)
     return rgb
 
 
@@ -337,12 +328,6 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
     """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
-    def run(line: NDArray[np.bool_], at: int) -> list[int]:
-        """The first and the last of the true values in a row that hold a place."""
-        runs = ndimage.label(line)[0]
-        ends: list[int] = np.flatnonzero(runs == runs[at])[[0, -1]].tolist()
-        return ends
-
     level, labels = grid.levels[number], []
     boxes = dict(enumerate(ndimage.find_objects(level.room_index.astype(np.int32)), 1))
     for room in grid.rooms:
@@ -354,8 +339,8 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
         mask, edge = mask[::stride, ::stride], level.lattice.cell_size * stride
         space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
         row, col = (int(v) for v in np.unravel_index(np.argmax(space), space.shape))
-        first, last = run(mask[row], col)
-        top, bottom = run(mask[:, (first + last) // 2], row)
+        first, last = _ends_of_run(mask[row], col)
+        top, bottom = _ends_of_run(mask[:, (first + last) // 2], row)
         across = box[1].start + (first + last) / 2 * stride
         x, y = level.lattice.positions(box[0].start + row * stride, across).tolist()
         half = min(row - top, bottom - row)  # the name's middle is in this row
@@ -365,18 +350,24 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
     return tuple(labels)
 
 
+def _ends_of_run(line: NDArray[np.bool_], at: int) -> tuple[int, int]:
+    """The first and the last of the true values in a row round one of them."""
+    gaps = np.flatnonzero(~line)
+    after = int(np.searchsorted(gaps, at))
+    first = int(gaps[after - 1]) + 1 if after else 0
+    return first, (int(gaps[after]) if after < len(gaps) else len(line)) - 1
+
+
 def _show_doors(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
-    rgb[doorway_cells(grid, number, blocked=False)] = colors.rgb_of(colors.DOORWAY)
-    rgb[doorway_cells(grid, number, blocked=True)] = colors.rgb_of(colors.DOOR)
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
     lines = find_door_lines(grid, number)
-    widths = [f"{line.width:.1f} m" for line in lines]
-    labels = tuple(
-        Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place)
-        for place, (line, width) in enumerate(zip(lines, widths, strict=True), 1)
-    )
-    return Panel("doors", rgb, legend=legend, labels=labels, doors=lines)
+    labels = []
+    for place, line in enumerate(lines, 1):
+        width = f"{line.width:.1f} m"
+        labels.append(Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place))
+    rgb = _paint_doors(rgb, grid, number)
+    return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=lines)
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
@@ -384,15 +375,11 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(level)
     ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
-    for color, way in ((colors.ACROSS, 0), (colors.UP, 1), (colors.DOWN, -1)):
+    ways = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
+    for color, way in zip(ways.values(), (1, -1, 0), strict=True):
         cells = ends[np.sign(ends[:, 2] - number) == way, 1]
         rgb[np.divmod(cells, level.width)] = colors.rgb_of(color)
-    ways = (
-        ("leads up", colors.UP),
-        ("leads down", colors.DOWN),
-        ("steep, same level", colors.ACROSS),
-    )
-    return Panel("links", rgb, legend=(*ways, *legend))
+    return Panel("links", rgb, legend=(*ways.items(), *legend))
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
@@ -419,9 +406,9 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "floor": _show_floor,
     "rooms": _show_rooms,
     "doors": _show_doors,
-    "clearance": _show_clearance,
+    "clearance": _show_free("clearance [m]", "to the nearest obstacle [m]", _clearance),
     "island": _show_islands,
-    "weights": _show_weights,
+    "weights": _show_free("weights", "cost of a cell", lambda level: level.weights),
     "links": _show_links,
 }
 """How each layer of a level is shown, by the layer's name."""

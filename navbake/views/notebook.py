@@ -39,15 +39,12 @@ def show_html(grid: NavGrid) -> str:
     for number, level in enumerate(grid.levels[:MAX_LEVELS]):
         picture = b64encode(encode_png(_draw_level(grid, number, scale))).decode("ascii")
         name = _short(grid.level_names[number])
-        facts = (
+        figures.append(
+            f'<figure style="margin:0"><img style="image-rendering:pixelated" alt="{name}" '
+            f'src="data:image/png;base64,{picture}"><figcaption><b>{name}</b>: '
             f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
             f"{_counted(num_rooms[number], 'room')}, {areas[number]:.1f} m² free"
-        )
-        figures.append(
-            '<figure style="margin:0">'
-            f'<img style="image-rendering:pixelated" alt="{name}" '
-            f'src="data:image/png;base64,{picture}">'
-            f"<figcaption><b>{name}</b>: {facts}</figcaption></figure>"
+            "</figcaption></figure>"
         )
     count = len(grid.levels)
     if count > MAX_LEVELS:
@@ -76,9 +73,8 @@ def draw_thumbnail(grid: NavGrid) -> bytes:
     """
     image = draw_levels(grid, THUMBNAIL_SIDE)
     if image.getcolors(THUMBNAIL_COLORS) is None:
-        image = image.quantize(
-            THUMBNAIL_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
-        )
+        how, dither = Image.Quantize.MEDIANCUT, Image.Dither.NONE
+        image = image.quantize(THUMBNAIL_COLORS, method=how, dither=dither)
     return encode_png(image)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,11 +48,10 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     grids, warnings = (first, second), []
     pairs = match_levels(first, second)
     levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
-    counts = [level.counts() for level in levels]
     called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
     cells = [
-        (*both, *map(count.get, CHANGES, [0] * 7))
-        for both, count in zip(called, counts, strict=True)
+        (*both, *map(level.counts().get, CHANGES, [0] * len(CHANGES)))
+        for both, level in zip(called, levels, strict=True)
     ]
     alone = [
         (ONLY[side], *("" if side else name, name if side else ""))
@@ -74,14 +73,13 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     if abs(ours - theirs) > 1e-9:
         where = f"with the cells of {theirs:g} m in which their centres lie"
         warnings.append(f"cells of {ours:g} m are compared {where}")
-    areas = [
+    before, after = (
         sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
         for grid in grids
-    ]
-    area = f"{areas[0]:.2f} to {areas[1]:.2f} m² ({areas[1] - areas[0]:+.2f})"
-    num_changed = sum(sum(count.values()) for count in counts)
+    )
+    num_changed = sum(sum(level.counts().values()) for level in levels)
     facts = {"first": names[0], "second": names[1], "cells that changed": f"{num_changed:,}"}
-    facts |= {"free area": area} if levels else {}
+    facts["free area"] = f"{before:.2f} to {after:.2f} m² ({after - before:+.2f})"
     return {
         "name": "difference",
         "facts": [*facts.items()],
@@ -95,8 +93,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     place = describe_place(" / ".join(dict.fromkeys(names)), level.lattice)
     change = level.change[:: place["every"], :: place["every"]]
     colors = np.array([rgb_of(color) for color in COLORS.values()], dtype=np.uint8)
-    there = np.bincount(change.ravel(), minlength=len(COLORS)) > 0
-    legend = [entry for entry, is_there in zip(COLORS.items(), there, strict=True) if is_there]
+    legend = [entry for n, entry in enumerate(COLORS.items()) if (change == n).any()]
     layer: Json = {"name": "changes", "title": "", "png": to_url(colors[change]), "legend": legend}
     return {
         **place,
@@ -109,20 +106,13 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
 
 
 class LevelDifference(NamedTuple):
-    """How a level of the first grid and one of the second differ.
+    """How a level of the first grid and one of the second differ."""
 
-    Attributes:
-        first, second: their numbers.
-        lattice: the cells of the first one's lattice that cover both.
-        change: what became of each cell: the number of its entry in `COLORS`, uint8.
-        rooms: pairs of rooms that are the same, and their intersection over union.
-    """
-
-    first: int
+    first: int  # their numbers
     second: int
-    lattice: Lattice
-    change: NDArray[np.uint8]
-    rooms: list[tuple[int, int, float]]
+    lattice: Lattice  # the cells of the first one's lattice that cover both
+    change: NDArray[np.uint8]  # of each cell: the number of its entry in `COLORS`
+    rooms: list[tuple[int, int, float]]  # that are the same, and intersection over union
 
     def counts(self) -> dict[str, int]:
         """Cells by what became of them, for the changes that there are."""
@@ -141,14 +131,14 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
         for i, one in enumerate(first.levels)
         for j, other in enumerate(second.levels)
     ]
-    pairs: list[tuple[int, int]] = []
+    pairs: dict[int, int] = {}
     for distance, i, j in sorted(apart):
         one, other = first.levels[i], second.levels[j]
         both, own = _cover_both(one.lattice, other.lattice), one.weights.size + other.weights.size
         is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
-        if distance <= MOST_APART and is_near and not any(i == a or j == b for a, b in pairs):
-            pairs.append((i, j))
-    return sorted(pairs)
+        if distance <= MOST_APART and is_near and i not in pairs and j not in pairs.values():
+            pairs[i] = j
+    return sorted(pairs.items())
 
 
 def compare_levels(
@@ -190,8 +180,7 @@ def compare_levels(
 def _sample(level: SceneGrid2D, lattice: Lattice) -> tuple[NDArray[Any], ...]:
     """A level at the centres of a lattice's cells, arrays of the lattice's shape.
 
-    Returns:
-        Whether the level has a cell there; free; floor [m], NaN for none; room; weight.
+    That is whether the level has a cell there; free; floor [m], NaN for none; room; weight.
     """
     own = level.lattice
     rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
@@ -213,13 +202,8 @@ def _cover_both(lattice: Lattice, other: Lattice) -> Lattice:
     # of each side; what lies on an edge but for rounding isn't beyond it
     beyond = (np.array(lattice.bounds) - other.bounds) * (1, 1, -1, -1) / size - 1e-6
     left, bottom, right, top = np.ceil(beyond).clip(min=0).astype(np.int64).tolist()
-    return Lattice(
-        lattice.x_min - left * size,
-        lattice.y_max + top * size,
-        size,
-        lattice.width + left + right,
-        lattice.height + top + bottom,
-    )
+    shape = lattice.width + left + right, lattice.height + top + bottom
+    return Lattice(lattice.x_min - left * size, lattice.y_max + top * size, size, *shape)
 
 
 def _match_rooms(one: Int, other: Int) -> list[tuple[int, int, float]]:
@@ -259,7 +243,7 @@ def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -
 
 def list_doors(first: NavGrid, second: NavGrid) -> list[Row]:
     """The doors that only one of two grids has, or that are in another state."""
-    return _differing(*({door.id: door.state for door in grid.doors} for grid in (first, second)))
+    return _differing(first, second, lambda grid: {door.id: door.state for door in grid.doors})
 
 
 def list_settings(first: NavGrid, second: NavGrid) -> list[Row]:
@@ -271,10 +255,13 @@ def list_settings(first: NavGrid, second: NavGrid) -> list[Row]:
         own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
         return flatten(own)
 
-    return _differing(settings_of(first), settings_of(second))
+    return _differing(first, second, settings_of)
 
 
-def _differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:
+def _differing(
+    first: NavGrid, second: NavGrid, find: Callable[[NavGrid], dict[str, str]]
+) -> list[Row]:
+    one, other = find(first), find(second)
     keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
     return [(key, one.get(key, ""), other.get(key, "")) for key in keys]
 
