@@ -70,14 +70,38 @@ class Blocks:
         grid[:-1] |= mask.reshape(grid.shape)[1:]
         return grid.ravel()
 
-    def windows(self, mask: Bool) -> list[tuple[slice, slice]]:
-        """The rows and columns of cells of some blocks."""
+    def cells(self, mask: Bool) -> Int:
+        """The cells of some blocks."""
         height, width = self.lattice.shape
-        found = []
+        found = [np.empty(0, dtype=np.int64)]
         for block in np.flatnonzero(mask).tolist():
             row, col = block // self.cols * SIZE, block % self.cols * SIZE
-            found.append((slice(row, min(row + SIZE, height)), slice(col, min(col + SIZE, width))))
-        return found
+            rows, cols = (
+                np.arange(row, min(row + SIZE, height)),
+                np.arange(col, min(col + SIZE, width)),
+            )
+            found.append(np.add.outer(rows * width, cols).ravel())
+        return np.concatenate(found)
+
+
+def fit(array: NDArray[Any], length: int) -> NDArray[Any]:
+    """The array with room for so many members, itself where it has that."""
+    if len(array) >= length:
+        return array
+    wide = np.empty((length, *array.shape[1:]), dtype=array.dtype)
+    wide[: len(array)] = array
+    return wide
+
+
+def join_parts(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
+    """Join the arrays of parts, one after the other, so that little of it is in memory twice.
+
+    Args:
+        parts: one at least; they are empty afterwards.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    return [np.concatenate([part.pop(0) for part in parts]) for _ in range(len(parts[0]))]
 
 
 def list_rows(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.gathered import Gathered
+from navbake.baker.blocks import join_parts
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import RIM, close_up
 from navbake.baker.kernels.rays import cast_lines, cast_points_at
@@ -178,22 +178,20 @@ class GatheredColumns:
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
         self._start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-        self._arrays = Gathered(*empty_crossings(self._start, 0)[1:])
+        self._parts, self._count = list[list[NDArray[Any]]](), 0
 
     def add(self, columns: Columns, rows: Rows) -> None:
         """Add the columns of some of the rows that a part knows, which follow on the last ones."""
         first, end = rows.cells(self._lattice)
         begin, stop = int(columns.start[first]), int(columns.start[end])
         ends = self._start[first + 1 : end + 1]
-        np.add(columns.start[first + 1 : end + 1], len(self._arrays) - begin, out=ends)
-        _, z, normal, geom, closed = columns.crossings
-        part = slice(begin, stop)
-        share = end / (len(self._start) - 1)
-        self._arrays.add(z[part], normal[part], geom[part], closed[part], share=share)
+        np.add(columns.start[first + 1 : end + 1], self._count - begin, out=ends)
+        self._parts.append([array[begin:stop] for array in columns.crossings[1:]])
+        self._count += stop - begin
 
     def join(self) -> Columns:
         """The columns of all rows; nothing is added after that."""
-        return Columns(self._lattice, Crossings(self._start, *self._arrays.take()))
+        return Columns(self._lattice, Crossings(self._start, *join_parts(self._parts)))
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:

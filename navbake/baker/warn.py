@@ -7,9 +7,9 @@ import numpy as np
 from navbake.baker.boxes import LevelBoxes
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import find_cropped
-from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import TOLD_AREA, Unreached
 from navbake.baker.floors.rejected import LARGE_TOP
+from navbake.baker.floors.sheets import Patch
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene

@@ -9,19 +9,18 @@ import numpy as np
 
 from navbake.baker.blocks import Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
-from navbake.baker.floors.enclosed import find_enclosed
-from navbake.baker.floors.growth import FloorChanges, FloorGrowth
+from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
 from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
-from navbake.baker.floors.patch import Patch, describe_sheets
 from navbake.baker.floors.reach import (
     Unreached,
+    find_enclosed,
     find_starts,
     find_unreached,
     largest_of_lowest,
 )
 from navbake.baker.floors.rejected import find_rejected
-from navbake.baker.floors.sheets import SheetFacts, Sheets, area_test
+from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
 from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.kernels.arrays import Crossings
@@ -84,12 +83,9 @@ class FloorFinder:
     """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
 
     All standable surfaces → the sheets that are large enough → those of them that count, without
-    tops, shelves and roofs → their levels → those that are reached → floors, level by level. What
-    is local is found block by block, and again where something changed; what is global is merged.
-
-    Args:
-        store: the surfaces of all columns.
-        given: the levels of the configuration, or None to find them.
+    tops, shelves and roofs → their levels (of the configuration, if they are given) → those that
+    are reached → floors, level by level. What is local is found block by block, and again where
+    something changed; what is global is merged.
     """
 
     def __init__(
@@ -117,8 +113,8 @@ class FloorFinder:
         self._stale = self._blocks.all()
 
     @property
-    def changed(self) -> list[FloorChanges] | None:
-        """What the last update changed on each level; None where all may be new."""
+    def changed(self) -> Int | None:
+        """The cells where the last update changed a floor; None where all may be new."""
         return self._growth.changed
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
@@ -128,12 +124,9 @@ class FloorFinder:
     def find(
         self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest, near: Bool
     ) -> Floors:
-        """Find the floors.
+        """Find the floors in columns, which were cast at shapes.
 
-        Args:
-            columns: as they are now.
-            shapes: the geometry that they were cast at.
-            near: the blocks near which geometry differs from the last time.
+        `near` are the blocks near which these differ from the last time.
 
         Raises:
             SceneError: there is no floor at all, none on a given level, or none at a place that one
@@ -157,9 +150,9 @@ class FloorFinder:
             sheets, is_large, columns, agent, settings, is_occupied, cropped,
             *self._find_edges(is_large, near), facts,
         )  # fmt: skip
-        rejected = find_rejected(site, self._spans)
-        starts = find_starts(site, rejected, settings.starts)
-        counts = is_large & ~rejected.any | starts
+        tops, shelves, roofs = find_rejected(site, self._spans)
+        starts = find_starts(site, tops, shelves, settings.starts)
+        counts = is_large & ~(tops | shelves | roofs) | starts
         if not counts.any():
             raise SceneError(
                 f"no floor: the largest standable sheet keeps less than {settings.min_area:g} m² "
@@ -174,28 +167,20 @@ class FloorFinder:
         ):
             standable = (ring == 0).reshape(shape)
             levels.append(LevelFloor(name, ground, floor.reshape(shape), standable))
-        tops = (rejected.tops | rejected.shelves) & ~starts
         is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
             levels,
             self._growth.links,
-            tops=describe_sheets(sheets, tops, facts),
-            roofs=describe_sheets(sheets, rejected.roofs & ~starts & is_told, facts),
-            small_starts=describe_sheets(sheets, starts & ~is_large, facts),
+            tops=facts.describe((tops | shelves) & ~starts),
+            roofs=facts.describe(roofs & ~starts & is_told),
+            small_starts=facts.describe(starts & ~is_large),
             unreached=unreached,
             left_out=left_out,
-            enclosed=find_enclosed(self._store, settings, agent.traversable_floor_height),
+            enclosed=find_enclosed(self._store, self._blocks, agent, settings),
         )
 
     def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int]:
-        """The edges of large sheets, how far one looks out, and when what is near them changed.
-
-        Args:
-            near: the blocks with other geometry.
-
-        Returns:
-            `edges`, `reach`, `near` and `at_edges` of a `Site`.
-        """
+        """Find `edges`, `reach`, `near` and `at_edges` of a `Site`; `near` has other geometry."""
         sheets, blocks = self._sheets, self._blocks
         reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
         keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
@@ -206,8 +191,7 @@ class FloorFinder:
         block, (rows,) = self._edges.take()
         last = np.zeros((2, len(is_large)), dtype=np.int64)
         np.maximum.at(last[0], sheets.of_part, self._last[sheets.labels.block])
-        sheet = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
-        np.maximum.at(last[1], sheet, self._last[block])
+        np.maximum.at(last[1], sheets.sheet_at(block, rows[:, 0]), self._last[block])
         return (block, rows), reach, last[0], last[1]
 
     def _place_reached(
@@ -225,7 +209,7 @@ class FloorFinder:
         by_steps, patches = settings.reach == "steps", list[Patch]()
         placed, reached, source = None, starts, self._storeys
         if not starts.any() or (given is None and not by_steps):
-            placed = source.update(counted, (), False)
+            placed = source.update(counted, ())
             if not starts.any():
                 reached = largest_of_lowest(placed.counts, len(counted))
         for number, span in enumerate(self._spans):
@@ -234,7 +218,7 @@ class FloorFinder:
         kept = counted & reached if by_steps else counted
         if given is not None or placed is None or not np.array_equal(kept, counted):
             source = self._kept_storeys
-            placed = source.update(kept, given or (), given is not None)
+            placed = source.update(kept, given or ())
             if not len(placed.counts):
                 what = "the largest floor of the lowest level"
                 what = "what `floors.from` names" if starts.any() else what
@@ -242,7 +226,7 @@ class FloorFinder:
         if source is not self._placed_by:
             self._placed_by, placed = source, placed._replace(changed=self._blocks.all())
         if by_steps:
-            patches = describe_sheets(sheets, counted & ~reached, self._facts, self._spans)
+            patches = self._facts.describe(counted & ~reached, self._spans)
         return placed, patches, find_unreached(sheets, placed, reached)
 
 
@@ -297,20 +281,14 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
     for on, cell in ((0, 1), (2, 3)):
         links[:, on] = number[links[:, on]]
         links[:, cell] = cut_cells(links[:, cell], window, width)[0]
-    return Floors(
-        levels,
-        links,
-        tops=list(filter(is_shown, floors.tops)),
-        roofs=list(filter(is_shown, floors.roofs)),
-        small_starts=list(filter(is_shown, floors.small_starts)),
-        unreached=[
-            replace(part, level=int(number[part.level]))
-            for part in floors.unreached
-            if number[part.level] >= 0 and is_shown(part.patch)
-        ],
-        left_out=list(filter(is_shown, floors.left_out)),
-        enclosed=list(filter(is_shown, floors.enclosed)),
-    )
+    unreached = [
+        replace(part, level=int(number[part.level]))
+        for part in floors.unreached
+        if number[part.level] >= 0 and is_shown(part.patch)
+    ]
+    told = "tops", "roofs", "small_starts", "left_out", "enclosed"
+    patches = {name: list(filter(is_shown, getattr(floors, name))) for name in told}
+    return Floors(levels=levels, links=links, unreached=unreached, **patches)
 
 
 def _no_floor_on(given: Sequence[LevelSettings], number: int, columns: ColumnSource) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,45 +21,36 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
-# How an edge of a sheet ends, see `find_endings`
+# How an edge of a sheet ends, see `Site.endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
 # How thick the two bands are that tell a wall, at an agent's feet and at its head [m]
 PROBE = 0.01
 # An empty array of rows of `list_edges`
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
 
+OccupancyTest = Callable[[Int, Float, Band | None], Bool]
+"""Whether a geom meets a band of heights above the floor, over each cell's square.
 
-class OccupancyTest(Protocol):
-    """Tells which cells are occupied over their squares."""
-
-    def __call__(self, cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
-        """Ask for cells and floor heights, shape (n,) [m].
-
-        Args:
-            cells: cell ids.
-            floors: the floor's height in each [m].
-            band: what counts as in the way, as heights above the floor [m]: without it, the
-                band between a step and the agent's height.
-
-        Returns:
-            Whether a geom meets the band over each cell's square, shape (n,), bool.
-        """
+Called with cell ids, the floor's height in each [m], and the band [m]; None is the one between a
+step and the agent's height.
+"""
 
 
 class Endings(NamedTuple):
-    """How a sheet ends at each of its edges, see `find_endings`.
+    """How a sheet ends at each of its edges, see `Site.endings`.
 
     Attributes:
         kind: WALL, BARRIER, DROP, BORDER or OPEN, shape (edges,), uint8.
-        cell: the cell that a drop leads to, -1 for the others, shape (edges,), int64.
-        landing: the height of the floor there, NaN for the others, shape (edges,), float64 [m].
-        floor: the sheet of that floor, -1 for the others, shape (edges,), int32.
+        landing: the height of the floor that a drop leads to, NaN for the others [m].
+        floor: the sheet of that floor, -1 for the others, int32.
+        is_known: False at borders where the lattice crops the scene; at the others nothing stands
+            beside the sheet, nor is a floor.
     """
 
     kind: NDArray[np.uint8]
-    cell: Int
     landing: Float
     floor: Int32
+    is_known: Bool
 
 
 class Site(NamedTuple):
@@ -68,9 +60,6 @@ class Site(NamedTuple):
         sheets: all sheets, furniture included.
         is_large: which of them are large enough for floors, shape (sheets,), bool.
         columns: all surfaces.
-        agent: who walks there.
-        settings: of the floors.
-        is_occupied: tells which cells are occupied.
         cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
             shape (4,), bool.
         edges: the block of each edge of large sheets, and its row, see `list_edges`.
@@ -108,7 +97,7 @@ class Site(NamedTuple):
             blocks = np.flatnonzero(sheets.blocks_of(chosen))
             counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), labelled, step, reach)
             block = np.repeat(blocks, counts)
-        sheet = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
+        sheet = sheets.sheet_at(block, rows[:, 0])
         kept = chosen[sheet]
         _, cell, place, way, _ = rows[kept].T
         shape = len(cell), reach
@@ -117,79 +106,63 @@ class Site(NamedTuple):
         run_in_bands(look_out, len(cell), labelled, step, edges, least=1000)
         return edges
 
-    def outer_edges(self, chosen: Bool, reach: int) -> Edges:
-        """The edges of some sheets along their outlines, without those of the holes in them."""
-        edges = self.edges_of(chosen, reach)
-        return edges.only(find_rims(edges, self.sheets.lattice) == 0)
-
     def endings(self, edges: Edges, agent: AgentSettings | None = None) -> Endings:
-        """Tell how sheets end at edges, see `find_endings`, for the agent or another one."""
-        return find_endings(edges, self.columns, agent or self.agent, self.is_occupied)
+        """Tell how a sheet ends at each of its edges, for the agent or another one.
 
-    def is_known(self, edges: Edges, kind: NDArray[np.uint8]) -> Bool:
-        """Whether one knows how sheets end at edges: not where the lattice crops the scene.
-
-        At a border beyond which there is no scene, nothing stands beside a sheet, nor is a floor.
+        - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
+          agent's feet (just above a step) and at its head (just below its height). So it does not
+          matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a
+          chair's back is none.
+        - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
+        - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand.
+          Where a surface goes on from the sheet's height over that floor, one that is too steep or
+          has too little headroom, there is no drop: the storey below an attic is no floor that one
+          drops to. One looks past what is lower than the sheet, such as a bed's frame or a rail,
+          as far as `edges.cells` reach, and stops at a barrier.
+        - BORDER: the lattice ends.
+        - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
         """
-        known: Bool = (kind != BORDER) | ~self.cropped[edges.way]
-        return known
+        agent, z, is_occupied = agent or self.agent, edges.z, self.is_occupied
+        outer = edges.cells[:, 0]
+        # all that is asked about, so that it is found at once
+        known = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
+        kind, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
+        floor = np.full(len(z), -1, dtype=np.int32)
+        kind[outer < 0] = BORDER
+        asked = np.arange(len(z))
+        for band, means in zip(probe_bands(agent), (BARRIER, WALL), strict=True):
+            stands = is_occupied(edges.cell[asked], z[asked], band)
+            beyond = np.flatnonzero(~stands & (outer[asked] >= 0))
+            stands[beyond] = is_occupied(outer[asked[beyond]], z[asked[beyond]], band)
+            asked = asked[stands]
+            kind[asked] = means
+        looking, ground = np.flatnonzero(kind == OPEN), z.copy()
+        for k in range(edges.cells.shape[1]):
+            looking = looking[edges.cells[looking, k] >= 0]
+            if k > 0:  # the nearest cell has been asked
+                stops = is_occupied(edges.cells[looking, k], z[looking], probe_bands(agent)[0])
+                kind[looking[stops]] = BARRIER
+                looking = looking[~stops]
+            cells = edges.cells[looking, k]
+            column = known.start[cells], known.start[cells + 1], known.z
+            ground[looking] = find_near(*column, ground[looking], agent.traversable_floor_height)
+            below = looking[~np.isnan(edges.floors[looking, k])]
+            cells, floors = edges.cells[below, k], edges.floors[below, k]
+            goes_on = ground[below] > floors + agent.height + SLACK
+            lands = below[~goes_on & ~is_occupied(cells, floors, None)]
+            kind[lands], landing[lands] = DROP, edges.floors[lands, k]
+            floor[lands] = edges.landing[lands, k]
+            looking = looking[kind[looking] == OPEN]
+        return Endings(kind, landing, floor, (kind != BORDER) | ~self.cropped[edges.way])
 
-
-def find_endings(
-    edges: Edges,
-    columns: ColumnSource,
-    agent: AgentSettings,
-    is_occupied: OccupancyTest,
-) -> Endings:
-    """Tell how a sheet ends at each of its edges.
-
-    - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
-      agent's feet (just above a step) and at its head (just below its height). So it does not
-      matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a chair's
-      back is none.
-    - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-    - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand.
-      Where a surface goes on from the sheet's height over that floor, one that is too steep or
-      has too little headroom, there is no drop: the storey below an attic is no floor that one
-      drops to. One looks past what is lower than the sheet, such as a bed's frame or a rail, as
-      far as `edges.cells` reach, and stops at a barrier.
-    - BORDER: the lattice ends.
-    - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
-    """
-    z, inner = edges.z, edges.cell
-    step = agent.traversable_floor_height
-    feet, head = probe_bands(agent)
-    outer = edges.cells[:, 0]
-    # all that is asked about, so that it is found at once
-    known = columns.at(np.concatenate([inner, edges.cells[edges.cells >= 0]]))
-    at_feet = _either_occupied(inner, outer, z, feet, is_occupied)
-    at_head = np.zeros_like(at_feet)
-    at_head[at_feet] = _either_occupied(
-        inner[at_feet], outer[at_feet], z[at_feet], head, is_occupied
-    )
-    ending, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
-    cell, floor = np.full(len(z), -1, dtype=np.int64), np.full(len(z), -1, dtype=np.int32)
-    ending[outer < 0] = BORDER
-    ending[at_feet] = BARRIER
-    ending[at_head] = WALL
-    looking, ground = np.flatnonzero(ending == OPEN), z.copy()
-    for k in range(edges.cells.shape[1]):
-        looking = looking[edges.cells[looking, k] >= 0]
-        if k > 0:  # the nearest cell has been asked
-            stops = is_occupied(edges.cells[looking, k], z[looking], feet)
-            ending[looking[stops]] = BARRIER
-            looking = looking[~stops]
-        cells = edges.cells[looking, k]
-        column = known.start[cells], known.start[cells + 1], known.z
-        ground[looking] = find_near(*column, ground[looking], step)
-        below = looking[~np.isnan(edges.floors[looking, k])]
-        cells, floors = edges.cells[below, k], edges.floors[below, k]
-        goes_on = ground[below] > floors + agent.height + SLACK
-        lands = below[~goes_on & ~is_occupied(cells, floors)]
-        ending[lands], landing[lands] = DROP, edges.floors[lands, k]
-        cell[lands], floor[lands] = edges.cells[lands, k], edges.landing[lands, k]
-        looking = looking[ending[looking] == OPEN]
-    return Endings(ending, cell, landing, floor)
+    def share(self, edges: Edges, which: Bool, known: Bool) -> Float:
+        """The share of each sheet's known edges that are of some kind, NaN where none is known."""
+        of_kind, whole = (
+            np.bincount(edges.sheet, mask, len(self.is_large)) for mask in (which & known, known)
+        )
+        share = np.full(len(whole), np.nan)
+        np.divide(of_kind, whole, out=share, where=whole > 0)
+        return share
 
 
 def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
@@ -203,18 +176,6 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
     x_min, y_min, x_max, y_max = lattice.bounds
     low, high = bounds
     return np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > SLACK
-
-
-def share_of_known(num_sheets: int, edges: Edges, which: Bool, known: Bool) -> Float:
-    """The share of each sheet's known edges that are of some kind, shape (sheets,).
-
-    NaN where none is known.
-    """
-    of_kind = np.bincount(edges.sheet, which & known, num_sheets)
-    whole = np.bincount(edges.sheet, known, num_sheets)
-    share = np.full(num_sheets, np.nan)
-    np.divide(of_kind, whole, out=share, where=whole > 0)
-    return share
 
 
 def find_rims(edges: Edges, lattice: Lattice) -> Int32:
@@ -247,18 +208,17 @@ def find_rims(edges: Edges, lattice: Lattice) -> Int32:
     return found
 
 
+def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:
+    """The cells so many steps east (0), south (1), west (2) or north (3) of cells, -1 for none."""
+    row, col = np.divmod(cell, lattice.width)
+    row = row + steps * np.array([0, 1, 0, -1])[way]
+    col = col + steps * np.array([1, 0, -1, 0])[way]
+    inside = (row >= 0) & (row < lattice.height) & (col >= 0) & (col < lattice.width)
+    return np.where(inside, row * lattice.width + col, -1)
+
+
 def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:
     """The bands above a floor at an agent's feet and at its head, where walls are felt for [m]."""
     low, high = agent.traversable_floor_height, agent.height
     thickness = min(PROBE, (high - low) / 2)
     return Band(low, low + thickness), Band(high - thickness, high)
-
-
-def _either_occupied(
-    inner: Int, outer: Int, z: Float, band: Band, is_occupied: OccupancyTest
-) -> Bool:
-    """Whether a band is occupied on this side of edges, or beyond them."""
-    occupied = is_occupied(inner, z, band)
-    ask = np.flatnonzero(~occupied & (outer >= 0))
-    occupied[ask] = is_occupied(outer[ask], z[ask], band)
-    return occupied

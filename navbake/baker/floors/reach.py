@@ -1,4 +1,4 @@
-"""What steps lead to: where one starts, and the floors that no step leads to from there."""
+"""What one reaches: where one starts, what no step leads to, and what closed meshes hold."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from navbake.baker.blocks import Blocks
 from navbake.baker.floors.kernels.members import Members
-from navbake.baker.floors.outline import DROP, Site
-from navbake.baker.floors.patch import Patch, describe_members
-from navbake.baker.floors.rejected import LARGE_TOP, Rejected
-from navbake.baker.floors.sheets import Sheets
+from navbake.baker.floors.kernels.surfaces import HELD
+from navbake.baker.floors.outline import DROP, Site, beside
+from navbake.baker.floors.rejected import LARGE_TOP
+from navbake.baker.floors.sheets import Patch, Sheets, describe_members
 from navbake.baker.floors.storeys import Placed
+from navbake.baker.floors.surfaces import SurfaceStore, find_near
 from navbake.baker.kernels.constants import SLACK
+from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Int
 
@@ -21,6 +24,10 @@ ON_SURFACE = 0.02
 # A sheet that no step leads to, beside floors that are reached, is told of from this size on:
 # shafts and niches are smaller [m²]
 TOLD_AREA = 6.0
+# A floor that goes on beyond this share of its outline is what a closed thing stands on
+GOES_ON = 0.25
+# Unless the thing is so large that it may well be a building [m²]
+BUILDING = 50.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,7 @@ class Unreached:
     whole: bool
 
 
-def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) -> Bool:
+def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[float]]) -> Bool:
     """Find the sheets that one stands on at some positions.
 
     A position within 2 cm of a surface lies on it, whatever it is. Elsewhere one stands on the
@@ -48,7 +55,7 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     Only where there is none, one stands on the furniture.
 
     Args:
-        rejected: the sheets that are no floors unless one starts there.
+        tops, shelves: the sheets that are no floors unless one starts there.
         positions: `floors.from`, x, y, z of each [m].
 
     Returns:
@@ -59,8 +66,8 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
     """
     sheets, step = site.sheets, site.agent.traversable_floor_height
     surfaces, lattice, is_large = sheets.surfaces, sheets.lattice, site.is_large
-    is_large_top = rejected.tops & (sheets.size * lattice.cell_size**2 >= LARGE_TOP)
-    counts = is_large & ~rejected.shelves & (~rejected.tops | is_large_top)
+    is_small = sheets.size * lattice.cell_size**2 < LARGE_TOP
+    counts = is_large & ~shelves & ~(tops & is_small)
     starts = np.zeros(len(is_large), dtype=np.bool_)
     for number, (x, y, z) in enumerate(positions):
         row, col = (int(i) for i in lattice.rows_cols([x, y]))
@@ -69,7 +76,7 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
             here = sheets.store.at(row * lattice.width + col)
             here = here[sheets.labels.part[here] >= 0]
         heights, block = surfaces.z[here], sheets.blocks.of(here * 0 + row * lattice.width + col)
-        found = sheets.of_part[sheets.labels.offset[block] + sheets.labels.part[here]]
+        found = sheets.sheet_at(block, sheets.labels.part[here])
         below = found[heights <= z + step + SLACK]
         if not len(below):
             there = ", ".join(f"{height:.2f}" for height in heights)
@@ -80,10 +87,8 @@ def find_starts(site: Site, rejected: Rejected, positions: list[list[float]]) ->
             )
         exactly = found[abs(heights - z) <= ON_SURFACE + SLACK]
         floors = below[counts[below]]
-        if len(exactly):
-            starts[exactly[-1]] = True
-        elif len(floors):
-            starts[floors[-1]] = True
+        if len(exactly) or len(floors):
+            starts[(exactly if len(exactly) else floors)[-1]] = True
         else:
             starts[_floor_beside(site, counts, int(below[-1]))] = True
     return starts
@@ -137,3 +142,34 @@ def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreac
             patch = describe_members(sheets.lattice, every, largest)
             unreached.append(Unreached(number, patch, whole))
     return unreached
+
+
+def find_enclosed(
+    store: SurfaceStore, blocks: Blocks, agent: AgentSettings, settings: FloorSettings
+) -> list[Patch]:
+    """Find floors that closed meshes hold, so that nobody can stand on them, the largest first.
+
+    Where such a floor goes on outside at its height, a closed thing only stands on it, like a
+    crate, unless it is as large as a building. The geom of each patch is the mesh that holds it.
+    """
+    surfaces, lattice, found = store.surfaces, store.lattice, list[Patch]()
+    is_held = surfaces.marks & HELD != 0
+    if not is_held.any():
+        return []
+    sheets = Sheets(store, blocks, agent)
+    sheets.update(blocks.all(), np.where(is_held, surfaces.geom, np.int32(-1)))
+    for sheet in np.flatnonzero(sheets.left(sheets.size > 0, settings)).tolist():
+        members, edges, goes_on = sheets.members(sheet), 0, 0
+        for way in range(4):
+            other = beside(lattice, members.cell, way)
+            at_edge = ~np.isin(other, members.cell)
+            edges += int(np.count_nonzero(at_edge))
+            at_edge &= other >= 0
+            other, z = other[at_edge], members.z[at_edge]
+            column = surfaces.first[other], surfaces.first[other] + surfaces.length[other]
+            near = find_near(*column, surfaces.z, z, agent.traversable_floor_height)
+            goes_on += int(np.count_nonzero(~np.isnan(near)))
+        patch = describe_members(lattice, members)
+        if patch.area >= BUILDING or goes_on < GOES_ON * edges:
+            found.append(patch)
+    return sorted(found, key=lambda patch: -patch.area)

@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.floors.kernels.members import Edges, look_below
-from navbake.baker.floors.outline import (
-    DROP,
-    WALL,
-    OccupancyTest,
-    Site,
-    find_rims,
-    probe_bands,
-    share_of_known,
-)
+from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_rims, probe_bands
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
-from navbake.config.settings import AgentSettings
-from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float
 
@@ -42,33 +31,11 @@ HALF = 0.5
 FLOOR_SHARE, WALLED_SHARE = 0.25, 2 / 3
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
-# Steps by row and column against the ways of edges: east, south, west, north
-INWARD = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
 
-class Rejected(NamedTuple):
-    """The large sheets that are no floors; masks, shape (sheets,), of which one sheet is in one.
-
-    Attributes:
-        tops: tops of what stands on a floor, see `_find_tops`.
-        shelves: see `_find_shelves`.
-        roofs: see `_find_roofs`.
-    """
-
-    tops: Bool
-    shelves: Bool
-    roofs: Bool
-
-    @property
-    def any(self) -> Bool:
-        """The sheets that are in one of the three."""
-        rejected: Bool = self.tops | self.shelves | self.roofs
-        return rejected
-
-
-def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
+def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Bool, Bool, Bool]:
     """Find the large sheets that are no floors, each judged by itself among all the others.
 
     A roof counts as a floor nevertheless where it is the only one there is: in the whole scene,
@@ -76,6 +43,10 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
 
     Args:
         spans: of the heights on levels that are given, see `given_spans` [m].
+
+    Returns:
+        The tops of what stands on a floor, the shelves and the roofs: masks, shape (sheets,), of
+        which one sheet is in one.
     """
     sheets, is_large = site.sheets, site.is_large
     tops = shelves = roofs = none = np.zeros(len(is_large), dtype=np.bool_)
@@ -86,11 +57,9 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
     over = np.bincount(above, count * (above != below), len(is_large)) / size
     if not site.settings.tops:
         tops = _find_tops(site)
-        narrow = is_large & (sky < SKY_SHARE) & (over >= HALF)
-        shelves = _find_shelves(site, narrow)
+        shelves = _find_shelves(site, is_large & (sky < SKY_SHARE) & (over >= HALF))
     if not site.settings.roofs:
-        open_above = is_large & (sky >= SKY_SHARE) & (over >= FLOOR_SHARE)
-        roofs = _find_roofs(site, open_above, over)
+        roofs = _find_roofs(site, is_large & (sky >= SKY_SHARE) & (over >= FLOOR_SHARE), over)
     is_floor = is_large & ~(tops | shelves | roofs)
     if not is_floor.any():
         roofs = none
@@ -98,7 +67,7 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> Rejected:
         on_level = is_large & sheets.between(low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
-    return Rejected(tops & ~roofs, shelves & ~roofs, roofs)
+    return tops & ~roofs, shelves & ~roofs, roofs
 
 
 def _find_tops(site: Site) -> Bool:
@@ -119,8 +88,7 @@ def _find_tops(site: Site) -> Bool:
     """
     sheets, result = site.sheets, np.zeros_like(site.is_large)
     block, rows = site.edges
-    sheet_of = sheets.of_part[sheets.labels.offset[block] + rows[:, 0]]
-    drops = np.bincount(sheet_of, rows[:, 4], len(result))
+    drops = np.bincount(sheets.sheet_at(block, rows[:, 0]), rows[:, 4], len(result))
     may_drop = site.is_large & (drops > 0)
     if not site.cropped.any():
         # an outline is at least as long as the box around it: most sheets drop along less of it
@@ -144,19 +112,18 @@ def _judge_tops(site: Site, asked: Bool) -> list[tuple[list[int], bool]]:
         does not drop that much or there is room for an agent under it; and whether a floor winds
         through it.
     """
-    sheets, num = site.sheets, len(asked)
+    sheets = site.sheets
     edges = site.edges_of(asked, site.reach)
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
     rim = find_rims(edges, sheets.lattice)
     certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & (rim == 0)
-    share = share_of_known(num, edges, has_floor, certain | has_floor)
-    chosen = (~(share < DROP_SHARE))[edges.sheet]
+    chosen = ~(site.share(edges, has_floor, certain | has_floor) < DROP_SHARE)[edges.sheet]
     edges, rim = edges.only(chosen), rim[chosen]
     endings = site.endings(edges)
-    drops, known = endings.kind == DROP, site.is_known(edges, endings.kind)
+    drops = endings.kind == DROP
     # other holes are where things stand on the sheet, such as pillows
-    known &= (rim == 0) | drops
-    is_top = share_of_known(num, edges, drops, known) >= DROP_SHARE
+    known = endings.is_known & ((rim == 0) | drops)
+    is_top = site.share(edges, drops, known) >= DROP_SHARE
     found = []
     for sheet in np.flatnonzero(asked).tolist():
         own = edges.sheet == sheet
@@ -218,16 +185,27 @@ def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
 
 
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
-    """Whether walls stand along no more than half of the outlines of some sheets."""
+    """Whether walls stand along no more than half of the outlines of some sheets.
+
+    They stand at an edge, or on the sheet at most as far inside as it is shrunk.
+    """
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
-    lattice = site.sheets.lattice
-    edges = site.outer_edges(asked, reach=1)
-    kind = site.endings(edges, agent).kind
-    is_wall, known = kind == WALL, site.is_known(edges, kind)
-    reach = int(np.ceil(site.settings.shrink / lattice.cell_size))
-    ends = known & ~is_wall
-    is_wall[ends] = _find_inner_walls(edges.only(ends), lattice, agent, reach, site.is_occupied)
-    return asked & (share_of_known(len(asked), edges, is_wall, known) <= HALF)
+    lattice, edges = site.sheets.lattice, _outer_edges(site, asked, reach=1)
+    endings = site.endings(edges, agent)
+    is_wall = endings.kind == WALL
+    for k in range(1, int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1):
+        inner = beside(lattice, edges.cell, edges.way, -k)
+        near = np.flatnonzero(endings.is_known & ~is_wall & (inner >= 0))
+        for band in probe_bands(agent):
+            near = near[site.is_occupied(inner[near], edges.z[near], band)]
+        is_wall[near] = True
+    return asked & (site.share(edges, is_wall, endings.is_known) <= HALF)
+
+
+def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
+    """The edges of some sheets along their outlines, without those of the holes in them."""
+    edges = site.edges_of(chosen, reach)
+    return edges.only(find_rims(edges, site.sheets.lattice) == 0)
 
 
 def _find_shelves(site: Site, candidates: Bool) -> Bool:
@@ -245,10 +223,9 @@ def _find_shelves(site: Site, candidates: Bool) -> Bool:
     )
 
     def open_at_sides(asked: Bool) -> Bool:
-        edges = site.outer_edges(asked, site.reach)
-        kind = site.endings(edges).kind
-        known = site.is_known(edges, kind)
-        return asked & (share_of_known(len(asked), edges, kind == DROP, known) > HALF)
+        edges = _outer_edges(site, asked, site.reach)
+        endings = site.endings(edges)
+        return asked & (site.share(edges, endings.kind == DROP, endings.is_known) > HALF)
 
     return site.facts.mask("open at sides", candidates, open_at_sides, site.at_edges)
 
@@ -273,24 +250,3 @@ def _lie_over_walls(site: Site, asked: Bool) -> Bool:
             is_over[deep] |= is_top & (below < z[deep] - SAME)
         result[sheet] = np.count_nonzero(is_over) / len(cell) >= WALLED_SHARE
     return result
-
-
-def _find_inner_walls(
-    edges: Edges, lattice: Lattice, agent: AgentSettings, reach: int, is_occupied: OccupancyTest
-) -> Bool:
-    """Whether a wall stands on a sheet near each of some edges, at most `reach` cells inside."""
-    z, bands = edges.z, probe_bands(agent)
-    row, col = np.divmod(edges.cell, lattice.width)
-    inward_row, inward_col = INWARD[edges.way].T
-    has_wall = np.zeros(len(z), dtype=np.bool_)
-    for k in range(1, reach + 1):
-        beside_row, beside_col = row + k * inward_row, col + k * inward_col
-        inside = (beside_row >= 0) & (beside_row < lattice.height)
-        inside &= (beside_col >= 0) & (beside_col < lattice.width)
-        asked = np.flatnonzero(inside & ~has_wall)
-        cells = beside_row[asked] * lattice.width + beside_col[asked]
-        for band in bands:
-            stands = is_occupied(cells, z[asked], band)
-            asked, cells = asked[stands], cells[stands]
-        has_wall[asked] = True
-    return has_wall

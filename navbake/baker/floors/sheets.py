@@ -2,30 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import Blocks, BlockTable
-from navbake.baker.floors.kernels.labels import list_stacks, measure_parts
+from navbake.baker.blocks import Blocks, BlockTable, fit
+from navbake.baker.connect import connect
+from navbake.baker.floors.kernels import labels as kernels
+from navbake.baker.floors.kernels.labels import JOINS, LINKS, Joining
 from navbake.baker.floors.kernels.members import (
+    AreaTest,
     Labelled,
     Members,
+    count_left,
+    east_rim,
     fill_members,
     find_large,
     mark_between,
+    near_offsets,
 )
-from navbake.baker.floors.kernels.shrink import AreaTest, count_left, east_rim, near_offsets
 from navbake.baker.floors.kernels.surfaces import Surfaces
-from navbake.baker.floors.labels import NO_ROWS, Joining, Labels
 from navbake.baker.floors.surfaces import SurfaceStore, slopes_may_join
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Int, Int32
+
+NO_KEY = np.empty(0, dtype=np.int32)
+# An empty array of rows that count, see `navbake.baker.floors.kernels.labels`
+NO_ROWS, NO_HEIGHTS = np.empty((0, 4), dtype=np.int64), np.empty(0)
+
+
+class Labels:
+    """The connected parts of surfaces in each block, numbered one block after the other.
+
+    Attributes:
+        part: the number of each surface's part in its block, -1 for none, int32.
+        count: how many parts each block has.
+        offset: the number of each block's first part, and of all parts, shape (blocks + 1,).
+    """
+
+    def __init__(self, blocks: Blocks, joining: Joining) -> None:
+        self.blocks, self._joining = blocks, joining
+        self.part, self.count = NO_KEY, np.zeros(blocks.num, dtype=np.int64)
+        self._pairs = BlockTable(blocks.num, NO_ROWS)
+
+    def update(self, surfaces: Surfaces, stale: Bool, key: Int32 = NO_KEY) -> None:
+        """Find the parts of stale blocks again; see `label_blocks` for the key."""
+        self.part = fit(self.part, len(surfaces.z))
+        chosen, near = np.flatnonzero(stale), np.flatnonzero(self.blocks.before(stale))
+        asked = self.blocks.lattice, surfaces, key, self._joining, self.part
+        run_in_bands(kernels.label_blocks, len(chosen), *asked, chosen, self.count)
+        self._pairs.fill(kernels.list_pairs, near, *asked)
+        self.offset = np.concatenate([[0], np.cumsum(self.count)])
+
+    @property
+    def block(self) -> Int:
+        """The block of each part."""
+        return np.repeat(np.arange(self.blocks.num), self.count)
+
+    def merge(self) -> tuple[Int32, Int]:
+        """The whole that each part belongs to, numbered by their first parts; and linked wholes.
+
+        The latter are pairs, each once, shape (2, m), first the one with the lower number.
+        """
+        block, (rows,) = self._pairs.take()
+        one, other, what, _ = rows.T
+        step = np.array([0, 1, self.blocks.cols])[what % 3]
+        pairs = np.stack([self.offset[block] + one, self.offset[block + step] + other])
+        whole = connect(pairs[:, what // 3 == JOINS], int(self.offset[-1]))
+        links = np.sort(whole[pairs[:, what // 3 == LINKS]], axis=0)
+        links = links[:, links[0] != links[1]].astype(np.int64)
+        if links.size:
+            links = np.stack(np.divmod(np.unique(links[0] * len(whole) + links[1]), len(whole)))
+        return whole, links
 
 
 class Sheets:
@@ -38,7 +92,7 @@ class Sheets:
         key: tells each sheet from all others, also after others came and went, int64, ascending.
         size: how many surfaces each has, int64.
         tops: over how many of these nothing lies.
-        box: its rows and columns, shape (sheets, 4).
+        box: its first row and column, and past its last ones, shape (sheets, 4).
         digest: changes with the sheet's surfaces, shape (sheets,), uint64.
     """
 
@@ -53,11 +107,11 @@ class Sheets:
         self.lattice, self.blocks, self.store = store.lattice, blocks, store
         by_slopes = slopes_may_join(store.lattice, agent)
         self.labels = Labels(blocks, Joining(agent.traversable_floor_height, by_slopes=by_slopes))
-        nothing, boxes = np.empty(0, dtype=np.int64), np.empty((0, 4), dtype=np.int64)
-        digests = np.empty(0, dtype=np.uint64)
-        self._parts = BlockTable(blocks.num, nothing, nothing, nothing, boxes, digests)
-        self._stacks = BlockTable(blocks.num, NO_ROWS)
-        self.now, self.last = 0, np.zeros(blocks.num, dtype=np.int64)
+        nothing = np.empty((0, 4), dtype=np.int64)
+        columns = nothing[:, 0], nothing[:, 0], nothing[:, 0], nothing, np.empty(0, np.uint64)
+        self._parts = BlockTable(blocks.num, *columns)
+        self._stacks = BlockTable(blocks.num, NO_ROWS, NO_HEIGHTS)
+        self._below, self.now, self.last = NO_KEY, 0, np.zeros(blocks.num, dtype=np.int64)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -70,25 +124,28 @@ class Sheets:
         stale: Bool = self.last == self.now
         return stale
 
-    def update(self, stale: Bool) -> None:
-        """Find the sheets again, of which the surfaces in stale blocks are others."""
+    def update(self, stale: Bool, key: Int32 = NO_KEY) -> None:
+        """Find the sheets again, of which the surfaces in stale blocks are others.
+
+        Args:
+            key: see `label_blocks`.
+        """
         lattice, surfaces, labels = self.lattice, self.surfaces, self.labels
         self.now += 1
         self.last[stale] = self.now
-        labels.update(surfaces, stale)
-        chosen, bits = np.flatnonzero(stale), surfaces.z.view(np.int64)
-        asked = lattice, surfaces, bits, labels.part, labels.count
-        self._parts.fill(measure_parts, chosen, *asked)
-        self._stacks.fill(list_stacks, chosen, lattice, surfaces, labels.part)
+        labels.update(surfaces, stale, key)
+        self._below = fit(self._below, len(surfaces.z))
+        chosen, own = np.flatnonzero(stale), (labels.part, self._below)
+        asked = lattice, surfaces, surfaces.z.view(np.int64), own, labels.count
+        self._parts.fill(kernels.measure_parts, chosen, *asked)
+        self._stacks.fill(kernels.tally, chosen, lattice, surfaces, *own, labels.part)
         _, (size, tops, first_key, box, digest) = self._parts.take()
         whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
-        key = np.full(num, np.iinfo(np.int64).max)
-        np.minimum.at(key, whole, first_key)
-        order = np.argsort(key)
-        number = np.empty(num, dtype=np.int32)
-        number[order] = np.arange(num, dtype=np.int32)
-        self.of_part, self.key = number[whole], key[order]
+        first = np.full(num, np.iinfo(np.int64).max)
+        np.minimum.at(first, whole, first_key)
+        order = np.argsort(first)
+        self.of_part, self.key = np.argsort(order).astype(np.int32)[whole], first[order]
         self.size, self.tops = (
             np.bincount(self.of_part, values, num).astype(np.int64) for values in (size, tops)
         )
@@ -106,15 +163,21 @@ class Sheets:
         return Labelled(self.lattice, first, length, z, geom, self.labels.part,
                         self.labels.offset, sheet)  # fmt: skip
 
+    def sheet_at(self, block: Int, part: Int | Int32) -> Int32:
+        """The sheets of some parts, by their blocks and their numbers there."""
+        sheet: Int32 = self.of_part[self.labels.offset[block] + part]
+        return sheet
+
     def stacks(self) -> tuple[Int32, Int32, Int]:
         """Which sheets lie over which: the upper one, the lower one, and in how many cells.
 
         Those cells are counted in which nothing that one can stand on lies in between; a pair may
         be listed several times.
         """
-        block, (rows,) = self._stacks.take()
-        above, below = (self.of_part[self.labels.offset[block] + rows[:, k]] for k in (0, 1))
-        return above, below, rows[:, 3]
+        block, (rows, _) = self._stacks.take()
+        lies = rows[:, 1] >= 0
+        block, rows = block[lies], rows[lies]
+        return self.sheet_at(block, rows[:, 0]), self.sheet_at(block, rows[:, 1]), rows[:, 3]
 
     def blocks_of(self, chosen: Bool) -> Bool:
         """The blocks that hold surfaces of chosen sheets."""
@@ -164,17 +227,42 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc, east_rim(disc))
 
 
-def is_large(lattice: Lattice, settings: FloorSettings, cells: Int | Int32) -> bool:
-    """Whether a set of cells is large enough for a floor, see `area_test`; ids may repeat."""
+def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
+    """Whether the marked cells of a lattice are enough for a floor, see `area_test`."""
     test = area_test(lattice, settings)
-    if not len(cells):
-        return test.needed == 0
-    row, col = np.divmod(cells, lattice.width)
-    low = row.min(), col.min()
-    shape = row.max() - low[0] + 1 + 2 * test.reach, col.max() - low[1] + 1 + 2 * test.reach
-    mask = np.zeros(shape, dtype=np.bool_)
-    mask[row - low[0] + test.reach, col - low[1] + test.reach] = True
+    mask = np.pad(marked.reshape(lattice.shape), test.reach)
     return bool(count_left(mask, test, test.needed) >= test.needed)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Surfaces that lie side by side, such as a sheet that is no floor.
+
+    Attributes:
+        geom: the geom that most of it belongs to.
+        area: [m²].
+        place: x, y, z of a place near its middle, in world coordinates [m].
+        cells: its cells, shape (n,), int32.
+    """
+
+    geom: int
+    area: float
+    place: tuple[float, float, float]
+    cells: Int32 = field(repr=False, compare=False)
+
+
+def describe_members(lattice: Lattice, members: Members, largest: Members | None = None) -> Patch:
+    """Describe some surfaces, one at least.
+
+    The place is the cell that is nearest to the middle of the largest part of them, if it is given.
+    """
+    cells, z, *_ = largest or members
+    row, col = np.divmod(cells, lattice.width)
+    nearest = int(((row - row.mean()) ** 2 + (col - col.mean()) ** 2).argmin())
+    x, y = lattice.center_x()[col[nearest]], lattice.center_y()[row[nearest]]
+    area, geom = len(members.cell) * lattice.cell_size**2, np.bincount(members.geom).argmax()
+    place = float(x), float(y), float(z[nearest])
+    return Patch(int(geom), area, place, members.cell.astype(np.int32))
 
 
 class SheetFacts:
@@ -190,8 +278,8 @@ class SheetFacts:
 
     def begin(self, sheets: Sheets) -> None:
         """Begin an update."""
-        self._kept, self._known = self._known, {}
-        self._digests, self._now = sheets.digest.tolist(), sheets.now
+        self._kept, self._known, self._sheets = self._known, {}, sheets
+        self._digests = sheets.digest.tolist()
 
     def of(
         self,
@@ -203,23 +291,23 @@ class SheetFacts:
         """A fact about each chosen sheet, in their order.
 
         Args:
-            name: of the fact.
             chosen: the sheets, shape (sheets,), bool.
             find: finds the fact about some sheets, in their order.
             changed: the update in which what the fact rests on beside the sheet last changed, by
                 sheet; None where that is nothing.
         """
-        asked, sheets = np.zeros_like(chosen), np.flatnonzero(chosen).tolist()
-        for sheet in sheets:
-            known = self._kept.get((name, self._digests[sheet]))
+        asked, names = np.zeros_like(chosen), list[tuple[str, int]]()
+        for sheet in np.flatnonzero(chosen).tolist():
+            names.append((name, self._digests[sheet]))
+            known = self._kept.get(names[-1])
             if known is None or (changed is not None and known[0] < changed[sheet]):
                 asked[sheet] = True
             else:
-                self._known[name, self._digests[sheet]] = known
+                self._known[names[-1]] = known
         if asked.any():
             for sheet, fact in zip(np.flatnonzero(asked).tolist(), find(asked), strict=True):
-                self._known[name, self._digests[sheet]] = self._now, fact
-        return [self._known[name, self._digests[sheet]][1] for sheet in sheets]
+                self._known[name, self._digests[sheet]] = self._sheets.now, fact
+        return [self._known[one][1] for one in names]
 
     def mask(
         self, name: str, chosen: Bool, find: Callable[[Bool], Bool], changed: Int | None = None
@@ -228,3 +316,23 @@ class SheetFacts:
         result = np.zeros_like(chosen)
         result[chosen] = self.of(name, chosen, lambda asked: find(asked)[asked].tolist(), changed)
         return result
+
+    def describe(self, chosen: Bool, spans: Sequence[tuple[float, float]] = ()) -> list[Patch]:
+        """Describe chosen sheets, the largest first.
+
+        Args:
+            spans: only what lies in these spans of heights is described, if there are any [m].
+        """
+
+        def find(asked: Bool) -> list[Patch | None]:
+            found: list[Patch | None] = []
+            for members in map(self._sheets.members, np.flatnonzero(asked).tolist()):
+                z = members.z
+                if spans:
+                    members = members.only(np.any([(z >= a) & (z < b) for a, b in spans], axis=0))
+                is_some = len(members.z) > 0
+                found.append(describe_members(self._sheets.lattice, members) if is_some else None)
+            return found
+
+        patches = self.of("patch of levels" if spans else "patch", chosen, find)
+        return sorted(filter(None, patches), key=lambda patch: -patch.area)

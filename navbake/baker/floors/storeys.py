@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.blocks import BlockTable, Seen
+from navbake.baker.blocks import BlockTable, Seen, fit
 from navbake.baker.floors.kernels import levels as kernels
-from navbake.baker.floors.kernels.labels import PLATEAU, tally
-from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, HeightWindow, Kept
-from navbake.baker.floors.kernels.shrink import AreaTest
-from navbake.baker.floors.labels import NO_KEY, NO_ROWS, Joining, Labels, fit
-from navbake.baker.floors.sheets import Sheets, area_test
+from navbake.baker.floors.kernels.labels import PLATEAU, Joining, tally
+from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, Kept
+from navbake.baker.floors.kernels.members import AreaTest
+from navbake.baker.floors.sheets import NO_HEIGHTS, NO_KEY, NO_ROWS, Labels, Sheets, area_test
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.threads import run_in_bands
@@ -27,7 +26,6 @@ TIMES_LARGER = 4
 DECIMALS = 9
 # All floors are left: nothing is shrunk
 UNSHRUNK = AreaTest(0, 0, *np.empty((2, 0, 2), dtype=np.int64))
-NO_HEIGHTS = np.empty(0)
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
@@ -79,13 +77,12 @@ class Storeys:
         self._known: dict[Any, tuple[int, Any]] = {}
         self._kept: dict[Any, tuple[int, Any]] = {}
 
-    def update(self, counts: Bool, given: Sequence[LevelSettings], spans: bool) -> Placed:
-        """Place the surfaces of the sheets that count.
+    def update(self, counts: Bool, given: Sequence[LevelSettings]) -> Placed:
+        """Place the surfaces of the sheets that count, shape (sheets,).
 
         Args:
-            counts: shape (sheets,), bool.
-            given: the levels of the configuration; they are found if there are none.
-            spans: whether only surfaces that lie between the given levels' grounds and tops count.
+            given: the levels of the configuration, of which only surfaces between their grounds and
+                tops count; levels are found if there are none.
         """
         sheets = self._sheets
         self._kept, self._known = self._known, {}
@@ -94,7 +91,7 @@ class Storeys:
         self._now = sheets.now
         self._last[stale] = self._now
         self._key = fit(self._key, len(sheets.surfaces.z))
-        bounds = np.array(given_spans(given) if spans else [], dtype=np.float64).reshape(-1, 2)
+        bounds = np.array(given_spans(given), dtype=np.float64).reshape(-1, 2)
         chosen = np.flatnonzero(stale)
         asked = sheets.labelled(counts), bounds, self._key, chosen, self._stacked
         run_in_bands(kernels.mark_kept, len(chosen), *asked)
@@ -145,7 +142,7 @@ class Storeys:
         whole, links = labels.merge()
         num = int(whole.max(initial=-1)) + 1
         plateau = whole[labels.offset[block] + rows[:, 0]]
-        sheet = sheets.of_part[sheets.labels.offset[block] + rows[:, 1]].astype(np.int64)
+        sheet = sheets.sheet_at(block, rows[:, 1]).astype(np.int64)
         height, area = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
         np.minimum.at(height, plateau, low)
         np.maximum.at(area, plateau, _areas_about(sheet, rows[:, 2], rows[:, 3], self._half))
@@ -210,7 +207,7 @@ class Storeys:
         self, kept: Kept, ground: float, window: int, test: AreaTest
     ) -> tuple[Int, Float]:
         """Rows of the heights in a window, and the lowest of each row, see `list_heights`."""
-        sheets, heights = self._sheets, HeightWindow(ground, window, self._half)
+        sheets, heights = self._sheets, (ground, window, self._half)
         name = "heights", ground, window, test.reach
         table, stale = self._recall(name, self._table, test.reach)
         asked = sheets.lattice, sheets.surfaces, kept, heights, test
@@ -318,8 +315,7 @@ class Storeys:
         is_new = ("places", tolerance, *grounds) not in self._kept
         grounds = [ground for ground, is_used in zip(grounds, used, strict=True) if is_used]
         labels = _label([named.get(ground) for ground in grounds])
-        sheet = sheets.of_part[sheets.labels.offset[block] + part]
-        counts = np.stack([sheet, number[on], count], axis=1)
+        counts = np.stack([sheets.sheet_at(block, part), number[on], count], axis=1)
         changed = sheets.blocks.all() if is_new else self._last == self._now
         return Placed(grounds, labels, level, number, counts, changed)
 

@@ -80,7 +80,7 @@ class HiddenRoom:
             for shapes in (self._shapes(geom, "surface"), hull)
         )
         has_room = _find_room(in_mesh, in_hull, self._agent.height)
-        return is_large(lattice, self._floors, np.flatnonzero(has_room))
+        return is_large(lattice, self._floors, has_room)
 
     def _shapes(self, geom: int, mode: MeshMode) -> Shapes:
         """The triangles of a mesh, counted as a mode says."""

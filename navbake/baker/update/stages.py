@@ -20,7 +20,6 @@ from navbake.baker.column_blocks import cast_at, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate
 from navbake.baker.doors.doors import Doors, place_doors
-from navbake.baker.floors.growth import FloorChanges
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
@@ -150,10 +149,10 @@ class LiveStages:
         now.floors, reason = was.floors, ""
         # of few cells, a share takes no longer than to give it to another thread
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
-            changes = list[FloorChanges]()
+            changed = near[:0]
             if len(near):
                 flags_hold &= self._cast(now, near)
-                reason, changes = self._find_floors(now, near)
+                reason, changed = self._find_floors(now, near)
             if was.contents is not None and _box(was)[1, 2] != _box(now)[1, 2]:
                 reason = reason or "the top of the scene has another height"
             if reason:
@@ -161,9 +160,9 @@ class LiveStages:
                 return reason
             now.occupancy, now.contents = was.occupancy, was.contents
             if len(near):
-                near, holds = self._ask_cells(now, own, near, changes)
+                near, holds = self._ask_cells(now, own, near, changed)
                 flags_hold &= holds and np.array_equal(was.floors.links, now.floors.links)
-            if not any(len(change.heights) for change in changes):
+            if not len(changed):
                 now.floor_layers = was.floor_layers
             else:
                 self._room_flags = None  # its floors were written to
@@ -211,7 +210,7 @@ class LiveStages:
         self._kept.put(near, crossings)
         return _same_surfaces(known, crossings, marks)
 
-    def _find_floors(self, now: Stages, near: Int) -> tuple[str, list[FloorChanges]]:
+    def _find_floors(self, now: Stages, near: Int) -> tuple[str, Int]:
         """Find floors again; returns whether there are other levels, and why; and what changed."""
         source, finder = now.judged_columns, self._finder
         asked = source, now.doorless.shapes, now.occupancy_test(source), self._blocks.holding(near)
@@ -223,17 +222,15 @@ class LiveStages:
         if finder.changed is None or before != [
             (one.name, one.ground) for one in now.floors.levels
         ]:
-            return "there are other levels", []
+            return "there are other levels", near
         return "", finder.changed
 
-    def _ask_cells(
-        self, now: Stages, own: Bool, near: Int, changes: list[FloorChanges]
-    ) -> tuple[Int, bool]:
+    def _ask_cells(self, now: Stages, own: Bool, near: Int, changed: Int) -> tuple[Int, bool]:
         """Find occupancy and contents again near what moved, and where the floor has changed.
 
         Returns these cells, and whether rooms read the same there as before.
         """
-        touched = np.unique(np.concatenate([near, *(change.heights for change in changes)]))
+        touched = np.union1d(near, changed)
         columns, cells, was = now.judged_columns.at(touched), self._cells, now.contents
         crossings = take_columns(columns.crossings, touched)
         holds = not self._of_columns.look(touched, crossings, now.floors.levels)

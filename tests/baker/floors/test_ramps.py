@@ -10,8 +10,9 @@ import pytest
 
 import navbake
 from navbake.baker.blocks import Blocks
+from navbake.baker.floors.kernels.labels import Joining
 from navbake.baker.floors.kernels.surfaces import FLOOR_LIKE, STANDS, Surfaces
-from navbake.baker.floors.labels import Joining, Labels
+from navbake.baker.floors.sheets import Labels
 from navbake.baker.pipeline import build_grid
 from navbake.baker.stages import bake_stages
 from navbake.navgrid.islands import find_islands

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.floors.kernels.shrink import AreaTest, count_left, east_rim, near_offsets
+from navbake.baker.floors.kernels.members import AreaTest, count_left, east_rim, near_offsets
 
 
 def count(mask, limit, needed):

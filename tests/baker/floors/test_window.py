@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from box_worlds import box, world
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors
-from navbake.baker.floors.patch import Patch
 from navbake.baker.floors.reach import Unreached
+from navbake.baker.floors.sheets import Patch
 from navbake.baker.lattice import lay_whole
 from navbake.baker.pipeline import BakeResult, run_bake
 from navbake.baker.stages import bake_stages

@@ -5,6 +5,8 @@ What is counted becomes rows of three numbers that tell what it is, and how ofte
 may repeat. See `navbake.baker.blocks.list_rows` for how kernels list them.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
@@ -19,6 +21,21 @@ JOINS, LINKS = 0, 1
 PLATEAU = 0.02
 # So many of the last rows are looked through for one that is met again
 FEW = 8
+
+
+class Joining(NamedTuple):
+    """What joins surfaces of neighbouring cells, and what only links them.
+
+    Attributes:
+        step: surfaces of one group at most so far apart hang together [m].
+        reach: parts that do not, and have surfaces at most so far apart, are linked [m]; none are
+            where it is less than 0.
+        by_slopes: whether slopes join surfaces, too.
+    """
+
+    step: float
+    reach: float = -1.0
+    by_slopes: bool = False
 
 
 @part(**UNCOUNTED)
@@ -58,56 +75,7 @@ def _joins(lattice, surfaces, key, joining, a, b, way):
     return joining.by_slopes and slope_joins(lattice, surfaces, a, b, way, joining.step)
 
 
-@part(**UNCOUNTED)
-def _number_members(surfaces, key, window, width, part):
-    """Number the surfaces of a block that belong to a group; returns how many they are."""
-    row0, row1, col0, col1 = window
-    num = 0
-    for row in range(row0, row1):
-        for cell in range(row * width + col0, row * width + col1):
-            for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                if _group(surfaces, key, j) >= 0:
-                    part[j] = num
-                    num += 1
-                else:
-                    part[j] = -1
-    return num
-
-
-@part(**UNCOUNTED)
-def _label_block(lattice, surfaces, key, joining, window, part, parent):
-    """Turn the numbers of surfaces in a block into those of their parts; returns how many."""
-    row0, row1, col0, col1 = window
-    first, length, width = surfaces.first, surfaces.length, lattice.width
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            cell = row * width + col
-            for way in range(2):
-                if (col == col0) if way == 0 else (row == row0):
-                    continue
-                other = cell - 1 if way == 0 else cell - width
-                for j in range(first[cell], first[cell] + length[cell]):
-                    if part[j] < 0:
-                        continue
-                    for i in range(first[other], first[other] + length[other]):
-                        if part[i] >= 0 and _joins(lattice, surfaces, key, joining, i, j, way):
-                            unite(parent, np.int64(part[i]), np.int64(part[j]))
-    parts = 0
-    for n in range(parent.shape[0]):  # a parent comes before its children
-        if parent[n] == n:
-            parent[n] = parts
-            parts += 1
-        else:
-            parent[n] = parent[parent[n]]
-    for row in range(row0, row1):
-        for cell in range(row * width + col0, row * width + col1):
-            for j in range(first[cell], first[cell] + length[cell]):
-                if part[j] >= 0:
-                    part[j] = parent[part[j]]
-    return parts
-
-
-@kernel(nogil=True)
+@kernel(nogil=True, **UNCOUNTED)
 def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``.
 
@@ -116,20 +84,42 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
     slopes join them. `part`, (n,) int32, receives their numbers, from 0 by their first members in
     the order of cells, -1 for surfaces of no group; `count`, by block, how many parts there are.
     """
+    first, length, width = surfaces.first, surfaces.length, lattice.width
     for k in range(begin, end):
-        window = block_window(lattice, blocks[k])
-        parent = np.arange(_number_members(surfaces, key, window, lattice.width, part))
-        count[blocks[k]] = _label_block(lattice, surfaces, key, joining, window, part, parent)
-
-
-@part(inline="always")
-def _kind_of(lattice, surfaces, key, joining, part, a, b, way, at_border):
-    """What the parts of two surfaces of neighbouring cells do: JOINS, LINKS, or -1 for neither."""
-    if part[b] < 0 or (not at_border and part[a] == part[b]):
-        return -1
-    if _joins(lattice, surfaces, key, joining, a, b, way):
-        return JOINS if at_border else -1
-    return LINKS if abs(surfaces.z[a] - surfaces.z[b]) <= joining.reach + SLACK else -1
+        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+        # at first `part` has the parents of union-find, by place
+        for row in range(row0, row1):
+            for cell in range(row * width + col0, row * width + col1):
+                for j in range(first[cell], first[cell] + length[cell]):
+                    part[j] = j if _group(surfaces, key, j) >= 0 else -1
+                for way in range(2):
+                    if cell == row * width + col0 if way == 0 else row == row0:
+                        continue
+                    other = cell - 1 if way == 0 else cell - width
+                    for j in range(first[cell], first[cell] + length[cell]):
+                        for i in range(first[other], first[other] + length[other]):
+                            if part[i] < 0 or part[j] < 0:
+                                continue
+                            if _joins(lattice, surfaces, key, joining, i, j, way):
+                                unite(part, i, j)
+        # then, of those that are numbered, n as -2 - n
+        num = 0
+        for row in range(row0, row1):
+            for cell in range(row * width + col0, row * width + col1):
+                for j in range(first[cell], first[cell] + length[cell]):
+                    root = j
+                    while part[root] >= 0 and part[root] != root:
+                        root = part[root]
+                    if part[root] >= 0:
+                        part[root] = -2 - num
+                        num += 1
+                    if part[j] != -1:
+                        part[j] = part[root]
+        for row in range(row0, row1):
+            for cell in range(row * width + col0, row * width + col1):
+                for j in range(first[cell], first[cell] + length[cell]):
+                    part[j] = -2 - part[j] if part[j] < -1 else -1
+        count[blocks[k]] = num
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -162,13 +152,14 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
                         if part[a] < 0:
                             continue
                         for b in range(first[other], first[other] + length[other]):
-                            kind = _kind_of(
-                                lattice, surfaces, key, joining, part, a, b, way, at_border
-                            )
-                            if kind < 0:
+                            if part[b] < 0 or (not at_border and part[a] == part[b]):
                                 continue
-                            what = 3 * kind + where
-                            at = note_row(rows, before, num, part[a], part[b], what)
+                            joins = _joins(lattice, surfaces, key, joining, a, b, way)
+                            apart = abs(surfaces.z[a] - surfaces.z[b]) > joining.reach + SLACK
+                            if (not at_border) if joins else apart:
+                                continue
+                            kind = JOINS if joins else LINKS
+                            at = note_row(rows, before, num, part[a], part[b], 3 * kind + where)
                             if at < 0:
                                 return k
                             num = max(num, at + 1)
@@ -188,16 +179,16 @@ def _mix(cell, bits, geom):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_parts(lattice, surfaces, bits, part, num_parts, blocks, counts, columns, begin, end):
+def measure_parts(lattice, surfaces, bits, own, num_parts, blocks, counts, columns, begin, end):
     """Measure the parts of ``blocks[begin:end]``, in rows by block and part.
 
-    Args:
-        bits: the heights' bits, int64.
-        num_parts: how many each block has.
-        columns: how many surfaces each part has, and over how many nothing lies, int64; its first
-            member, as its cell and its place there, int64; its first row and column, and past its
-            last ones, (n, 4) int64; and a sum over its members, uint64.
+    The columns: how many surfaces each part has, and over how many nothing lies, int64; its first
+    member, as its cell and its place there, int64; its first row and column, and past its last
+    ones, (n, 4) int64; and a sum over its members, uint64. `bits` are those of heights, int64;
+    `num_parts` how many parts each block has. `own` is the part of each surface, and receives the
+    next one below it, -1 for none.
     """
+    part, below = own
     size, tops, first_key, box, digest = columns
     first, length, offset = surfaces.first, surfaces.length, 0
     for k in range(begin, end):
@@ -210,11 +201,12 @@ def measure_parts(lattice, surfaces, bits, part, num_parts, blocks, counts, colu
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for col in range(col0, col1):
-                cell, rank = row * lattice.width + col, 0
+                cell, rank, lower = row * lattice.width + col, 0, np.int32(-1)
                 for j in range(first[cell], first[cell] + length[cell]):
+                    below[j] = lower
                     if part[j] < 0:
                         continue
-                    n = offset + part[j]
+                    n, lower = offset + part[j], part[j]
                     if size[n] == 0:
                         first_key[n] = cell * 4096 + min(rank, 4095)
                         box[n, 0], box[n, 1], box[n, 2], box[n, 3] = row, col, row + 1, col + 1
@@ -225,30 +217,6 @@ def measure_parts(lattice, surfaces, bits, part, num_parts, blocks, counts, colu
                     digest[n] += _mix(cell, bits[j], surfaces.geom[j])
                     rank += 1
         offset += counts[k]
-    return end
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def list_stacks(lattice, surfaces, part, blocks, counts, columns, begin, end):
-    """Count which parts lie over which in the columns of ``blocks[begin:end]``.
-
-    The rows: the part above, and the next one below it that one can stand on.
-    """
-    rows, num = columns[0], np.int64(0)
-    for k in range(begin, end):
-        before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        for row in range(row0, row1):
-            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                below = np.int64(-1)
-                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                    if part[j] >= 0 and below >= 0:
-                        at = note_row(rows, before, num, part[j], below, 0)
-                        if at < 0:
-                            return k
-                        num = max(num, at + 1)
-                    below = np.int64(part[j]) if part[j] >= 0 else below
-        counts[k] = num - before
     return end
 
 

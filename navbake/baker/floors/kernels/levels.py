@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.floors.kernels.labels import bin_of, note_row
-from navbake.baker.floors.kernels.members import sheet_of
-from navbake.baker.floors.kernels.shrink import is_left
+from navbake.baker.floors.kernels.members import is_left, sheet_of
 from navbake.baker.kernels.blocks import SIZE, block_of, block_window
 from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -41,20 +40,6 @@ class Kept(NamedTuple):
     plateau: Int32
     offset: Int
     is_stair: Bool
-
-
-class HeightWindow(NamedTuple):
-    """Which floors are measured: see `list_heights`.
-
-    Attributes:
-        ground: the ground that they lie over, -inf for none [m].
-        window: a number, EVERY or LOWEST.
-        half: the height of a window [m].
-    """
-
-    ground: float
-    window: int
-    half: float
 
 
 @part(inline="always")
@@ -100,7 +85,7 @@ def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
 @part(inline="always")
 def _window_of(surfaces, kept, block, cell, j, heights):
     """The number of the window that `list_heights` counts a surface in, or NO_WINDOW."""
-    z, ground = surfaces.z[j], heights.ground
+    z, (ground, window, half) = surfaces.z[j], heights
     if kept.key[j] < 0 or z < ground - SLACK:
         return NO_WINDOW
     is_lowest = True
@@ -109,10 +94,10 @@ def _window_of(surfaces, kept, block, cell, j, heights):
             is_lowest = False
     if is_lowest != (ground == -math.inf):
         return NO_WINDOW
-    if heights.window == LOWEST:
+    if window == LOWEST:
         return LOWEST
-    number = np.int64(math.floor(z / heights.half))
-    is_asked = heights.window == EVERY or heights.window <= number <= heights.window + 1
+    number = np.int64(math.floor(z / half))
+    is_asked = window == EVERY or window <= number <= window + 1
     return number if is_asked and not _is_stair(kept, block, j) else NO_WINDOW
 
 
@@ -159,10 +144,12 @@ def _list_left(lattice, surfaces, kept, heights, test, block, mask, columns, num
 def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
 
-    Those are the kept surfaces, without stairs, that lie over another one at or above the ground
-    in their column; over a ground of -inf, they are the lowest of their columns. Window n reaches
-    from ``n * half`` to ``(n + 1) * half`` [m]; where one is asked for, it counts with the one
-    above it. The cells of windows are shrunk together; without a `reach` all of them are left.
+    `heights` are the ground that they lie over [m], the number of a window, EVERY or LOWEST, and
+    half a window's height [m]. Floors are the kept surfaces, without stairs, that lie over another
+    one at or above the ground in their column; over a ground of -inf, they are the lowest of their
+    columns. Window n reaches from ``n * half`` to ``(n + 1) * half``; where one is asked for, it
+    counts with the one above it. The cells of windows are shrunk together; without a `reach` all of
+    them are left.
 
     The rows, see `navbake.baker.blocks.list_rows`: the window, the multiple of PLATEAU that heights
     round to, 0, and how many there are; with the lowest of these heights [m].

@@ -1,15 +1,18 @@
 """The surfaces of chosen sheets: which they are, how they end, and what is left of a shrunk sheet.
 
 An edge is one of a cell's four sides beyond which the cell has no neighbour of its own sheet
-(contour following cell by cell, as in Recast's region contours).
+(contour following cell by cell, as in Recast's region contours). Shrinking is an erosion by a disc,
+without a distance transform: a cell survives when all cells nearer than the limit belong to the
+mask. Asked cell by cell, the farthest neighbours first, and only until enough have survived, that
+is cheaper than a transform of the whole lattice.
 """
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.floors.kernels.shrink import count_left
 from navbake.baker.kernels.blocks import block_of, block_window
 from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -20,11 +23,9 @@ NOTHING, ITSELF = np.int64(-1), np.int64(-2)
 
 
 class Labelled(NamedTuple):
-    """Surfaces and the sheets that they belong to.
+    """Surfaces, see `Surfaces`, and the sheets that they belong to.
 
     Attributes:
-        lattice: the cells.
-        first, length, z, geom: see `Surfaces`.
         part: the number of each surface's part in its block, -1 for none.
         offset: the number of each block's first part, int64.
         sheet: the sheet of each part, -1 for those that are not asked for, int32.
@@ -41,14 +42,7 @@ class Labelled(NamedTuple):
 
 
 class Members(NamedTuple):
-    """Surfaces of sheets, in the order of their cells.
-
-    Attributes:
-        cell: ids, shape (n,), int64.
-        z: heights [m].
-        geom: MuJoCo's geom ids.
-        place: where each is among the `Surfaces`.
-    """
+    """Surfaces of sheets, in the order of their cells; `place` is where each is in `Surfaces`."""
 
     cell: Int
     z: Float
@@ -88,6 +82,78 @@ class Edges(NamedTuple):
         return Edges._make(array[kept] for array in self)
 
 
+class AreaTest(NamedTuple):
+    """Whether cells are enough for a floor: how many are left when their set is shrunk.
+
+    Attributes:
+        needed: so many cells have to be left.
+        reach: how far the steps of `disc` lead [cells].
+        disc: steps to the cells that have to be in the set around one that is left, the farthest
+            first, shape (n, 2), int64.
+        rim: those of them that one further west has not asked for, see `east_rim`.
+    """
+
+    needed: int
+    reach: int
+    disc: Int
+    rim: Int
+
+
+@lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
+def near_offsets(limit: float, shorter: int) -> Int:
+    """Steps to the cells that are nearer than a limit [cells], the farthest first; don't change it.
+
+    Where no cell is as far from outside as the limit (the lattice's shorter side is given), those
+    steps are enough of which one always leads out.
+    """
+    out = (shorter + 1) // 2
+    if limit > out:
+        return np.array([[0, out], [0, -out], [out, 0], [-out, 0]], dtype=np.int64)
+    reach = int(np.ceil(limit))
+    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    squares = (rows**2 + cols**2).ravel()
+    order = np.argsort(-squares, kind="stable")
+    squares = squares[order]
+    chosen = order[(squares > 0) & (np.sqrt(squares) < limit)]
+    return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
+
+
+def east_rim(offsets: Int) -> Int:
+    """The offsets that are none of the offsets one cell further west, nor the cell there itself.
+
+    East of a cell all of whose neighbours belong to a set, only these are not known yet.
+    """
+    reach = int(np.abs(offsets).max(initial=0))
+    known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
+    known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
+    known[reach, reach] = True
+    rim: Int = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
+    return rim
+
+
+@part(inline="always")
+def is_left(mask, row, col, offsets):
+    """Whether all cells at some steps from one belong to a mask."""
+    for k in range(offsets.shape[0]):  # noqa: SIM110 (numba has no generators in `all`)
+        if not mask[row + offsets[k, 0], col + offsets[k, 1]]:
+            return False
+    return True
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def count_left(mask, test, needed):
+    """Count the cells that are left of a mask, with a margin of `reach`; or enough of them."""
+    found = 0
+    for row in range(test.reach, mask.shape[0] - test.reach):
+        follows = False
+        for col in range(test.reach, mask.shape[1] - test.reach):
+            follows = mask[row, col] and is_left(mask, row, col, test.rim if follows else test.disc)
+            found += 1 if follows else 0
+        if found >= needed:
+            break
+    return found
+
+
 @part(inline="always")
 def sheet_of(labelled, block, j):
     """The sheet of a surface in a block, -1 for none that is asked for."""
@@ -124,35 +190,22 @@ def _surface_below(labelled, row, col, sheet, limit):
     return found
 
 
-@part(inline="always")
-def _holds(labelled, row, col, sheet):
-    """Whether a cell has a surface of a sheet."""
-    cell, block = row * labelled.lattice.width + col, block_of(labelled.lattice, row, col)
-    for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-        if sheet_of(labelled, block, j) == sheet:
-            return True
-    return False
-
-
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
     """Mark a sheet's cells in a window and so far around it. `mask` is all False."""
     (row0, row1, col0, col1), lattice = window, labelled.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
-            if _holds(labelled, row, col, sheet):
+            if _surface_below(labelled, row, col, sheet, -math.inf) == ITSELF:
                 mask[row - row0 + reach, col - col0 + reach] = True
 
 
 @kernel(nogil=True)
 def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end):
-    """Tell which of ``sheets[begin:end]`` keep enough cells when they are shrunk.
+    """Tell which of ``sheets[begin:end]`` keep enough cells when they are shrunk, by sheet.
 
-    Args:
-        boxes: rows and columns of every sheet.
-        start, blocks: of each sheet of the list, the blocks that hold it.
-        test: how sheets are shrunk, and how many cells are enough.
-        result: receives the answers, by sheet.
+    `boxes` are the rows and columns of every sheet. ``blocks[start[n] : start[n + 1]]`` hold the
+    n-th sheet of the list.
     """
     reach = test.reach
     for n in range(begin, end):
@@ -212,7 +265,7 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
                     limit = labelled.z[j] - step - SLACK
                     for way in range(4):
                         r, c = _next(lattice, row, col, way)
-                        if r >= 0 and _holds(labelled, r, c, sheet):
+                        if r >= 0 and _surface_below(labelled, r, c, sheet, limit) == ITSELF:
                             continue
                         if num == rows.shape[0]:
                             return k

@@ -15,8 +15,9 @@ from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
 
-# What a surface is: a floor may go on at it, an agent can stand on it, nothing lies above it
-FLOOR_LIKE, STANDS, TOP = 1, 2, 4
+# What a surface is: a floor may go on at it, an agent can stand on it, nothing lies above it; an
+# agent could stand on it if closed meshes held nothing inside
+FLOOR_LIKE, STANDS, TOP, HELD = 1, 2, 4, 8
 
 
 class Surfaces(NamedTuple):
@@ -29,8 +30,8 @@ class Surfaces(NamedTuple):
         length: (cells,) int32.
         room: how long each run may become where it is, (cells,) int32.
         z: heights, ascending in a cell, (n,) float64 [m].
-        geom: MuJoCo's geom ids, (n,) int32.
-        marks: FLOOR_LIKE, STANDS and TOP, (n,) uint8.
+        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, the mesh's that holds them.
+        marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
         normal: unit normals, (n, 3) float32; (0, 3) where no slope rises more than a step a cell.
     """
 
@@ -84,40 +85,43 @@ def look_up(crossings, i, last):
 
 @kernel(nogil=True, **UNCOUNTED)
 def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin, end):
-    """Mark which crossings are FLOOR_LIKE, STANDS and TOP, into (n,) uint8.
+    """Mark which crossings are FLOOR_LIKE, STANDS, TOP and HELD, into (n,) uint8.
 
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
-    no solid, and the next surface above is at least the headroom higher. Of several surfaces at
-    one height the lowest counts. Looks at the columns ``range(begin, end)``, which belong to
-    ``cells``; `count`, int64, receives how many of each are floor-like.
+    no solid, and the next surface above is at least the headroom higher; held where it is so but
+    for closed meshes around. Of several surfaces at one height the lowest counts. Looks at the
+    columns ``range(begin, end)``, which belong to ``cells``; `count`, int64, receives how many of
+    each are floor-like.
     """
     for n in range(begin, end):
         first, last = crossings.start[n], crossings.start[n + 1]
-        previous, gentle = -math.inf, -math.inf
+        x, y = cell_center(lattice, cells[n])
+        previous, held, gentle = -math.inf, -math.inf, -math.inf
         count[n] = 0
         for i in range(first, last):
             z, up = crossings.z[i], crossings.normal[i, 2]
             marks[i] = FLOOR_LIKE if up > 0.0 and z - gentle <= limits.step + SLACK else 0
             if up >= limits.min_up:
-                marks[i] = FLOOR_LIKE
-                gentle = z
-                if z - previous > SAME:
-                    surfaces, others, above = look_up(crossings, i, last)
-                    if above - z >= limits.headroom - SLACK:
-                        x, y = cell_center(lattice, cells[n])
-                        if surfaces + others + count_planes_over(planes, x, y, z) <= 0:
-                            marks[i] |= STANDS
-                            previous = z
-                            if crossings.z[last - 1] - z <= SLACK:
-                                marks[i] |= TOP
+                marks[i], gentle = FLOOR_LIKE, z
+                surfaces, others, above = look_up(crossings, i, last)
+                if z - previous > SAME and above - z >= limits.headroom - SLACK:
+                    behind = count_planes_over(planes, x, y, z)
+                    if surfaces + others + behind <= 0:
+                        marks[i] |= STANDS
+                        previous = z
+                        if crossings.z[last - 1] - z <= SLACK:
+                            marks[i] |= TOP
+                    elif surfaces > 0 and others <= 0 and behind == 0 and z - held > SAME:
+                        marks[i] |= HELD
+                        held = z
             if marks[i]:
                 count[n] += 1
 
 
 @part(inline="always")
 def _find_holder(crossings, i, last):
-    """The geom of a closed surface that holds the i-th surface, the one that ends lowest; or -1."""
+    """The geom of a closed surface that holds the i-th surface, the one that ends lowest."""
     z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
     for j in range(i + 1, last):
         if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME:
@@ -132,81 +136,22 @@ def _find_holder(crossings, i, last):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def find_holders(lattice, cells, crossings, planes, limits, holder, begin, end):
-    """Find the surfaces that an agent could stand on if closed meshes held nothing inside.
+def list_surfaces(crossings, marks, start, z, geom, kept, normal, begin, end):
+    """Write the marked crossings of the columns ``range(begin, end)`` from ``start`` on.
 
-    They face up within the slope, have headroom, and lie inside of closed meshes alone. `holder`,
-    (n,) int32, receives the geom of such a mesh, and -1 for all other surfaces. Looks at the
-    columns ``range(begin, end)``, which belong to ``cells``.
+    Surfaces that are HELD receive the geom that holds them.
     """
     for n in range(begin, end):
-        x, y = cell_center(lattice, cells[n])
-        first, last = crossings.start[n], crossings.start[n + 1]
-        previous = -math.inf
-        for i in range(first, last):
-            holder[i] = -1
-            z = crossings.z[i]
-            if crossings.normal[i, 2] < limits.min_up or z - previous <= SAME:
-                continue
-            surfaces, others, above = look_up(crossings, i, last)
-            if surfaces <= 0 or others > 0 or above - z < limits.headroom - SLACK:
-                continue
-            if count_planes_over(planes, x, y, z) == 0:
-                holder[i] = _find_holder(crossings, i, last)
-                previous = z
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def list_surfaces(crossings, marks, start, z, geom, kept, normal, begin, end):
-    """Write the marked crossings of the columns ``range(begin, end)`` from ``start`` on."""
-    for n in range(begin, end):
-        at = start[n]
-        for i in range(crossings.start[n], crossings.start[n + 1]):
+        at, last = start[n], crossings.start[n + 1]
+        for i in range(crossings.start[n], last):
             if marks[i]:
                 z[at], geom[at], kept[at] = crossings.z[i], crossings.geom[i], marks[i]
+                if marks[i] & HELD:
+                    geom[at] = _find_holder(crossings, i, last)
                 if normal.shape[0]:
                     for axis in range(3):
                         normal[at, axis] = crossings.normal[i, axis]
                 at += 1
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def put_surfaces(surfaces, cells, start, z, geom, marks, normal, used, changed):
-    """Replace the surfaces of some cells; those that are too many go behind `used`.
-
-    `changed`, (cells of the list,) bool, receives which of them are others now, to the last bit of
-    their heights. Returns how much is used then; writes nothing where that is more than there is
-    room for.
-    """
-    most = used
-    for n in range(cells.shape[0]):
-        count = start[n + 1] - start[n]
-        most += count if count > surfaces.room[cells[n]] else 0
-    if most > surfaces.z.shape[0]:
-        return most
-    for n in range(cells.shape[0]):
-        cell, count = cells[n], start[n + 1] - start[n]
-        changed[n] = count != surfaces.length[cell]
-        if count > surfaces.room[cell]:
-            surfaces.first[cell], surfaces.room[cell] = used, count
-            used += count
-        surfaces.length[cell] = count
-        for k in range(count):
-            i, j = start[n] + k, surfaces.first[cell] + k
-            if not changed[n]:
-                changed[n] = (
-                    z[i] != surfaces.z[j]
-                    or math.copysign(1.0, z[i]) != math.copysign(1.0, surfaces.z[j])
-                    or geom[i] != surfaces.geom[j]
-                    or marks[i] != surfaces.marks[j]
-                )
-            surfaces.z[j], surfaces.geom[j], surfaces.marks[j] = z[i], geom[i], marks[i]
-            if normal.shape[0]:
-                for axis in range(3):
-                    if normal[i, axis] != surfaces.normal[j, axis]:
-                        changed[n] = True
-                    surfaces.normal[j, axis] = normal[i, axis]
-    return used
 
 
 @part(**UNCOUNTED)
