@@ -4,8 +4,9 @@ A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along 
 corners of voxels are multiples of `res`, at most 32768 of them from the world's origin.
 Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
 
-They are built bottom up: a pyramid holds the state of each node over the grid, level by level, 0
-the voxels, 16 the root. Then a walk from the root, depth first, writes the nodes.
+They are built bottom up: the state of each node over the grid follows from its eight children's,
+level by level. Depth first, as files have them, nodes are in the order of their corners' Morton
+codes, parents before children.
 
 Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`, `OcTreeBaseImpl.hxx`): the
 header's lines, the order of the nodes, pruning, and the log-odds of what is certain.
@@ -13,7 +14,6 @@ header's lines, the order of the nodes, pruning, and the log-odds of what is cer
 
 import math
 from os import PathLike
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,20 +22,28 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.binvox import read_header
 from navbake.formats.source import read_bytes
-from navbake.types import Int, Int32
+from navbake.types import Int
 from navbake.voxels.grid import VoxelGrid
 from navbake.voxels.placement import finite_array
 
 MAGIC = b"# Octomap OcTree"
-CENTER = 2**15  # key of the world's origin
+DEPTH, CENTER = 16, 2**15  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
 OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
 LEAF_BYTES = 20  # of a leaf in memory
 # OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
 ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
-
-Box = tuple[Int, tuple[int, int, int]]  # first key along each axis, and counts of voxels
+# states of nodes, as bits: what eight children are together is their bitwise or. MIXED nodes have
+# children that differ, MIXED_FREE ones none that is occupied
+UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 1, 2, 4, 8, 16
+STATES = np.full(32, MIXED_FREE, np.uint8)  # of a node, by the bitwise or of its children's
+STATES[[n for n in range(32) if n & (OCCUPIED | MIXED)]] = MIXED
+STATES[[UNKNOWN, FREE, OCCUPIED]] = UNKNOWN, FREE, OCCUPIED
+# of a child in its parent's entry, by state: two bits in a ``.bt``, one in an ``.ot``
+ENTRIES = {"bt": np.full(17, 3, np.int64), "ot": np.ones(17, np.int64)}
+ENTRIES["bt"][[UNKNOWN, FREE, OCCUPIED]] = 0, 1, 2
+ENTRIES["ot"][UNKNOWN] = 0
 
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
@@ -49,46 +57,61 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Raises:
         FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
     """
-    from navbake.formats.kernels import octree  # numba loads slowly
-
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
-    first = _first_key(grid)
-    states = np.where(grid.occupied, np.uint8(octree.IS_OCCUPIED), np.uint8(octree.IS_UNKNOWN))
+    first, has_odds = _first_key(grid), kind == "ot"
+    states = np.where(grid.occupied, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
     if free:
         known = True if grid.known is None else grid.known
-        states[~grid.occupied & known] = octree.IS_FREE
-    # by the bitwise or of eight children, what a node is: as they are, or mixed
-    kinds = np.full(32, octree.MIXED_FREE, np.uint8)
-    kinds[[n for n in range(32) if n & (octree.IS_OCCUPIED | octree.MIXED)]] = octree.MIXED
-    for alike in (octree.IS_UNKNOWN, octree.IS_FREE, octree.IS_OCCUPIED):
-        kinds[alike] = alike
-    pyramid = [states]
-    for level in range(octree.DEPTH):
-        begin = (first >> level).tolist()
-        even = [(k & 1, k + n & 1) for k, n in zip(begin, states.shape, strict=True)]
-        states = np.pad(states, even, constant_values=octree.IS_UNKNOWN)
-        states = states[0::2] | states[1::2]
+        states[~grid.occupied & known] = FREE
+    found: list[tuple[Int, Int, Int]] = []  # of nodes that have an entry: order, entry, state
+    num_nodes = 0
+    for depth in range(DEPTH, 0, -1):
+        begin, level = first >> (DEPTH - depth), DEPTH - depth
+        even = [(k & 1, k + n & 1) for k, n in zip(begin.tolist(), states.shape, strict=True)]
+        below = np.pad(states, even, constant_values=UNKNOWN)
+        states = below[0::2] | below[1::2]
         states = states[:, 0::2] | states[:, 1::2]
-        states = kinds[states[:, :, 0::2] | states[:, :, 1::2]]
-        pyramid.append(states)
-    nodes, num_nodes = np.empty(0, np.uint8), 0
-    if states[0, 0, 0] != octree.IS_UNKNOWN:
-        num_inner = sum(int(np.count_nonzero(own >= octree.MIXED_FREE)) for own in pyramid)
-        odds = ODDS if kind == "ot" else ODDS[:0]
-        nodes = np.empty(5 * (1 + 8 * num_inner) if len(odds) else 2 * num_inner, np.uint8)
-        num_bytes, num_nodes = octree.pack_nodes(
-            np.concatenate([own.ravel() for own in pyramid]),
-            np.array([own.shape for own in pyramid]),
-            np.array([first >> level for level in range(len(pyramid))]),
-            odds,
-            nodes,
-        )
-        nodes = nodes[:num_bytes]
+        states = STATES[states[:, :, 0::2] | states[:, :, 1::2]]
+        place = np.argwhere(states >= MIXED_FREE)
+        row, col, up = place.T
+        blocks = below.reshape([n for half in states.shape for n in (half, 2)])
+        # number x + 2 y + 4 z
+        children = blocks[row, :, col, :, up].swapaxes(1, 3).reshape(-1, 8)
+        corners = (place + (begin >> 1)) << (level + 1)
+        bits = ENTRIES[kind][children] << (np.arange(8) * (1 if has_odds else 2))
+        order = _morton_codes(corners) << 5
+        found.append((order | depth - 1, bits.sum(axis=1), states[row, col, up].astype(np.int64)))
+        num_nodes += int(np.count_nonzero(children != UNKNOWN)) + (depth == 1 and len(place))
+        if has_odds:
+            node, child = np.nonzero((children != UNKNOWN) & (children < MIXED_FREE))
+            leaf = order[node] | (child << 3 * level + 5) | depth
+            own = children[node, child].astype(np.int64)
+            found.append((leaf, np.zeros_like(leaf), own))
+    order, bits, own = (np.concatenate(each) for each in zip(*found, strict=True))
+    ranks = np.argsort(order)
+    nodes = bits[ranks].astype("<u2")
+    if has_odds:  # a node has the greatest log-odds of its children
+        odds = ODDS[((own[ranks] & (OCCUPIED | MIXED)) != 0).astype(np.int64)]
+        nodes = np.append(odds, nodes[:, None].astype(np.uint8), axis=1)
     short = f"{grid.res:g}"  # six digits, as OctoMap writes it, or as many as it takes
     res = short if math.isclose(float(short), grid.res, rel_tol=1e-12) else repr(grid.res)
     header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res}\ndata\n"
     return header.encode() + nodes.tobytes()
+
+
+def _morton_codes(places: Int) -> Int:
+    """The bits of x, y, z below 2**16 by turns, x the lowest, shape (n,)."""
+    codes = places.copy()
+    for shift, mask in (
+        (16, 0xFF0000FF),
+        (8, 0xF00F00F00F),
+        (4, 0xC30C30C30C3),
+        (2, 0x249249249249),
+    ):
+        codes = (codes | codes << shift) & mask
+    spread: Int = codes[:, 0] | codes[:, 1] << 1 | codes[:, 2] << 2
+    return spread
 
 
 def _first_key(grid: VoxelGrid) -> Int:
@@ -111,13 +134,6 @@ def _first_key(grid: VoxelGrid) -> Int:
     return np.asarray(whole.astype(np.int64) + CENTER)
 
 
-class _Header(NamedTuple):
-    kind: str
-    size: int  # number of nodes, as stated
-    res: float
-    end: int  # where the data begin
-
-
 def read_octomap(
     source: str | PathLike[str] | bytes,
     *,
@@ -138,60 +154,49 @@ def read_octomap(
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
-    from navbake.formats.kernels.octree import fill_leaves  # numba loads slowly
+    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
 
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
-    header = _read_header(data, name)
+    kind, size, res, end = _read_header(data, name)
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
-    leaves, notes = _read_leaves(data, header, allowance, place)
+    nodes, notes = np.frombuffer(data, dtype=np.uint8, offset=end), list[str]()
+    leaves = np.empty((0, 5), np.int32)
+    if size == 0 and not len(nodes):
+        notes.append(f"{name} is an empty tree: nothing is known")
+    else:
+        whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
+        odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()  # of an .ot
+        # leaves are counted first: the size in the header may be wrong
+        num_leaves, num_bytes, num_nodes = read_leaves(nodes, odds, kind == "ot", leaves)
+        if num_leaves < 0:
+            what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
+            raise FormatError(f"expected {size} nodes in {name}, got {what}")
+        if num_bytes != len(nodes):
+            got = f"got {len(nodes)}: data run over"
+            raise FormatError(f"expected {num_bytes} bytes of nodes in {name}, {got}")
+        allowance.take_array((num_leaves,), LEAF_BYTES, place)
+        leaves = np.empty((num_leaves, 5), np.int32)
+        read_leaves(nodes, odds, kind == "ot", leaves)
+        notes += [f"{name} has {num_nodes} nodes, and says {size}"] * (num_nodes != size)
     if bounds is not None:
-        first, shape = _box_keys(bounds, header.res)
+        first, shape = _box_keys(bounds, res)
     elif len(leaves):
         low = leaves[:, :3].astype(np.int64)
         first = low.min(axis=0)
-        nx, ny, nz = ((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist()
-        shape = nx, ny, nz
+        shape = tuple(((low + (1 << leaves[:, 3:4])).max(axis=0) - first).tolist())
     else:
         first, shape = np.full(3, CENTER), (1, 1, 1)
     allowance.take_cells(shape, place)
     allowance.take_array(shape, 2, place)
     values, known = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     fill_leaves(leaves, first, values, known)
-    origin = tuple(((first - CENTER) * header.res).tolist())
+    origin = tuple(((first - CENTER) * res).tolist())
     unsure = None if known.all() else known
-    return VoxelGrid(values=values, origin=origin, res=header.res, known=unsure, notes=notes)
+    return VoxelGrid(values=values, origin=origin, res=res, known=unsure, notes=notes)
 
 
-def _read_leaves(
-    data: bytes, header: _Header, allowance: Allowance, place: JsonPath
-) -> tuple[Int32, list[str]]:
-    """The leaves of a tree: first key x, y, z, level, and 1 if occupied, shape (n, 5)."""
-    from navbake.formats.kernels.octree import TOO_DEEP, read_leaves  # numba loads slowly
-
-    nodes = np.frombuffer(data, dtype=np.uint8, offset=header.end)
-    empty = np.empty((0, 5), np.int32)
-    if header.size == 0 and not len(nodes):
-        return empty, [f"{place.file} is an empty tree: nothing is known"]
-    whole = nodes[: len(nodes) // 5 * 5].reshape(-1, 5)
-    odds = np.ascontiguousarray(whole[:, :4]).view("<f4").ravel()  # of an .ot
-    # leaves are counted first: the size in the header may be wrong
-    has_odds = header.kind == "ot"
-    num_leaves, num_bytes, num_nodes = read_leaves(nodes, odds, has_odds, empty)
-    if num_leaves < 0:
-        what = "a tree deeper than 16" if num_leaves == TOO_DEEP else "an end within the tree"
-        raise FormatError(f"expected {header.size} nodes in {place.file}, got {what}")
-    if num_bytes != len(nodes):
-        got = f"got {len(nodes)}: data run over"
-        raise FormatError(f"expected {num_bytes} bytes of nodes in {place.file}, {got}")
-    allowance.take_array((num_leaves,), LEAF_BYTES, place)
-    leaves = np.empty((num_leaves, 5), np.int32)
-    read_leaves(nodes, odds, has_odds, leaves)
-    is_odd = num_nodes != header.size
-    return leaves, [f"{place.file} has {num_nodes} nodes, and says {header.size}"] * is_odd
-
-
-def _box_keys(bounds: ArrayLike, res: float) -> Box:
-    """The box that a user asked for, (2, 3) [m]; voxels that it reaches into by a hair are out."""
+def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]:
+    """First keys and counts of the voxels in a box, (2, 3) [m]; those that it grazes are out."""
     box = finite_array(bounds, (2, 3))
     if box is None or not (box[0] < box[1]).all():
         raise FormatError(f"expected bounds as (lower, upper) corner [m], got {bounds!r}")
@@ -202,11 +207,11 @@ def _box_keys(bounds: ArrayLike, res: float) -> Box:
     if (end <= first).any() or (end > 2 * CENTER).any():
         expected = f"bounds within {CENTER * res:g} m of the origin, where the tree reaches"
         raise FormatError(f"expected {expected}, got {box.tolist()}")
-    nx, ny, nz = (end - first).tolist()
-    return first, (nx, ny, nz)
+    return first, tuple((end - first).tolist())
 
 
-def _read_header(data: bytes, source: str) -> _Header:
+def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
+    """The kind, the number of nodes and the edge that are stated, and where the data begin."""
     first = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
     if kind is None:
@@ -226,4 +231,4 @@ def _read_header(data: bytes, source: str) -> _Header:
             where = f"at `{name}` in the header of {source}"
             raise FormatError(f"expected a number > 0 {where}, got {got}")
         numbers.append(number)
-    return _Header(kind, int(numbers[0]), numbers[1], end)
+    return kind, int(numbers[0]), numbers[1], end
