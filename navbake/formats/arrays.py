@@ -35,8 +35,7 @@ def decode_array(
 
     Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` must be there; ``dataType``
     is taken for ``datatype``, else `default`, the type that the metadata give, else float64.
-    ``null`` becomes `null` in raw data as in runs. (The original client does so in runs only and
-    leaves it as it is in raw data, where arithmetic takes it for 0.) Integers have none.
+    ``null`` becomes `null`, in raw data, too, where the original client leaves it as it is.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):

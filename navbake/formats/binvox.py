@@ -14,7 +14,7 @@ north, east and up, which is (x, -y, z) here.
 import math
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,11 +32,11 @@ LAYOUTS = ("auto", "binvox", "airsim")
 MAGIC = b"#binvox"
 MOST = 255  # greatest value of a voxel, and most voxels of a run
 DECIMALS = 12  # of the numbers in the header
-ITS_SHIFT = 1e-6  # what `binvox2bt` adds to a corner [m]
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
-# of each line of the header, in the order of `Header`: how many numbers, and of what kind
+# of each line of the header, how many numbers, and of what kind: `dim` is nx, nz, ny, `translate`
+# and `scale` are in metres, and `scale` in AirSim's layout [1/m]
 LINES: dict[str, tuple[int, type]] = {
     "version": (1, int),
     "dim": (3, int),
@@ -45,24 +45,8 @@ LINES: dict[str, tuple[int, type]] = {
 }
 
 
-class Header(NamedTuple):
-    """What stands before the data."""
-
-    version: list[int]
-    dim: list[int]  # nx, nz, ny
-    translate: list[float]  # [m]
-    scale: list[float]  # [m]; in AirSim's layout [1/m]
-    end: int  # where the data begin
-
-
 def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
-    """The grid with the IDs that binvox is to hold, 0 to 255.
-
-    ``compact`` numbers the IDs that occur from 1, in their order.
-
-    Raises:
-        FormatError: the mapping isn't to 0 … 255, or leaves an ID out that occurs.
-    """
+    """The grid with other IDs, 0 to 255; ``compact`` numbers those that occur from 1, in order."""
     if not grid.is_segmented or mapping is None:
         return grid
     present = grid.ids()
@@ -85,13 +69,7 @@ def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
     """Encode a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
 
-    Args:
-        grid: the voxels, see `with_mapping`.
-        layout: ``airsim`` for that of AirSim's simCreateVoxelGrid. It can't say where the grid
-            is; its reader has to know.
-
-    Raises:
-        FormatError: there are IDs above 255.
+    ``airsim`` is the layout of AirSim's simCreateVoxelGrid, which can't say where the grid is.
     """
     if layout not in LAYOUTS[1:]:
         raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
@@ -121,27 +99,6 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     pairs[:, 0] = np.repeat(voxels[start], num_pairs)
     pairs[np.cumsum(num_pairs) - 1, 1] = length - MOST * (num_pairs - 1)
     return header.encode() + pairs.tobytes()
-
-
-def needs_offset(grid: VoxelGrid) -> bool:
-    """Whether `binvox2bt` loses or moves voxels of the grid's file unless `--offset` is given.
-
-    It takes a voxel for where its lower corner, moved by 1 µm, lies in float32. Beyond 32 m,
-    float32 has no such digits, so that corners fall into the voxel before. Off whole multiples of
-    the edge, the corner may be in another of the tree's voxels than the middle, which moves the
-    grid by up to a voxel. With half an edge as the offset it takes the middles.
-
-    Source: OctoMap's `binvox2bt.cpp` and `OcTreeBaseImpl.hxx` (`coordToKeyChecked`).
-    """
-    longest = max(grid.shape)
-    res = float(np.float32(round(grid.res * longest, DECIMALS))) / longest  # it reads float32
-    for corner, count in zip(grid.origin, grid.shape, strict=True):
-        corners = np.arange(count) * res + float(np.float32(round(corner, DECIMALS)))
-        places = ((corners + shift).astype(np.float32) for shift in (ITS_SHIFT, res / 2))
-        taken, middles = (np.floor(place.astype(np.float64) / res) for place in places)
-        if (taken != middles).any():
-            return True
-    return False
 
 
 def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
@@ -183,35 +140,36 @@ def read_binvox(
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
     data, name = read_bytes(source, begins=MAGIC, expected="a binvox file that begins with #binvox")
-    header = _read_header(data, name)
-    nx, nz, ny = header.dim
+    version, dim, translate, scale, end = _read_header(data, name)
+    nx, nz, ny = dim
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
-    pairs = np.frombuffer(data, dtype=np.uint8, offset=header.end)
+    pairs = np.frombuffer(data, dtype=np.uint8, offset=end)
     # before anything of the size is made that the header claims
-    claimed, held = math.prod(header.dim), int(pairs[1::2].sum(dtype=np.int64))
+    claimed, held = math.prod(dim), int(pairs[1::2].sum(dtype=np.int64))
     if held != claimed or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
         if held != claimed:
             found += ": too many" if held > claimed else ": too few"
-        where = f"{name} (dim {' '.join(shown(n) for n in header.dim)})"
+        where = f"{name} (dim {' '.join(shown(n) for n in dim)})"
         raise FormatError(f"expected runs of {shown(claimed)} voxels in {where}, got {found}")
     allowance.take_cells((nx, ny, nz), place)
     allowance.take_array((nx, ny, nz), 2, place)  # in the file's order, then in ours
-    is_airsim = layout == "airsim" or (layout == "auto" and _looks_like_airsim(header))
+    is_airsim = layout == "airsim" or (
+        layout == "auto" and _looks_like_airsim(dim, translate, scale)
+    )
     values = np.empty((nx, ny, nz), dtype=np.uint8)
     order = _in_file_order(values, is_airsim)
     order[...] = np.repeat(pairs[::2], pairs[1::2]).reshape(order.shape)
     notes = []
-    if header.version == [1] and values.max() > 1:
+    if version == 1 and values.max() > 1:
         notes.append(f"{name}: version 1 with values above 1, read as IDs")
-    elif header.version == [1]:
+    elif version == 1:
         values = values.view(np.bool_)
-    x, y, z = header.translate
     if not is_airsim:
-        edge = header.scale[0] / max(header.dim)
-        return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
+        x, y, z = translate
+        return VoxelGrid(values=values, origin=(x, y, z), res=scale / max(dim), notes=notes)
     # AirSim cuts counts, it does not round them, so the true edge is the least of these or less
-    edges = -2 * np.array(header.translate) / (nx, ny, nz)
+    edges = -2 * np.array(translate) / (nx, ny, nz)
     edge = float(edges.min()) if res is None else float(res)
     if res is not None and not (math.isfinite(edge) and edge > 0):
         raise FormatError(f"expected `res`, the edge of AirSim's voxels, to be > 0 m, got {res}")
@@ -221,7 +179,7 @@ def read_binvox(
     center = check_three(position, "the position to be x, y, z [m]")
     is_unsure = res is None and edges.max() > edge * (1 + NEAR)
     notes.append(
-        f"{name}: laid out as AirSim writes it (scale {header.scale[0]:g} is 1 / size): read as "
+        f"{name}: laid out as AirSim writes it (scale {scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m"
         f"{' at most (give `res`: the sizes are no whole multiples)' if is_unsure else ''}, "
         f"round ({', '.join(f'{p:g}' for p in center)})"
@@ -230,27 +188,25 @@ def read_binvox(
     return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)
 
 
-def _looks_like_airsim(header: Header) -> bool:
+def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> bool:
     """Whether a header is AirSim's: the scale is 1 / size along x, and not the longest side.
 
     In AirSim's layout, `translate` is minus half of the size. So sizes and counts have to agree:
     there is an edge for which ``count = floor(size / edge)`` along all three axes.
     """
-    (nx, nz, ny), (scale,) = header.dim, header.scale
-    sizes, counts = -2 * np.array(header.translate), np.array((nx, ny, nz), dtype=np.float64)
+    nx, nz, ny = dim
+    sizes, counts = -2 * np.array(translate), np.array((nx, ny, nz), dtype=np.float64)
     if (sizes <= 0).any() or not math.isclose(scale * sizes[0], 1.0, rel_tol=NEAR):
         return False
     if (sizes / (counts + 1)).max() > (sizes / counts).min() * (1 + NEAR):
         return False
-    return not math.isclose(scale / max(header.dim), sizes[0] / nx, rel_tol=NEAR)
+    return not math.isclose(scale / max(dim), sizes[0] / nx, rel_tol=NEAR)
 
 
 def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
-    """Read the lines of text that stand before the data of a binvox or OctoMap file.
+    """Read the lines before the data of a binvox or OctoMap file, and where the data begin.
 
-    Returns:
-        The further words of each line by its first word, comments (``#``) included; and where the
-        data begin, after the line ``data``.
+    By the first word of each line its other words, comments (``#``) included.
     """
     lines: dict[str, list[str]] = {}
     start = 0
@@ -263,7 +219,8 @@ def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
     raise FormatError(f"no line `data` ends the header of {source}")
 
 
-def _read_header(data: bytes, source: str) -> Header:
+def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
+    """The numbers of `LINES`, and where the data begin."""
     lines, end = read_header(data, source)
     lines = {"translate": ["0"] * 3, "scale": ["1"]} | lines  # both may be missing
     lines["version"] = lines.pop("#binvox", [])
@@ -284,16 +241,15 @@ def _read_header(data: bytes, source: str) -> Header:
             where = f"at `{name}` in the header of {source}"
             got = repr(" ".join(lines[name])[:60])
             raise FormatError(f"expected {count} {what} {where}, got {got}")
-    header = Header(**found, end=end)
-    (x, y, z), (scale,) = header.translate, header.scale
-    if header.version not in ([1], [2]):
-        raise FormatError(f"expected binvox version 1 or 2, got {header.version[0]} in {source}")
-    if min(header.dim) < 1:
-        raise FormatError(f"expected `dim` of numbers >= 1, got {header.dim} in {source}")
+    (version,), dim, (x, y, z), (scale,) = (found[name] for name in LINES)
+    if version not in (1, 2):
+        raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
+    if min(dim) < 1:
+        raise FormatError(f"expected `dim` of numbers >= 1, got {dim} in {source}")
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
     if max(abs(x), abs(y), abs(z), scale) > FARTHEST:
         far = f"({x:g}, {y:g}, {z:g}) and {scale:g}"
         expected = f"`translate` and `scale` up to {FARTHEST:g} m"
         raise FormatError(f"expected {expected}, got {far} in {source}")
-    return header
+    return version, dim, [x, y, z], scale, end

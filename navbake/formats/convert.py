@@ -91,12 +91,7 @@ FORMATS = (
 def find_format(path: str | os.PathLike[str], name: str | None = None, *, writing: bool) -> Format:
     """Find the format of a file, by its name in the table or else by the file's ending.
 
-    Args:
-        name: as the table has it, or None for what the ending says.
-        writing: whether the file is to be written; else it is to be read.
-
-    Raises:
-        FormatError: no format has this name or ending, or it is not written, or not read.
+    Only formats that are written count, or else those that are read. Raises a FormatError.
     """
     known = [form for form in FORMATS if (form.encode if writing else form.read) is not None]
     done = "written" if writing else "read"
@@ -117,19 +112,16 @@ def find_format(path: str | os.PathLike[str], name: str | None = None, *, writin
     )
 
 
-def _function(where: str | None) -> Any:
-    return resolve(f"navbake.formats.{where}")
-
-
 def read_as(path: str | os.PathLike[str], name: str | None = None) -> NavGrid:
     """Read a grid from a file of any format that is read, by its name or else the file's ending."""
-    grid: NavGrid = _function(find_format(path, name, writing=False).read)(path)
+    form = find_format(path, name, writing=False)
+    grid: NavGrid = resolve(f"navbake.formats.{form.read}")(path)
     return grid
 
 
 def list_files(path: Path, form: Format) -> list[Path]:
     """The files that the reader of a format reads; raises as it does."""
-    return [path, *(_function(form.parts)(path) if form.parts is not None else ())]
+    return [path, *(resolve(f"navbake.formats.{form.parts}")(path) if form.parts else ())]
 
 
 def encode_as(
@@ -150,7 +142,7 @@ def encode_as(
         if option not in form.write_options:
             takes = ", ".join(form.write_options) or "none"
             raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
-    made: Files = _function(form.encode)(grid, Path(path), **options)
+    made: Files = resolve(f"navbake.formats.{form.encode}")(grid, Path(path), **options)
     return made
 
 
@@ -159,8 +151,7 @@ def write_as(
 ) -> list[Path]:
     """Write a grid in any format that is written, all its files or none; see `encode_as`.
 
-    Returns:
-        The files that were written.
+    Returns the files that were written.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
 
@@ -168,11 +159,7 @@ def write_as(
 def chosen_levels(
     grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
 ) -> list[int]:
-    """The numbers of the levels that are asked for, all unless one is.
-
-    Raises:
-        FormatError: the name has none of the endings, or there is no such level.
-    """
+    """The numbers of the levels that are asked for, all unless one is; raises a FormatError."""
     if path.suffix.lower() not in endings:
         raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
     count = len(grid.levels)
@@ -184,10 +171,9 @@ def chosen_levels(
 def level_paths(
     grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
 ) -> dict[int, Path]:
-    """The path of the map of each level, by the level's number; raises as `chosen_levels` does.
+    """The path of each level's map, by the level's number; raises as `chosen_levels` does.
 
-    A single level has the path itself. Of several, the number follows the stem: ``map_0.yaml``,
-    ``map_1.yaml``.
+    A single level has the path itself. Of several, the number follows the stem: ``map_0.yaml``.
     """
     chosen = chosen_levels(grid, path, level, endings)
     if len(chosen) == 1:

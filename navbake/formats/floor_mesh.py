@@ -77,11 +77,7 @@ class LevelMesh:
 
 @dataclass(frozen=True, eq=False)
 class FloorMesh:
-    """The walkable floor of a grid, level by level.
-
-    Attributes:
-        levels: one mesh a level, lowest first; without quads where no cell is free.
-    """
+    """The walkable floor of a grid: a mesh a level, lowest first."""
 
     levels: list[LevelMesh]
 
@@ -108,9 +104,8 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     Each free cell is covered once, each other cell is left open. Cells of one room that form a
     rectangle whose floor is a plane within the tolerance become one quad: level, or sloped where
     three cells or more in a line rise evenly, up to the grid's `maxSlope` (45 degrees where it
-    states none). So at each cell's centre the mesh has the cell's floor height within the
-    tolerance, stairs are level treads, and ramps are slopes. A grid doesn't tell a ramp from stairs
-    whose treads are all one cell deep: both become a slope.
+    states none). So stairs are level treads, and ramps are slopes; stairs whose treads are all one
+    cell deep become a slope, too.
 
     There are no risers: between treads the mesh is open, as high as the step. Where two quads
     meet, they differ in height by the step between the floors of the cells, plus at most what each
@@ -246,10 +241,6 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
     y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
     name, whose origin is the outer corner of the level's cell 0 on its ground; each room a material
     by its name, in its colour of the pictures.
-
-    Args:
-        path: the file.
-        tolerance: see `make_floor_mesh` [m].
     """
     mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
     scenes = [{"nodes": list(range(len(mesh.levels)))}]
@@ -293,17 +284,9 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
     """Make an OBJ of a grid's walkable floor; see `make_floor_mesh` for its quads.
 
     Each level is an object, each room a group of it, and each vertex has the colour of its room
-    after its position, which most programs read and the others skip. The format separates names by
-    spaces, so each character of a name that is no letter, digit, ``.`` or ``-`` becomes ``_``.
-
-    Args:
-        path: the file.
-        tolerance: see `make_floor_mesh` [m].
-        up: ``y``: ``(x, z, -y)`` of the world, as Recast, Unity and most programs take it; or
-            ``z``: the world's own x, y, z. Metres.
-
-    Raises:
-        QueryError: an argument is out of its range.
+    after its position, which most programs read and the others skip. Each character of a name that
+    is no letter, digit, ``.`` or ``-`` becomes ``_``. `up` is ``y``: ``(x, z, -y)`` of the world,
+    or ``z``: the world's own x, y, z, in metres. Raises a QueryError for any other.
     """
     if up not in UPS:
         raise QueryError(f"expected y or z as up, got {up!r}")

@@ -154,13 +154,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     Its steps are those of `PathFinder`: over edges and corners of cells whose floors differ by at
     most the grid's `traversableFloorHeight`, and over links, by the same rules for corners, ramps
     and the margins of inflated grids. So the shortest paths have the costs of its paths.
-
-    Args:
-        grid: a grid of one or several levels.
-        cut_corners: let diagonal steps pass blocked corners.
-
-    Raises:
-        QueryError: a weight is negative.
+    Raises a QueryError if a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
     flat, moves, weight = search.flat, search.graph.moves, search.flat.weight
@@ -411,11 +405,7 @@ def _distance(line: Float, points: Float) -> float:
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
-    """Make a GraphML file of a grid's rooms, see `RoomGraph.to_networkx`.
-
-    Raises:
-        MissingDependencyError: networkx is not installed.
-    """
+    """Make a GraphML file of a grid's rooms, see `RoomGraph.to_networkx`."""
     networkx = import_networkx()
     graph = make_room_graph(grid).to_networkx()
 

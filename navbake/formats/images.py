@@ -16,9 +16,6 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
 
-# Bytes of pixels that a byte of a file stands for at most, by Pillow's name of how they are coded:
-# deflate repeats 258 bytes by two bits. Runs of a BMP stand for any number.
-MOST_PER_BYTE = {"raw": 1, "ppm": 1, "ppm_plain": 1, "zip": 1032}
 BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 
 
@@ -37,14 +34,7 @@ class Pixels(NamedTuple):
 
 
 def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
-    """Open an image file and load its pixels, unless there are more than such a file may have.
-
-    Args:
-        kinds: what it may be, out of ``PPM`` (PGM is one), ``PNG`` and ``BMP``.
-
-    Raises:
-        FormatError: it is no such image, broken, or too large.
-    """
+    """Load an image of one of some kinds, out of ``PPM`` (PGM is one), ``PNG`` and ``BMP``."""
     begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
@@ -53,13 +43,6 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # pixels are counted here; all else is read
             image = Image.open(io.BytesIO(data), formats=kinds)
-            # memory is reserved for all pixels: the bytes that so many have in a file at least. One
-            # band may be of single bits; several take a byte each in a PNG, one or more in a BMP
-            coding, bands = image.tile[0][0] if image.tile else "", len(image.getbands())
-            bits = 1 if bands == 1 else 8 * (bands if coding == "zip" else 1)
-            least = image.width * image.height * bits / 8
-            if coding in MOST_PER_BYTE and least / MOST_PER_BYTE[coding] > len(data):
-                raise ValueError("it is cut off")
             allowance.take_cells(image.size, place)
             allowance.take_array(image.size, PIXEL_COST, place)
             image.load()
@@ -72,7 +55,7 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
 
 
 def read_pixels(source: str | PathLike[str]) -> Pixels:
-    """Read the pixels of a PGM, PNG or BMP of any depth; raises as `open_image` does."""
+    """Read the pixels of a PGM, PNG or BMP of any depth; see `open_image`."""
     image = open_image(source)
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
         return Pixels(3 * np.asarray(image).astype(np.uint32), 65535, None)
@@ -91,11 +74,7 @@ def encode_pgm(grey: NDArray[np.uint8]) -> bytes:
 
 
 def encode_png(pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> bytes:
-    """A PNG of pixels, shape (height, width) for grey or (height, width, 3 or 4) for colours.
-
-    Args:
-        texts: what goes into its text chunks, by keyword.
-    """
+    """A PNG of pixels, (height, width) or (height, width, 3 or 4), with texts by keyword."""
     notes = PngImagePlugin.PngInfo()
     for keyword, text in (texts or {}).items():
         notes.add_text(keyword, text)

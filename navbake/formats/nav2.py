@@ -95,8 +95,7 @@ def encode_nav2(
         level: make this level's map only, under the name itself.
         radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         mode: ``trinary``, ``scale`` or ``raw``.
-        image: ``pgm`` or ``png``; if None, ``pgm``, but ``png`` in mode ``scale``, which needs
-            transparency.
+        image: ``pgm`` or ``png``; ``png`` in mode ``scale``, else ``pgm``, if None.
         inflation: costs by nav2's formula up to this distance from obstacles, its
             ``inflation_radius`` [m]; not in mode ``trinary``. The radius is the grid's agent's
             unless given.
@@ -283,15 +282,15 @@ index of a room, or the mask of a polygon."""
 
 
 def encode_keepout(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the keepout filter, one for each level; see `encode_mask`.
+    """Make the masks of the keepout filter, see `encode_mask`; all polygons count if no `zone`.
 
-    `zone` has names, ids or numbers of rooms, and names of polygons; if None, all polygons count.
+    `zone` has names, ids or numbers of rooms, and names of polygons.
     """
     return encode_mask(grid, path, False, **options)
 
 
 def encode_speed(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the speed filter, one for each level; see `encode_mask`.
+    """Make the masks of the speed filter, see `encode_mask`.
 
     `zone` has ``NAME=PERCENT`` each, from 1 to 100; where several overlap, the least counts.
     """
@@ -308,12 +307,11 @@ def encode_mask(
     zone: Sequence[str] | None = None,
     zones: str | PathLike[str] | None = None,
 ) -> Files:
-    """Make the masks of a filter.
+    """Make the masks of a filter, one for each level.
 
     Args:
-        path, level: as of `encode_nav2`.
+        path, level, image: as of `encode_nav2`; in mode ``raw``.
         has_limits: whether it is the speed filter, whose zones have limits.
-        image: ``pgm`` or ``png``; ``pgm`` if None.
         zone: which rooms and polygons.
         zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
 

@@ -269,9 +269,7 @@ def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
 
 
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
-    """Write a NavGrid file, gzipped if its name ends in ``.gz``; the same grid, the same bytes.
-
-    The file is there as a whole or not at all.
+    """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
     Raises:
         FormatError: the grid holds what the format can't, or the path can't be written.
@@ -289,8 +287,7 @@ def encode_files(grid: NavGrid, path: Path) -> Files:
 def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
-    NaN and infinity in arrays become ``null``, so that weights come back as finite or inf and
-    floats of attributes as finite or NaN. ``cellAttributes`` lists the attributes that there
+    NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the attributes that there
     are. A level that can take over the metadata of its MultiLevelGrid has none in the file.
 
     Raises:
@@ -395,10 +392,7 @@ def _metadata(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
-    """A level's metadata, None where it takes over those of the whole when it is read.
-
-    It does not where one of its attributes has another dtype than on a level below.
-    """
+    """A level's metadata; None where it takes over those of the whole, all dtypes included."""
     level, described = grid.grids[number], grid.cell_attributes
     same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)
     return None if same else level.metadata
@@ -417,10 +411,7 @@ def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
 
 
 def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
-    """User data by ascending cell id, in pieces; entries that cells share are encoded once.
-
-    All is checked before the first piece.
-    """
+    """User data by ascending cell id, in pieces, the first when all has been checked."""
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
     if isinstance(source, Shared):

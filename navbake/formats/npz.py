@@ -6,13 +6,13 @@ A grid is kept whole, each array as it is and all else as JSON in one of them.
 holds what is no array: UTF-8 JSON, as bytes, with the fields of a NavGrid file. ``0/userData``
 holds the level's user data in the same way.
 
-Voxels are ``values``, ``origin``, ``res``, and what the IDs stand for.
+Voxels are ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``, and
+``known`` where not all is.
 """
 
 from __future__ import annotations
 
 import io
-import math
 import re
 import warnings
 import zipfile
@@ -72,39 +72,33 @@ class _Archive:
     def __contains__(self, name: str) -> bool:
         return name in self._members
 
-    def header(self, name: str, place: JsonPath) -> tuple[tuple[int, ...], np.dtype[Any]]:
-        """Shape and dtype of an array; a ValueError if the archive has less than they need."""
+    def read(self, name: str, place: JsonPath, *, is_text: bool = False) -> NDArray[Any]:
+        """Read an array within the allowance for arrays or for text."""
         if name not in self:
             place.fail(f"expected an array `{name}`, got nothing")
         member = self._members[name]
+        if is_text:
+            self.allowance.take_text(member.file_size, place)
+        else:
+            self.allowance.take_array((member.file_size,), 1, place)
         with self._archive.open(member) as file:
-            return _read_header(file, member.file_size, f"`{member.filename}`")
-
-    def read(self, name: str, place: JsonPath) -> NDArray[Any]:
-        """Read an array within the allowance."""
-        shape, dtype = self.header(name, place)
-        self.allowance.take_array(shape, dtype.itemsize, place)
-        return self._load(name)
+            array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+            return array
 
     def text(self, name: str, place: JsonPath) -> bytes:
         """The text that an array of bytes holds."""
-        shape, dtype = self.header(name, place)
-        if dtype != np.uint8 or len(shape) != 1:
-            place.fail(f"expected text as bytes, got {dtype} of {shape}")
-        self.allowance.take_text(shape[0], place)
-        return self._load(name).tobytes()
+        array = self.read(name, place, is_text=True)
+        if array.dtype != np.uint8 or array.ndim != 1:
+            place.fail(f"expected text as bytes, got {array.dtype} of {array.shape}")
+        return array.tobytes()
 
     def layer(self, name: str, shape: tuple[int, int], place: JsonPath) -> NDArray[Any]:
         """An array with a value for each cell."""
-        found, dtype = self.header(name, place)
-        if found != shape or dtype.kind not in "biuf":
-            place.fail(f"expected numbers of shape {shape}, got {dtype} of {found}")
-        return self.read(name, place)
-
-    def _load(self, name: str) -> NDArray[Any]:
-        with self._archive.open(self._members[name]) as file:
-            array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-            return array
+        array = self.read(name, place)
+        if array.shape != shape or array.dtype.kind not in "biuf":
+            got = f"{array.dtype} of {array.shape}"
+            place.fail(f"expected numbers of shape {shape}, got {got}")
+        return array
 
 
 @contextmanager
@@ -121,30 +115,12 @@ def _reading(expected: str, name: str) -> Iterator[None]:
         raise FormatError(f"expected {expected}, {name} can't be read: {why}") from error
 
 
-def _read_header(file: Any, num_bytes: int, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and dtype of an array; a ValueError if they need more than so many bytes."""
-    version = np.lib.format.read_magic(file)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"{name} has version {version} of the format")
-    own = np.lib.format
-    read = own.read_array_header_1_0 if version == (1, 0) else own.read_array_header_2_0
-    shape, _, dtype = read(file)
-    # numpy reserves what the header claims before it reads
-    needed = math.prod(shape) * dtype.itemsize
-    if any(n < 0 for n in shape) or dtype.hasobject or needed > num_bytes:
-        raise ValueError(f"{name} does not hold {shape} values of {dtype}")
-    return shape, dtype
-
-
 def read_npy(source: Content) -> NDArray[Any]:
     """Read a single array (``.npy``), a file or its content; a FormatError for what is none."""
     expected = "an array (.npy)"
     data, name = read_bytes(source, begins=NPY, expected=expected)
-    file = io.BytesIO(data)
     with _reading(expected, name):
-        _read_header(file, len(data), "the array")
-        file.seek(0)
-        array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+        array: NDArray[Any] = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     return array
 
 
@@ -165,14 +141,7 @@ def _pack(arrays: Json) -> bytes:
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
-    """Encode voxels as ``.npz``: everything but the notes is kept.
-
-    It holds ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``,
-    and ``known`` where not all is.
-
-    Raises:
-        FormatError: a name ends in the character 0.
-    """
+    """Encode voxels as ``.npz``; everything but the notes is kept, see the module's head."""
     ids = sorted(grid.names)
     if any(name.endswith("\0") for name in grid.names.values()):  # numpy fills texts up with these
         raise FormatError("expected names of IDs that do not end in the character 0, got one")
@@ -188,20 +157,13 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read voxels from a ``.npz``, a file or its content, that `encode_npz` made.
-
-    Args:
-        max_voxels: see `navbake.formats.voxels.read_voxels`.
-
-    Raises:
-        FormatError: it is no such file, broken, or needs more memory than it may.
-    """
+    """Read what `encode_npz` made; `max_voxels` is that of `navbake.load_voxels`."""
     with _opened(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
         if GRID in archive and "values" not in archive:
             raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
-        archive.allowance.take_cells(archive.header("values", top)[0], top)
         values, origin, res = (archive.read(key, top) for key in REQUIRED)
+        archive.allowance.take_cells(values.shape, top)
         ids, names, known = (
             archive.read(key, top) if key in archive else None for key in ("ids", "names", "known")
         )
@@ -224,12 +186,7 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
 
 
 def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
-    """Make the archive of a grid: nothing is lost, and the same grid gives the same bytes.
-
-    Raises:
-        FormatError: metadata, user data or extra fields hold what JSON has not, or an extra field
-            has the name of one of the format's own.
-    """
+    """Make the archive of a grid: nothing is lost, and the same grid gives the same bytes."""
     top = JsonPath("the grid to be written")
     arrays: dict[str, NDArray[Any]] = {}
     document: Json = {

@@ -117,15 +117,12 @@ def lay_along_axes(
 
     A map that is turned by quarters is turned exactly. Else a cell takes the value at its centre,
     -1 beside the map; but it is occupied wherever an occupied cell of the map reaches into its
-    square.
-
-    Args:
-        origin: world x, y of the outer corner of the map's lower left cell [m], and its yaw,
-            counter-clockwise [rad].
+    square. `origin` is the outer corner of the map's lower left cell, world x, y [m], and its yaw,
+    counter-clockwise [rad].
 
     Returns:
-        The values, and world x, y of the lower left corner: that of the box around the turned map,
-        or up to half a cell further out.
+        The values, and world x, y of their lower left corner: that of the box around the turned
+        map, or up to half a cell further out.
     """
     x, y, yaw = origin
     height, width = values.shape

@@ -40,8 +40,7 @@ def encode_procthor(
     """Make the ``ProcTHORMap`` of each level.
 
     Args:
-        path: ends in ``.png``. Of several levels, each has its own map, whose number follows the
-            stem: ``map_0.png``, ``map_1.png``.
+        path: ends in ``.png``; of several levels, each has its own map: ``map_0.png``.
         level: make this level's map only, under the name itself.
         radius: inflate for an agent of this radius first [m]; see `SceneGrid2D.inflate`.
 

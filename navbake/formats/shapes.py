@@ -99,10 +99,8 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     Polygons run exactly along the cells' edges: of a room, round all of its cells, also those that
     something stands in; of what is walkable, round the free cells of a level. A cell's centre lies
     in a polygon if and only if the polygon has the cell. Cells that only touch at a corner are
-    parts of their own, so polygons are valid.
-
-    A door is a line from jamb to jamb, where its leaf is when it is closed (else, as it is now);
-    see `navbake.navgrid.door_lines.find_ends`.
+    parts of their own, so polygons are valid. A door is a line from jamb to jamb, where its leaf is
+    when it is closed (else, as it is now); see `navbake.navgrid.door_lines.find_ends`.
 
     Args:
         grid: a grid of one or several levels.
@@ -162,20 +160,15 @@ def import_shapely() -> Any:
 
 
 def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[list[Float]]]:
-    """Trace the outlines of labelled cells, exactly along the cells' edges.
+    """Trace the outlines of labelled cells, shape (height, width), exactly along the cells' edges.
 
-    A part is cells of one label that share edges; cells that only touch at a corner are two parts.
-    No ring has a corner twice, and rings of one label meet at single corners at most. So each part
-    is a valid polygon, and all parts of a label a valid multipolygon (OGC simple features),
-    whatever the cells are.
-
-    Args:
-        labels: of the cells, shape (height, width), 0 for none.
+    A part is cells of one label, 0 for none, that share edges. No ring has a corner twice, and
+    rings of one label meet at single corners at most. So each part is a valid polygon, and all
+    parts of a label a valid multipolygon (OGC simple features), whatever the cells are.
 
     Returns:
         By ascending label, its parts by their first cells in reading order; of each its rings, the
-        outer one first, then the holes: world x, y [m], shape (n, 2), to a nanometre, the first
-        corner not repeated. Outer rings run anticlockwise, holes clockwise (RFC 7946).
+        outer one first, then the holes, as `Shape.parts` has them, to a nanometre.
     """
     from navbake.formats.kernels.outlines import trace_rings  # numba loads slowly
     from navbake.navgrid.kernels.connect import number_parts  # as above
@@ -215,13 +208,11 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
 
 def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
-    """Describe the rooms, walkable areas and doors of a grid as a FeatureCollection.
+    """Describe a grid's rooms, walkable areas and doors as a FeatureCollection, see `find_shapes`.
 
-    Each is a feature: a room or a walkable area is a Polygon or MultiPolygon along the cells'
-    edges, a door a LineString; see `navbake.formats.shapes.find_shapes`. Coordinates are
-    world x, y [m]. Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's
-    ground [m]), ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms``
-    of doors.
+    A room or a walkable area is a Polygon or MultiPolygon, a door a LineString, in world x, y [m].
+    Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
+    ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms`` of doors.
 
     Args:
         grid: a grid of one or several levels.
@@ -257,11 +248,8 @@ def encode_geojson(grid: NavGrid, path: Path) -> Files:
 def encode_wkt(grid: NavGrid, path: Path) -> Files:
     """Make a CSV of a grid's shapes, as GDAL, QGIS, PostGIS and pandas take it.
 
-    WKT (OGC simple features) itself has no place for names, so it is one column: the columns are
-    ``WKT`` and then the properties that all features of a GeoJSON of the grid have.
-
-    Raises:
-        MissingDependencyError: shapely is not installed.
+    Its columns are ``WKT`` (OGC simple features) and then the properties that all features of a
+    GeoJSON of the grid have. Raises a MissingDependencyError without shapely.
     """
     shapely = import_shapely()
     text = io.StringIO()
@@ -280,9 +268,8 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 
     Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
     (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if missing)
-    count. A feature whose ``kind`` is another than ``room`` (as `to_geojson` writes for doors and
-    walkable areas) is left out. A MultiPolygon is one room. Rings may be closed or not. Errors name
-    the feature.
+    count. A feature whose ``kind`` is ``walkable`` or ``door`` is left out. A MultiPolygon is one
+    room. Rings may be closed or not. Errors name the feature.
 
     Returns:
         ``name``, ``level``, ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and

@@ -87,8 +87,7 @@ def read_bytes(
     """Read a file whole: its content, and its name for messages.
 
     `begins` is how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
-    begin so and has no length: it may be a device that never ends. The message says what was
-    expected then, and what helps.
+    begin so and has no length: it may be a device that never ends.
     """
     with _opened(source) as (stream, name):
         left = 0
@@ -126,8 +125,7 @@ def _beginning(text: bytes) -> str:
 def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     """Read a file that holds a grid's JSON object, plain or gzipped (which its content tells).
 
-    Returns:
-        Its text without a byte order mark, the file's size, and the place that errors name.
+    Returns its text without a byte order mark, the file's size, and the place that errors name.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)

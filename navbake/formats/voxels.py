@@ -8,13 +8,7 @@ from typing import Literal
 
 from navbake.errors import FormatError
 from navbake.formats.allowance import JsonPath
-from navbake.formats.binvox import (
-    IdMapping,
-    encode_binvox,
-    needs_offset,
-    read_binvox,
-    with_mapping,
-)
+from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
@@ -35,8 +29,6 @@ def write_voxels(
 ) -> None:
     """Write a voxel file, and beside one that holds IDs the table of what they stand for.
 
-    The grid's notes say so where OctoMap's `binvox2bt` would spoil a binvox file.
-
     Args:
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
         free: of octrees: see `encode_octomap`.
@@ -52,13 +44,6 @@ def write_voxels(
     if suffix == ".binvox":
         mapped = with_mapping(grid, mapping)
         write_bytes(encode_binvox(mapped, layout), path)
-        if layout == "binvox" and needs_offset(grid):
-            offset = " ".join([f"{grid.res / 2:g}"] * 3)
-            note = (
-                f"`binvox2bt` loses or moves voxels of this grid without `--offset {offset}`: it "
-                "takes their corners in float32"
-            )
-            grid.notes += [note] if note not in grid.notes else []
         grid = mapped
     else:
         write_bytes(encode_npz(grid), path)

@@ -37,14 +37,6 @@ def test_takes_a_size_settings_and_what_to_ignore(arena, run):
     assert not grid.values[:, 10:, 1:].any()
 
 
-def test_says_where_binvox2bt_needs_an_offset(arena, run):
-    place = ("--center", 50, 50, 1, "--cells", 4, 4, 4, "--res", 0.1)
-    status, out, err = run("voxelize", "arena.xml", *place, "-o", "a.binvox", "-o", "a.npz")
-    assert status == 0 and out.count("a.") == 2 and err.count("--offset 0.05 0.05 0.05") == 1
-    status, _, err = run("voxelize", "arena.xml", *place, "-o", "a.bt", "-o", "a.npz")
-    assert status == 0 and "--offset" not in err
-
-
 def test_segments_with_a_table_and_a_twin(arena, run):
     status, out, _ = run(
         "voxelize", "arena.xml", *CENTRED, "-o", "a.binvox", "--segment", "block=40",

@@ -1,25 +1,17 @@
 """binvox: round trips, the rules of the format, AirSim's layout, and what is wrong."""
 
-import shutil
-import subprocess
 from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
-from navbake.formats.binvox import encode_binvox, needs_offset, read_binvox
-from navbake.formats.octomap import read_octomap
+from navbake.formats.binvox import encode_binvox, read_binvox
 from navbake.formats.voxels import names_path, read_voxels, write_voxels
 from navbake.voxels.grid import VoxelGrid
 from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
-
-needs_binvox2bt = pytest.mark.skipif(
-    shutil.which("binvox2bt") is None,
-    reason="binvox2bt is not installed: apt-get install octomap-tools",
-)
 
 ASYMMETRIC = np.zeros((5, 7, 3), dtype=bool)
 ASYMMETRIC[0, 1, 2] = ASYMMETRIC[4, 6, 0] = True
@@ -263,49 +255,3 @@ def test_files_that_are_not_there(tmp_path):
         grid_of(ASYMMETRIC).save("a.vox")
     with pytest.raises(FormatError, match="layout auto, binvox, airsim, got 'x'"):
         read_binvox("a.binvox", layout="x")
-
-
-# ---------------------------------------------------------------- what binvox2bt makes of it
-
-
-def full(origin, res, shape=(4, 4, 2)):
-    return VoxelGrid(values=np.ones(shape, dtype=bool), origin=origin, res=res)
-
-
-def test_says_where_binvox2bt_needs_an_offset(tmp_path):
-    near, far = full((-2.0, 3.0, 0.0), 0.1), full((50.0, 50.0, 0.0), 0.1, (40, 40, 20))
-    for grid in (near, far, far):
-        grid.save(tmp_path / "a.binvox")
-    assert near.notes == []
-    [note] = far.notes  # once, however often it is written
-    assert "`binvox2bt` loses or moves voxels" in note and "--offset 0.05 0.05 0.05" in note
-    write_voxels(labelled := full((50.0, 0.0, 0.0), 0.1), tmp_path / "a.binvox", layout="airsim")
-    write_voxels(labelled, tmp_path / "a.npz")
-    assert labelled.notes == []
-    assert needs_offset(full((0.03, 0.06, 0.0), 0.1))  # 0.06 is 0, its middle is in voxel 1
-    assert not needs_offset(full((0.03, 0.04, 0.0), 0.1))
-
-
-@needs_binvox2bt
-@given(
-    res=st.sampled_from([0.03, 0.05, 0.1, 0.2, 0.25, 1.0]),
-    cells=st.tuples(*[st.integers(-20000, 20000) | st.integers(-400, 400)] * 3),
-    off=st.sampled_from([0.0, 0.0, 0.3, 0.7]),
-    shape=st.tuples(*[st.integers(3, 12)] * 3),
-)
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
-def test_binvox2bt_is_right_exactly_where_it_needs_no_offset(tmp_path, res, cells, off, shape):
-    grid = full(tuple((cell + off) * res for cell in cells), res, shape)
-    path = tmp_path / "a.binvox"
-    grid.save(path)
-    trees = []
-    for number, offset in enumerate((None, f"{res / 2}")):
-        options = [] if offset is None else ["--offset", *[offset] * 3]
-        tree = tmp_path / f"{number}.bt"
-        # it divides by zero where there are fewer than 20 voxels
-        subprocess.run(["binvox2bt", *options, "-o", tree, path], capture_output=True, check=True)
-        trees.append(read_octomap(tree))
-    plain, right = trees
-    same = plain.shape == right.shape and (plain.values == right.values).all()
-    assert right.shape == shape and right.values.all()
-    assert needs_offset(grid) == (not same or plain.origin != right.origin)

@@ -8,7 +8,6 @@ import zlib
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import navbake
 from navbake.errors import FormatError, NavbakeError
@@ -213,30 +212,6 @@ def test_a_small_image_does_not_unpack_to_gigabytes(monkeypatch):
     monkeypatch.setattr(allowance, "MAX_PIXELS", 90_000)
     with pytest.raises(FormatError, match="too many pixels"):
         open_image(image_bomb(301))
-
-
-def test_no_memory_is_reserved_for_an_image_that_is_cut_off(monkeypatch):
-    monkeypatch.setattr(Image.Image, "load", None)  # would reserve it
-    for image in (image_bomb(5000)[:3000], b"P6 5000 5000 255\n" + bytes(100)):
-        with pytest.raises(FormatError, match="no image that can be read: it is cut off"):
-            open_image(image)
-
-
-@pytest.mark.parametrize(
-    ("kind", "modes"),
-    [
-        ("PNG", ["1", "L", "LA", "P", "RGB", "RGBA", "I;16"]),
-        ("BMP", ["1", "L", "P", "RGB", "RGBA"]),
-        ("PPM", ["L", "RGB", "RGBA", "I;16"]),
-    ],
-)
-def test_no_whole_image_is_cut_off(kind, modes):
-    """Also where all pixels are alike, so that as few bytes as there can be stand for them."""
-    for mode in modes:
-        for size in ((1, 1), (9, 7), (1500, 1400), (1, 40_000), (40_000, 1)):
-            file = io.BytesIO()
-            Image.new(mode, size).save(file, kind, compress_level=9)
-            assert open_image(file.getvalue()).size == size, (mode, size)
 
 
 def test_the_text_of_an_archive_is_limited(tmp_path, monkeypatch):

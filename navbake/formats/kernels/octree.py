@@ -16,12 +16,10 @@ OVERRUN, TOO_DEEP = -1, -2
 def read_leaves(data, odds, has_odds, leaves):
     """Read the nodes of a ``.bt``, or of an ``.ot``, which `has_odds`.
 
-    Args:
-        data: uint8. In a ``.bt``, 2 bits for each child of a node with children; in an ``.ot``,
-            4 bytes of log-odds and one of which children there are, for each node.
-        odds: float32, the log-odds of each node of an ``.ot``: 0 and more are occupied.
-        leaves: (n, 5) int32, receives each leaf's first key x, y, z, its level, and 1 if it is
-            occupied; empty to count them only.
+    `data` are bytes: in a ``.bt``, 2 bits for each child of a node with children; in an ``.ot``,
+    4 bytes of log-odds and one of which children there are, for each node. `odds` are these as
+    float32: 0 and more are occupied. `leaves`, (n, 5) int32, receives each leaf's first key x, y,
+    z, its level, and 1 if it is occupied; it is empty to count them only.
 
     Returns:
         The number of leaves, of bytes, and of all nodes; the first is OVERRUN or TOO_DEEP where

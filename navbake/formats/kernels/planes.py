@@ -19,13 +19,9 @@ def cover_planes(labels, z, tolerance, steepest):
 
     The cells are visited row by row; each that isn't covered is the upper left corner of the next
     rectangle. Its plane runs through the cell's height and is level, or has the slope of the two
-    cells to the right (and below), if these rise evenly and no more than `steepest` in all.
-
-    Args:
-        labels: shape (height, width), int32.
-        z: heights of cells' centres, as `labels`, float64, finite where a label isn't 0.
-        tolerance: how far a height may be off its plane.
-        steepest: how much a plane may rise over a cell.
+    cells to the right (and below), if these rise evenly and no more than `steepest` over a cell.
+    `labels` and `z`, the heights of cells' centres, have shape (height, width); a height may be off
+    its plane by `tolerance`.
 
     Returns:
         First row, first column, row and column after the last, shape (n, 4), int64; and of each
