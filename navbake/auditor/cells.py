@@ -141,18 +141,14 @@ def check_layers(facts: Facts) -> Iterator[Found]:
 def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
     """The cells by which two arrays of numbers part a level differently.
 
-    A part of one is the part of the other that most of its cells are in, where that holds the other
-    way round, too.
+    A part of one is the part of the other that most of its cells are in, if that holds both ways.
     """
     pairs, pair, count = np.unique(
         np.stack([stored.ravel(), own.ravel()]), axis=1, return_inverse=True, return_counts=True
     )
-    order = np.argsort(-count, kind="stable")
-    is_same = np.ones(len(count), dtype=np.bool_)
+    order, is_same = np.argsort(-count, kind="stable"), np.ones(len(count), dtype=np.bool_)
     for side in pairs:
-        is_first = np.zeros(len(count), dtype=np.bool_)
-        is_first[order[np.unique(side[order], return_index=True)[1]]] = True
-        is_same &= is_first
+        is_same &= np.isin(range(len(count)), order[np.unique(side[order], return_index=True)[1]])
     return ~is_same[pair].reshape(own.shape)
 
 
@@ -238,9 +234,9 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
 def check_cut_off(facts: Facts) -> Iterator[Found]:
     """One cell, or two or three side by side, cut off an island.
 
-    The islands are those of a grid whose doors are all open. Where more such cells part the same
-    two islands, they are a thin wall between them, and are meant; cells in it that nothing
-    occupies are a gap that was closed for a larger agent.
+    All doors are open for that. Where more such cells part the same two islands, they are a thin
+    wall, and are meant; cells in it that nothing occupies are a gap closed for a larger agent. The
+    floors on both sides are within a step of each other, as they would be on one walk.
     """
     islands, cell_size = facts.open_islands, facts.levels[0].lattice.cell_size
     largest = max((int(island.max(initial=0)) for island in islands), default=0)
@@ -249,7 +245,17 @@ def check_cut_off(facts: Facts) -> Iterator[Found]:
     found = []
     for number, island in enumerate(islands if largest >= 2 else ()):
         occupied = facts.levels[number].occupancy.ravel() != 0
-        for pair, between in _gaps(facts, number, island).items():
+        floor, own = facts.floors[number].ravel(), island.ravel()
+        gaps: dict[tuple[int, ...], set[int]] = {}  # blocked cells by the islands on both sides
+        for one, step in pairs_across(island, 2):
+            cell, other = one + step // 2, one + step
+            is_gap = (own[one] > 0) & (own[cell] == 0) & (own[other] > 0) & ~np.isnan(floor[cell])
+            with np.errstate(invalid="ignore"):
+                is_gap &= ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
+            pairs = np.sort(np.stack([own[one], own[other]], axis=1)[is_gap], axis=1)
+            for pair, blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
+                gaps.setdefault(tuple(pair), set()).add(blocked)
+        for pair, between in gaps.items():
             cells = {cell for cell in between if not occupied[cell]} or between
             smaller = min(area[list(pair)])
             if len(cells) <= MOST_CELLS and smaller >= MIN_CUT_OFF:
@@ -259,24 +265,6 @@ def check_cut_off(facts: Facts) -> Iterator[Found]:
         size = len(cells) * facts.levels[number].lattice.cell_size
         text = f"a gap {size:.2f} m wide is blocked by one cell, and cuts off {smaller:.1f} m²"
         yield REMARK, number, facts.place(number, row, col), text
-
-
-def _gaps(facts: Facts, number: int, island: Int32) -> dict[tuple[int, int], set[int]]:
-    """The blocked cells with two islands on opposite sides, by the pair of islands.
-
-    The floors on both sides are within a step of each other, as they would be on one walk.
-    """
-    floor, own = facts.floors[number].ravel(), island.ravel()
-    gaps: dict[tuple[int, int], set[int]] = {}
-    for one, step in pairs_across(island, 2):
-        cell, other = one + step // 2, one + step
-        is_gap = (own[one] > 0) & (own[cell] == 0) & (own[other] > 0) & ~np.isnan(floor[cell])
-        with np.errstate(invalid="ignore"):
-            is_gap &= ~(np.abs(floor[one] - floor[other]) > facts.step_limit)
-        pairs = np.sort(np.stack([own[one][is_gap], own[other][is_gap]], axis=1), axis=1)
-        for (a, b), blocked in zip(pairs.tolist(), cell[is_gap].tolist(), strict=True):
-            gaps.setdefault((a, b), set()).add(blocked)
-    return gaps
 
 
 def check_unreached_levels(facts: Facts) -> Iterator[Found]:

@@ -13,8 +13,7 @@ from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_mem
 from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import open_file
 from navbake.config.keywords import config_with, memory_config
-from navbake.config.scene import ExcludeSettings
-from navbake.config.settings import BakeConfig
+from navbake.config.settings import BakeConfig, ExcludeSettings
 from navbake.errors import ConfigError
 from navbake.known_names import find_near, suggest
 

@@ -70,10 +70,15 @@ def resolve(path: Path, info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", "")) / path
 
 
-def check_distinct(value: list[str]) -> list[str]:
-    if len(set(value)) < len(value):
-        raise ValueError("twice")
-    return value
+def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A validator that refuses some values; what was expected instead is for `expects` to say."""
+
+    def check(value: Any) -> Any:
+        if is_wrong(value):
+            raise ValueError
+        return value
+
+    return check
 
 
 Positive = Annotated[float, Field(gt=0), expects("a number > 0")]

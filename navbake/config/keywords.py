@@ -9,12 +9,12 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from navbake.config.scene import memory_path
 from navbake.config.settings import (
     SECTIONS,
     YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    memory_path,
     parse_config,
 )
 from navbake.config.yaml_text import read_yaml

@@ -22,6 +22,7 @@ from pydantic import (
     Tag,
     ValidationError,
     ValidationInfo,
+    model_validator,
 )
 
 from navbake.config.field_types import (
@@ -33,21 +34,105 @@ from navbake.config.field_types import (
     Positive,
     Section,
     Settings,
-    check_distinct,
     describe_errors,
     expects,
     refusal,
+    refuse_if,
     resolve,
     section,
     setting,
     to_path,
 )
-from navbake.config.scene import ExcludeSettings, SceneSettings, is_memory_path
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
+
+MeshMode = Literal["auto", "hull", "surface", "shell"]
+
+
+def memory_path(name: str) -> Path:
+    """What stands for the path of a scene in memory: its name, as in ``<apartment>``."""
+    name = "".join(char if char.isprintable() and char not in "/\\" else "_" for char in name)
+    return Path(f"<{name if name.strip('. ') else 'scene'}>")
+
+
+def is_memory_path(path: str | PathLike[str]) -> bool:
+    """Whether a path stands for a scene in memory that was given no file's name."""
+    return str(path).startswith("<") and str(path).endswith(">")
+
+
+def stem_of(path: str | PathLike[str]) -> str:
+    """The stem of a scene file's name, or the name of a scene in memory."""
+    return str(path)[1:-1] if is_memory_path(path) else Path(path).stem
+
+
+ScenePath = Annotated[
+    Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
+]
+SceneId = Annotated[
+    str,
+    Field(min_length=1),
+    AfterValidator(
+        refuse_if(lambda v: v in (".", "..") or not v.isprintable() or set(v) & set("/\\"))
+    ),
+    expects("text without / and \\ (a number needs quotes)"),
+]
+
+
+class ExcludeSettings(Settings):
+    """What is left out of the scene, by name patterns with the shell's wildcards."""
+
+    bodies: Patterns = setting(
+        [], "body name patterns (*, ?, [...]); child bodies are left out too"
+    )
+    geoms: Patterns = setting([], "geom name patterns")
+    movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
+
+
+class SceneSettings(Settings):
+    """The scene, which of its geoms count, and its pose."""
+
+    id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
+    path: ScenePath = Field(
+        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
+    )
+    up: Literal["z", "y"] = setting("z", "axis that points up in mesh files: z or y")
+    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
+    geoms: Literal["auto", "collision", "visual", "all"] = setting(
+        "auto", "auto (those that can collide, or all if none can), collision, visual, all"
+    )
+    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
+    meshes: Annotated[
+        Annotated[
+            MeshMode, expects("auto, hull, surface, shell or {pattern: one of these}"), Tag("=one")
+        ]
+        | Annotated[dict[Name, MeshMode], Tag("=each")],
+        Discriminator(lambda value: "=each" if isinstance(value, dict) else "=one"),
+    ] = setting("auto", "hull, surface, shell (never solid), auto, or {name pattern: hull}")
+    ground: Annotated[float | None, expects("a height in metres, or null")] = setting(
+        None, "height of endless ground that is added [m], or null"
+    )
+    exclude: Section[ExcludeSettings] = section(
+        ExcludeSettings, "what is left out, by pattern (*, ?, [...])"
+    )
+    keyframe: Annotated[
+        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
+    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
+    joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
+        setting({}, "pose, after the keyframe: {joint name: position [m or rad], or a list}")
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_id_from_path(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and data.get("id") is None:
+            path = data.get("path")
+            stem = stem_of(path) if isinstance(path, str | PathLike) else ""
+            return {**data, "id": stem or "scene"}
+        return data
+
 
 RoomSource = Literal["polygons", "geoms", "sites", "auto"]
 
@@ -106,7 +191,7 @@ class RoomSettings(Settings):
 
     sources: Annotated[
         list[RoomSource],
-        AfterValidator(check_distinct),
+        AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
         expects("a list of some of polygons, geoms, sites, auto, each once"),
     ] = Field(
         default=["polygons", "geoms", "sites", "auto"],
@@ -143,13 +228,6 @@ YAML_SUFFIXES = (".yaml", ".yml")
 MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2 map
 
 
-def _check_bounds(value: list[float]) -> list[float]:
-    x_min, y_min, x_max, y_max = value
-    if x_min >= x_max or y_min >= y_max:
-        raise ValueError("empty")
-    return value
-
-
 def _check_below_height(value: float, info: ValidationInfo) -> float:
     height = info.data.get("height")
     if height is not None and value >= height:
@@ -182,7 +260,11 @@ class GridSettings(Settings):
 
     cell_size: Positive = setting(0.1, "edge of a cell [m], > 0")
     bounds: Annotated[
-        Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_check_bounds)]
+        Annotated[
+            list[float],
+            Field(min_length=4, max_length=4),
+            AfterValidator(refuse_if(lambda b: b[0] >= b[2] or b[1] >= b[3])),
+        ]
         | None,
         expects("[x_min, y_min, x_max, y_max] with min < max, or null"),
     ] = setting(None, "[x_min, y_min, x_max, y_max] of a part [m], or null")
@@ -316,7 +398,7 @@ class BakeConfig(Settings):
     doors: Section[DoorSettings] = section(DoorSettings, "which bodies are doors, and their state")
     attributes: Annotated[
         list[Literal["island", "clearance"]],
-        AfterValidator(check_distinct),
+        AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
         expects("a list of some of island, clearance, each once"),
     ] = setting([], "further layers to write: island, clearance")
     verify: Section[VerifySettings] = section(
@@ -392,12 +474,7 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: dict[str, Any] = {
-        "output": True,
-        "verify": True,
-        "scene": {"path"},
-        "grid": {"max_cells"},
-    }
+    left_out: Any = {"output": True, "verify": True, "scene": {"path"}, "grid": {"max_cells"}}
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

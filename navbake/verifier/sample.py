@@ -40,7 +40,7 @@ class Agent(NamedTuple):
             wrong.append(
                 f"`maxSlope` is {shorten(repr(slope))}, which is no slope of 0 to 90 degrees"
             )
-        for text in wrong:
+        if text := next(iter(wrong), ""):
             raise FormatError(
                 f"the grid's metadata: {text}: cells can't be judged for such an agent"
             )
@@ -51,8 +51,8 @@ class Agent(NamedTuple):
 class Inflation(NamedTuple):
     """What was done to a grid for a larger agent."""
 
-    radius: float | None = None  # of the cylinder on free cells [m]; None for the baked footprint
-    reach: float = 0.0  # how far from a closed cell's centre the reason may be [m]
+    radius: float | None  # of the cylinder on free cells [m]; None for the baked footprint
+    reach: float  # how far from a closed cell's centre the reason may be [m]
     by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
 
 
@@ -130,8 +130,7 @@ class LevelSample:
 def states_floors(level: SceneGrid2D) -> bool:
     """Whether the cells of a level have floors of their own.
 
-    An inflation writes floors into a map of another program that has none: its ground, where it
-    was free. These say no more than the map did.
+    Those that an inflation wrote into a map that has none, its ground, say no more than the map.
     """
     if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
         return level.uses_cell_floors

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.keywords import memory_config
@@ -55,12 +55,8 @@ def find_source(
 ) -> Source:
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
-    The grid names the scene's file without its folder; it is looked for beside the grid, and in
-    the current folder, and in a folder ``scenes`` of each. A scene file, and a scene in
-    memory, gets the settings that the grid states.
-
-    Args:
-        data: the pose of a scene in memory; as the settings say if None.
+    A scene file, and a scene in memory, gets the settings that the grid states. `data` is the pose
+    of a scene in memory; as the settings say if None.
 
     Raises:
         QueryError: no scene is given or found, or it is another one than the grid was baked from,
@@ -74,8 +70,7 @@ def find_source(
     own = dict(own) if isinstance(own, dict) else {}
     if given is None:
         given = _find_file(grid, own.get("path"), grid_path)
-    opened: OpenScene | None = None
-    has_settings = False
+    opened, has_settings = None, False
     if is_in_memory(given):
         if data is not None:  # which is the pose
             own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
@@ -106,18 +101,20 @@ def find_source(
 
 
 def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
-    """The scene's file, of which the grid states the name."""
+    """The scene's file, of which the grid states the name.
+
+    It is looked for beside the grid, in the current folder, and in a folder ``scenes`` of each.
+    """
     if not isinstance(stated, str) or not stated:
         raise NoSceneError(
             f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
             "scene, or the settings of its bake"
         )
     name = Path(stated).name
-    folders = list(dict.fromkeys([grid_path.parent if grid_path else Path(), Path()]))
-    for folder in folders:
-        for place in (folder / name, folder / SCENES / name):
-            if os.path.isfile(place):
-                return place
+    folders = dict.fromkeys([grid_path.parent if grid_path else Path(), Path()])
+    for place in (place / name for folder in folders for place in (folder, folder / SCENES)):
+        if os.path.isfile(place):
+            return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(
         f"the scene {name} that {grid.scene_id or 'the grid'} was baked from isn't in "
@@ -161,9 +158,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
     # doors whose name others share state their number, too
     bodies = dict(numbered) | {f"{name} (body {body})": body for name, body in numbered}
     ends = find_subtree_ends(model)
-    removed: set[int] = set()
-    geoms: set[int] = set()
-    unknown = []
+    removed, geoms, unknown = set[int](), set[int](), list[str]()
     for door in grid.doors:
         if (body := bodies.get(door.id)) is None:
             unknown.append(door.id)

@@ -34,15 +34,12 @@ class Piece(NamedTuple):
 def sweep_paths(
     grid: NavGrid, probes: Probes, agent: Agent, radius: float, options: tuple[int, int, float]
 ) -> tuple[SweepCounts, list[Finding]]:
-    """Plan paths between random places, and sweep a cylinder along each.
+    """Plan paths on an inflated grid between random places, and sweep a cylinder along each.
 
     The cylinder is as high as the agent, less a step at its lower end. It has to touch nothing
     between the heights that all floors under it leave free. What it meets lower or higher than
-    that, up to a step, is counted by itself: a cell is judged from its own floor.
-
-    Args:
-        grid: already inflated for the radius.
-        options: number of paths, seed, and tolerance [m].
+    that, up to a step, is counted by itself: a cell is judged from its own floor. The options are
+    the number of paths, seed, and tolerance [m].
     """
     number, seed, tolerance = options
     counts, findings = SweepCounts(radius), list[Finding]()

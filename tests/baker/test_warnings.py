@@ -13,8 +13,7 @@ import navbake
 from box_worlds import FLOOR, box, world
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
-from navbake.config.scene import SceneSettings
-from navbake.config.settings import parse_config
+from navbake.config.settings import SceneSettings, parse_config
 from project_paths import SHARED_DATA
 
 DUNGEON = SHARED_DATA / "recast_meshes" / "dungeon.obj"

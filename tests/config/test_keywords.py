@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from navbake.config.keywords import config_with, memory_config
-from navbake.config.scene import is_memory_path, stem_of
-from navbake.config.settings import load_config
+from navbake.config.settings import is_memory_path, load_config, stem_of
 from navbake.errors import ConfigError
 
 YAML = """

@@ -8,7 +8,7 @@ import numpy as np
 
 from navbake.baker.kernels.constants import FREE, MESH, SDF
 from navbake.baker.scene.names import GeomNames, all_names, warn_unmatched
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.types import Bool, Float
 
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
@@ -32,17 +32,14 @@ def choose_geoms(
 ) -> tuple[list[Choice], list[str]]:
     """Decide for each geom whether it counts, and meshes as what.
 
-    Excluded geoms never count. `collision` counts what can collide (contype or
-    conaffinity not 0), drawn or not. `auto` does the same, but counts all geoms where none of
-    those left can collide. `visual` counts what is drawn: alpha above 0, a geom group that
-    MuJoCo's viewers draw, and no stand-in, which is a geom that can collide on a body that has
-    drawn geoms of another group that can't; the world's own geoms are no stand-ins.
+    Excluded geoms never count. `collision` counts what can collide (contype or conaffinity not 0),
+    drawn or not. `auto` does the same, but counts all geoms where none of those left can collide.
+    `visual` counts what is drawn: alpha above 0, a geom group that MuJoCo's viewers draw, and no
+    stand-in, which is a geom that can collide on a body (not the world) that has drawn geoms of
+    another group that can't. `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo
+    does, unless that hides room for an agent. `ground` counts whatever the settings say.
 
-    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless
-    `hides_room` says that it hides room for an agent. `ground` counts whatever the settings say.
-
-    Returns:
-        A choice for each geom, by its id, and what the user should know, one line each.
+    Returns a choice for each geom, by its id, and what the user should know.
     """
     names = all_names(model).geoms
     excluded, notes = _find_excluded(model, settings, names)

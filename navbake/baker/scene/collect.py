@@ -70,11 +70,7 @@ class MeshTriangles:
 def count_mesh(
     vertices: Float, faces: Int | Int32, mode: str, hull: Int32 | None = None
 ) -> GeomTriangles:
-    """Count a mesh as its hull, as a shell, or as its triangles; a flat one has no hull.
-
-    Args:
-        hull: the faces of its hull, shape (m, 3), counter-clockwise from outside; found if None.
-    """
+    """Count a mesh as its hull (found if None), as a shell, or as its triangles if it is flat."""
     if mode == "hull":
         hull = hull_faces(vertices) if hull is None else hull
         if hull is not None:
@@ -91,11 +87,11 @@ def count_mesh(
 
 
 class Collected(NamedTuple):
-    """The shapes, world frame; the `GeomReport.shape` of geoms; what the user should know."""
+    """The geometry of geoms, world frame."""
 
     shapes: Shapes
-    kinds: dict[int, str]
-    notes: list[str]
+    kinds: dict[int, str]  # their `GeomReport.shape`
+    notes: list[str]  # what the user should know
 
 
 def collect_shapes(
@@ -203,9 +199,8 @@ def _height_field(model: Any, hfield: int) -> Float:
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
     """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame.
 
-    The hull that MuJoCo collides with may have fewer vertices than the mesh's own, see
-    `maxhullvert`. Finding it anew would cost loading scipy, which takes longer than all else that
-    the bake of a small scene imports.
+    The hull that MuJoCo collides with may have fewer vertices than the mesh's own (`maxhullvert`),
+    and finding it anew would load scipy.
 
     Source: `mesh_graph` of MuJoCo's mjModel: the numbers v of vertices and m of faces, two lists
     of v, one of v + 3 m, and the faces' vertices, 3 m.

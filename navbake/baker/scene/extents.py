@@ -14,17 +14,13 @@ DIRECTIONS = 180
 
 
 class Extents(NamedTuple):
-    """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted.
+    """Upright boxes round geoms, by geom id; NaN for infinite planes and what isn't counted."""
 
-    Middles and unit vectors along the shorter sides, (n, 2); shorter and longer sides, heights of
-    bottom and top, (n,) [m].
-    """
-
-    center: Float
-    across: Float
-    thin: Float
+    center: Float  # (n, 2) [m]
+    across: Float  # unit vectors along the shorter sides, (n, 2)
+    thin: Float  # the shorter sides [m]
     long: Float
-    low: Float
+    low: Float  # heights of bottom and top [m]
     high: Float
 
     @property

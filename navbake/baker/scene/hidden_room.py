@@ -15,7 +15,7 @@ from navbake.baker.scene.collect import MeshTriangles, collect_shapes
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.types import Bool, Int
+from navbake.types import Bool
 
 # The lines that look for room are this far apart, or further where there would be more of them [m]
 SPACING, MOST_LINES = 0.1, 10_000
@@ -42,8 +42,7 @@ class HiddenRoom:
         Room is what a vertical line has free inside of the hull over at least the agent's height:
         over a surface that faces up, or under one that faces down, or where the mesh has none at
         all; but not inside of the mesh's closed parts, nor behind its front. It has to be as large
-        as a floor (`floors.min_area` after `floors.shrink`). Its box alone tells that furniture is
-        not.
+        as a floor (`floors.min_area` after `floors.shrink`), which the box alone rules out often.
         """
         if not self.is_large(geom):
             return False
@@ -94,8 +93,9 @@ def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     # the mesh, room is over what faces up (starts = 2) and under what faces down (ends = 1)
     up, hull_up = ((columns.normal[:, 2] > 0).astype(np.int64) for columns in (mesh, hull))
     turned = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * up)
+    cells = [np.repeat(np.arange(len(c.start) - 1), np.diff(c.start)) for c in (hull, mesh)]
     pairs = (
-        (_cells(hull), _cells(mesh)),
+        cells,
         (hull.z, mesh.z),
         (1 - hull_up, 2 * up),
         (hull_up, 1 - up),
@@ -112,7 +112,3 @@ def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     marked = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
     marked[cell[:-1][is_room]] = True
     return marked
-
-
-def _cells(columns: Columns) -> Int:
-    return np.repeat(np.arange(len(columns.start) - 1), np.diff(columns.start))

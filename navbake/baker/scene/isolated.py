@@ -19,7 +19,7 @@ import mujoco
 
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts
 from navbake.baker.scene.model import OpenScene, catch_warnings, ground_of, load_model
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import NavbakeError, SceneError
 from navbake.files import scratch_folder
 from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
@@ -37,15 +37,10 @@ STARTED = "started"  # what the child writes when it begins to compile
 
 
 class CompileLimits(NamedTuple):
-    """What MuJoCo may take to compile a scene.
-
-    Attributes:
-        seconds: time [s].
-        memory: what it may reserve beyond what the process starts with [GiB]; kept on Linux only.
-    """
+    """What MuJoCo may take to compile a scene; memory is limited on Linux only."""
 
     seconds: float = 60.0
-    memory: float = 4.0
+    memory: float = 4.0  # that it may reserve beyond what the process starts with [GiB]
 
 
 def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list[str]) -> OpenScene:

@@ -37,33 +37,23 @@ def prepare_obj(path: Path) -> bytes:
         return text
     lines, num_vertices = text.split(b"\n"), 0
     for number, line in enumerate(lines):
-        if line.startswith(b"v "):
-            num_vertices += 1
-        elif line.startswith(b"f "):
-            lines[number] = b"f " + b" ".join(
-                _absolute(reference, num_vertices, f"line {number + 1} of {path}")
-                for reference in line.partition(b"#")[0].split()[1:]
-            )
+        num_vertices += line.startswith(b"v ")
+        if line.startswith(b"f "):
+            # references to vertices, counted from 1; textures and normals don't matter here
+            words = [word.partition(b"/")[0] for word in line.partition(b"#")[0].split()[1:]]
+            indices = [int(word) if re.fullmatch(rb"[-+]?\d{1,18}", word) else 0 for word in words]
+            indices = [index + (index < 0) * (num_vertices + 1) for index in indices]
+            if min(indices, default=1) <= 0:
+                where = f"line {number + 1} of {path}"
+                raise SceneError(f"expected numbers of vertices, counted from 1, in {where}")
+            lines[number] = b"f " + " ".join(map(str, indices)).encode()
     return b"\n".join(lines)
-
-
-def _absolute(reference: bytes, num_vertices: int, where: str) -> bytes:
-    """A face's reference to a vertex, counted from 1; texture and normal don't matter here."""
-    try:
-        index = int(reference.partition(b"/")[0])
-    except ValueError:
-        index = 0
-    index = index + num_vertices + 1 if index < 0 else index
-    if index <= 0:
-        raise SceneError(f"expected numbers of vertices, counted from 1, in {where}")
-    return str(index).encode()
 
 
 def prepare_stl(path: Path) -> bytes:
     """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
     data = path.read_bytes()
-    is_solid = data.lstrip()[:5].lower() == b"solid"
-    if is_solid and b"facet" in (words := data.lower()):
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in (words := data.lower()):
         num_solids, num_ends = (
             len(re.findall(rb"(?m)^\s*" + word, words)) for word in (b"solid", b"endsolid")
         )
@@ -106,8 +96,8 @@ PLY_FORMATS = {b"binary_little_endian": "<", b"binary_big_endian": ">"}
 PLY_TYPES = {b"uchar": "u1", b"uint8": "u1", b"int": "i4", b"int32": "i4", b"uint": "u4"}
 PLY_TYPES |= {b"uint32": "u4", b"float": "f4", b"float32": "f4", b"double": "f8", b"float64": "f8"}
 PLY_COORDINATES = {b"x", b"y", b"z"}
-# What else a plain vertex may have; one with texture coordinates may belong to several vertices
-PLY_IGNORED = {b"nx", b"ny", b"nz", b"red", b"green", b"blue", b"alpha"}
+# What a plain vertex may have; one with texture coordinates may belong to several vertices
+PLY_VERTEX = PLY_COORDINATES | {b"nx", b"ny", b"nz", b"red", b"green", b"blue", b"alpha"}
 PLY_HEADER = re.compile(
     rb"ply\nformat (?P<format>\w+) 1\.0\n(?:comment [^\n]*\n)*"
     rb"element vertex (?P<vertices>\d{1,10})\n(?P<properties>(?:property \w+ \w+\n)+)"
@@ -119,8 +109,7 @@ PLY_HEADER = re.compile(
 def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
     """The vertices and triangles of a binary PLY or STL that holds nothing but these.
 
-    Returns:
-        None where the file is anything else or broken: trimesh knows more, and says what is wrong.
+    None where the file is anything else or broken: trimesh knows more, and says what is wrong.
     """
     if suffix == ".ply":
         return _read_plain_ply(data)
@@ -138,11 +127,11 @@ def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     if header is None or header["format"] not in PLY_FORMATS:
         return None
     order = PLY_FORMATS[header["format"]]
-    named = [tuple(line.split()[1:]) for line in header["properties"].splitlines()]
-    names = [name for _, name in named]
-    known = len(set(names)) == len(names) and set(names) <= PLY_COORDINATES | PLY_IGNORED
-    kinds = [*(kind for kind, _ in named), header["count"], header["index"]]
-    if not known or not set(names) >= PLY_COORDINATES or not set(kinds) <= PLY_TYPES.keys():
+    named = [line.split()[1:] for line in header["properties"].splitlines()]
+    names = {name for _, name in named}
+    kinds = {*(kind for kind, _ in named), header["count"], header["index"]}
+    is_known = len(names) == len(named) and PLY_COORDINATES <= names <= PLY_VERTEX
+    if not is_known or not kinds <= PLY_TYPES.keys():
         return None
     vertex = np.dtype([(name.decode(), order + PLY_TYPES[kind]) for kind, name in named])
     count, index = (order + PLY_TYPES[header[key]] for key in ("count", "index"))
@@ -162,9 +151,7 @@ def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
 
 def _to_float64(axes: Iterable[NDArray[np.floating]]) -> Float:
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
-        vertices = np.stack([axis.astype(np.float64) for axis in axes], axis=1)
-    vertices += 0.0  # -0.0 becomes 0.0
-    return vertices
+        return np.stack([axis.astype(np.float64) for axis in axes], axis=1) + 0.0  # no -0.0
 
 
 JSON_CHUNK = 0x4E4F534A
@@ -178,14 +165,22 @@ UNREAD = {
 
 
 def check_gltf(path: Path) -> None:
-    """Refuse a glTF or GLB file that trimesh would read as something else.
-
-    It is cut off or none, uses an extension that changes its shape, or numbers that trimesh reads
-    wrongly (normalized, sparse).
-    """
+    """Refuse a glTF or GLB file that is cut off, or that trimesh would read as something else."""
     try:
         data = path.read_bytes()
-        header = json.loads(_json_chunk(data) if path.suffix.lower() == ".glb" else data)
+        text = data
+        if path.suffix.lower() == ".glb":
+            if len(data) < 20 or not data.startswith(b"glTF"):
+                raise ValueError("it has no GLB header")
+            version, length, json_length, kind = struct.unpack_from("<4I", data, 4)
+            if version != 2:
+                raise ValueError(f"expected version 2, got {version}")
+            if length > len(data):
+                raise ValueError(f"it is cut off: expected {length} bytes, got {len(data)}")
+            if kind != JSON_CHUNK or 20 + json_length > len(data):
+                raise ValueError("its first chunk is no JSON")
+            text = data[20 : 20 + json_length]
+        header = json.loads(text)
         if not isinstance(header, dict):
             raise ValueError("its JSON is no object")
         problem = next(_find_problems(header, len(data), path.parent), "")
@@ -195,23 +190,9 @@ def check_gltf(path: Path) -> None:
         raise SceneError(f"cannot read {path}: {problem}")
 
 
-def _json_chunk(data: bytes) -> bytes:
-    if len(data) < 20 or not data.startswith(b"glTF"):
-        raise ValueError("it has no GLB header")
-    version, length, json_length, kind = struct.unpack_from("<4I", data, 4)
-    if version != 2:
-        raise ValueError(f"expected version 2, got {version}")
-    if length > len(data):
-        raise ValueError(f"it is cut off: expected {length} bytes, got {len(data)}")
-    if kind != JSON_CHUNK or 20 + json_length > len(data):
-        raise ValueError("its first chunk is no JSON")
-    return data[20 : 20 + json_length]
-
-
 def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[str]:
-    for name in header.get("extensionsUsed", []):
-        if name in UNREAD:
-            yield f"it uses {name}: {UNREAD[name]}"
+    used = (name for name in header.get("extensionsUsed", []) if name in UNREAD)
+    yield from (f"it uses {name}: {UNREAD[name]}" for name in used)
     accessors = header.get("accessors", [])
     for accessor in accessors:
         if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):
@@ -219,8 +200,8 @@ def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[
     for primitive in (each for mesh in header.get("meshes", []) for each in mesh["primitives"]):
         if primitive.get("mode") == TRIANGLE_FAN:
             yield "it has triangle fans: export them as triangles"
-        used = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
-        for accessor in (accessors[index] for index in used if index is not None):
+        indices = primitive["attributes"].get("POSITION"), primitive.get("indices")
+        for accessor in (accessors[index] for index in indices if index is not None):
             if "sparse" in accessor:
                 yield "it has sparse accessors: export them as plain ones"
             if accessor.get("normalized"):

@@ -15,7 +15,7 @@ import numpy as np
 from navbake.baker.scene.kernels.triangles import measure_areas
 from navbake.baker.scene.mesh_readers import PREPARE, check_gltf, check_ply, read_plain
 from navbake.baker.scene.names import unique_name
-from navbake.config.scene import stem_of
+from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
@@ -40,13 +40,9 @@ OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_m
 
 
 class MeshPart(NamedTuple):
-    """One named piece of a mesh file; faces are counter-clockwise from outside.
+    """One named piece of a mesh file; faces are counter-clockwise from outside."""
 
-    Its name is the file's, and unique in what `read_mesh_parts` and `take_mesh_parts` return, which
-    is in the world's frame [m]; from a reader it is in the file's own frame and unit.
-    """
-
-    name: str
+    name: str  # the file's; unique once it is in the world's frame
     vertices: Float
     faces: Int32
 
@@ -55,10 +51,9 @@ def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPa
     """Read a mesh file as named parts in the world frame.
 
     Every object, group, solid and node of the file is read. A DAE's own ``<unit meter>`` is
-    applied first, then `unit`, then `up`. What the file itself says or implies about its
-    vertical axis (a DAE's ``<up_axis>``, glTF's y up) counts for nothing: files are wrong about
-    it too often, so `up` alone decides. Triangles without area, unused vertices and parts without
-    triangles are dropped. The parts' names are unique.
+    applied first, then `unit`, then `up`. What the file says of its vertical axis counts for
+    nothing, as files are wrong about it too often. Triangles without area, unused vertices and
+    parts without triangles are dropped.
 
     Raises:
         SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
@@ -93,7 +88,7 @@ def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) ->
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
     # kernels are compiled for arrays that can be written, and the caller may change these later
-    own = [MeshPart(part.name, part.vertices.copy(), part.faces.copy()) for part in found]
+    own = [MeshPart(name, vertices.copy(), faces.copy()) for name, vertices, faces in found]
     return _to_world(own, path, up, unit)
 
 
@@ -101,8 +96,7 @@ def lies_on_side(parts: Iterable[MeshPart]) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
     It does where its box is lowest along y, and the surface within 45° of facing along y has
-    `LYING` times the area of that facing along z. Buildings and sites are lower than they are
-    wide, and have more floor and ceiling than walls that face one way.
+    `LYING` times the area of that facing along z, as floors and ceilings have of walls.
     """
     parts = list(parts)
     # axis by axis: numpy takes ten times as long along the rows of a narrow array

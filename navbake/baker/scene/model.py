@@ -21,7 +21,7 @@ from navbake.baker.scene.mesh_scene import (
 )
 from navbake.baker.scene.names import name_at, unique_name
 from navbake.baker.scene.pose import data_with_joints
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.scene_files import mesh_places
 from navbake.processes import lacked_memory
@@ -181,10 +181,9 @@ def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
 
 
 def _build_model(parts: list[MeshPart], ground: float | None, warnings: list[str]) -> Any:
-    """A model of mesh parts: one static body and geom a part, which can't collide.
+    """A model of mesh parts' names: one static body and geom a part, which can't collide.
 
-    It has their names alone. Each geom has a tetrahedron in place of its triangles, because MuJoCo
-    compiles millions of them for many seconds: their geometry is in the parts.
+    Each has a tetrahedron in place of its triangles, which MuJoCo would compile for many seconds.
     """
     spec = mujoco.MjSpec()
     for part in parts:

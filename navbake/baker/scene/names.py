@@ -12,17 +12,11 @@ from navbake.types import Int
 
 
 class GeomNames(NamedTuple):
-    """The names that patterns match a geom by, and reports tell it by.
+    """The names that patterns match a geom by, and reports tell it by."""
 
-    Attributes:
-        geom: its own; ``geom <id>`` where it has none.
-        mesh: its mesh's; empty where it has none.
-        body: its body's; ``body <id>`` where it has none.
-    """
-
-    geom: str
-    mesh: str
-    body: str
+    geom: str  # ``geom <id>`` where it has none
+    mesh: str  # empty where it has none
+    body: str  # ``body <id>`` where it has none
 
 
 def name_at(model: Any, address: int) -> str:

@@ -43,10 +43,9 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     Parts are what hangs together over edges; vertices at one place count as one. A part encloses
     a volume when each of its edges is met as often in one direction as in the other, and it faces
     out: the volume that its triangles sum up to is positive. One that faces in is a cavity, and
-    counts, where it lies inside of one that faces out. By itself it is a room drawn from inside,
-    and encloses nothing. A triangle that hangs on a closed part by less than all of its edges is
-    no part of it, so that a stray one opens nothing. Nor is a membrane: a sheet across
-    the inside of one that is closed without it.
+    counts, where it lies inside of one that faces out; by itself it is a room drawn from inside.
+    Stray triangles that hang on a closed part by less than all of their edges open nothing, and
+    membranes across its inside hollow nothing.
 
     Triangles that face to the other side than most of the area that they hang together with, over
     edges at which two triangles meet, are taken as turned; in a closed part they are.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from navbake.baker.kernels.constants import BALL, FREE, HINGE, SLIDE
 from navbake.baker.scene.names import names_at
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.types import Int32
 
@@ -29,8 +29,16 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
     """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
     data = mujoco.MjData(model)
     with _errors_of(f"pose {settings.path}"):
-        if settings.keyframe is not None:
-            mujoco.mj_resetDataKeyframe(model, data, _keyframe_id(model, settings))
+        key = settings.keyframe
+        if isinstance(key, int) and key >= model.nkey:
+            raise ConfigError(
+                f"no keyframe {key} for `scene.keyframe`: {settings.path} has {model.nkey} of "
+                "them, counted from 0"
+            )
+        if isinstance(key, str):
+            key = _id_of(model, key, settings, "keyframe", model.name_keyadr)
+        if key is not None:
+            mujoco.mj_resetDataKeyframe(model, data, key)
         for name, value in settings.joints.items():
             _set_joint(model, data, settings, name, value)
         mujoco.mj_kinematics(model, data)
@@ -47,29 +55,24 @@ def _errors_of(what: str) -> Iterator[None]:
         raise SceneError(f"MuJoCo cannot {what}: {reason}") from error
 
 
-def _keyframe_id(model: Any, settings: SceneSettings) -> int:
-    key = settings.keyframe
-    if isinstance(key, int):
-        if key < model.nkey:
-            return key
-        raise ConfigError(
-            f"no keyframe {key} for `scene.keyframe`: {settings.path} has {model.nkey} of them, "
-            f"counted from 0"
-        )
-    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, key)
-    if found >= 0:
-        return int(found)
-    names = _listed(model, model.name_keyadr)
-    raise ConfigError(f"no keyframe {key!r} for `scene.keyframe`: {settings.path} has {names}")
+def _id_of(model: Any, name: str, settings: SceneSettings, kind: str, addresses: Int32) -> int:
+    """The id of a keyframe or joint; raises a ConfigError that lists those that there are."""
+    named = [known for known in names_at(model, addresses.tolist()) if known]
+    if name in named:
+        code = mujoco.mjtObj.mjOBJ_KEY if kind == "keyframe" else mujoco.mjtObj.mjOBJ_JOINT
+        return int(mujoco.mj_name2id(model, code, name))
+    listed = ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
+    setting = "keyframe" if kind == "keyframe" else "joints"
+    raise ConfigError(
+        f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has "
+        f"{listed or 'none with a name'}"
+    )
 
 
 def _set_joint(
     model: Any, data: Any, settings: SceneSettings, name: str, value: float | list[float]
 ) -> None:
-    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-    if joint < 0:
-        names = _listed(model, model.name_jntadr)
-        raise ConfigError(f"no joint {name!r} for `scene.joints`: {settings.path} has {names}")
+    joint = _id_of(model, name, settings, "joint", model.name_jntadr)
     expected = EXPECTED[int(model.jnt_type[joint])]
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if len(values) != int(expected[0]):
@@ -95,13 +98,6 @@ def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
                 f"at `scene.joints.{name}`: it is posed there anyway"
             )
     return notes
-
-
-def _listed(model: Any, addresses: Int32) -> str:
-    named = [name for name in names_at(model, addresses.tolist()) if name]
-    if not named:
-        return "none with a name"
-    return ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
 
 
 def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:

@@ -18,8 +18,7 @@ from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
-from navbake.config.scene import SceneSettings, stem_of
-from navbake.config.settings import AgentSettings, FloorSettings
+from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, stem_of
 from navbake.errors import SceneError
 from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
@@ -34,62 +33,37 @@ HIGH_MESH = 100.0
 
 @dataclass(frozen=True)
 class GeomReport:
-    """What became of one geom, for `navbake geoms`.
+    """What became of one geom, for `navbake geoms`."""
 
-    Attributes:
-        id: MuJoCo's geom id.
-        name: its name, or ``geom <id>`` where it has none; what patterns match.
-        body: its body's name, or ``body <id>``.
-        type: MuJoCo's type: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh, sdf.
-        counted: whether it takes part in the bake.
-        shape: as what: ``solid``; a plane as ``half-space``, ``strip`` (one side infinite) or
-            ``rectangle``; a mesh as ``hull``, ``shell``, ``surface``, ``closed surface`` (it
-            encloses a volume, whose inside is occupied) or ``partly closed`` (parts of it do),
-            with the number of triangles that were turned to face out;
-            empty where it isn't counted.
-        reason: why it is counted or left out.
-    """
-
-    id: int
-    name: str
-    body: str
-    type: str
-    counted: bool
+    id: int  # MuJoCo's
+    name: str  # which patterns match; ``geom <id>`` where it has none
+    body: str  # its body's name, or ``body <id>``
+    type: str  # MuJoCo's: plane, hfield, sphere, capsule, ellipsoid, cylinder, box, mesh, sdf
+    counted: bool  # whether it takes part in the bake
+    # as what, empty where it isn't counted: solid; half-space, strip (one side infinite) or
+    # rectangle; hull, shell, surface, closed surface (its inside is occupied) or partly closed,
+    # with the number of triangles that were turned to face out
     shape: str
-    reason: str
+    reason: str  # why it is counted or left out
 
 
 @dataclass
 class Scene:
-    """A posed scene, ready for rays and overlaps.
-
-    Attributes:
-        id: the scene's id.
-        geoms: what became of each geom, by geom id.
-        shapes: the counted geoms' geometry, world frame.
-        bounds: (2, 3) float64, lower and upper corner of all counted finite geoms [m], or None
-            where only infinite planes count.
-        digest: sha256 of the posed model: what its geoms are, where, and what they can do.
-        warnings: what the user should know, one line each.
-        model: the compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the
-            ground, but a tetrahedron in place of each part, see `parts`.
-        data: its mujoco.MjData in the pose that is baked.
-        choices: what becomes of each geom, by geom id.
-        parts: the meshes of a mesh scene by geom id, world frame, exact.
-        meshes: what the model's meshes count by, for geoms in other poses.
-    """
+    """A posed scene, ready for rays and overlaps."""
 
     id: str
-    geoms: list[GeomReport]
-    shapes: Shapes
-    bounds: Float | None
-    digest: str
-    warnings: list[str]
+    geoms: list[GeomReport]  # by geom id
+    shapes: Shapes  # the counted geoms' geometry, world frame
+    bounds: Float | None  # corners of all counted finite geoms, (2, 3) [m]; None without
+    digest: str  # sha256 of the posed model: what its geoms are, where, and what they can do
+    warnings: list[str]  # one line each
+    # The compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the ground, but a
+    # tetrahedron in place of each part
     model: Any
-    data: Any
-    choices: list[Choice]
-    parts: dict[int, MeshPart]
-    meshes: MeshTriangles
+    data: Any  # its mujoco.MjData in the pose that is baked
+    choices: list[Choice]  # by geom id
+    parts: dict[int, MeshPart]  # the exact meshes of a mesh scene by geom id, world frame
+    meshes: MeshTriangles  # what the model's meshes count by, for geoms in other poses
 
 
 @collector_off()
@@ -103,11 +77,8 @@ def load_scene(
 ) -> Scene:
     """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
 
-    Args:
-        agent: for whom `scene.meshes: auto` looks for room in the hulls of meshes, and
-        floors: how large that has to be; the defaults if None.
-        limits: MuJoCo compiles in a child process, within these; in this process if None.
-        opened: the scene's model, where it is in memory; that of the settings' file if None.
+    Agent and floors are for `scene.meshes: auto`, which looks for room in the hulls of meshes.
+    With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
 
     Raises:
         SceneError: the file is missing or broken, or holds no geom that counts.
@@ -146,18 +117,9 @@ def load_scene(
         for geom, (names, choice) in enumerate(zip(all_names(model).geoms, choices, strict=True))
     ]  # fmt: skip
     return Scene(
-        id=settings.id or stem_of(settings.path),
-        geoms=geoms,
-        shapes=collected.shapes,
-        bounds=collected.shapes.bounds,
-        digest=digest(),
-        warnings=warnings,
-        model=model,
-        data=data,
-        choices=choices,
-        parts=parts,
-        meshes=meshes,
-    )
+        settings.id or stem_of(settings.path), geoms, collected.shapes, collected.shapes.bounds,
+        digest(), warnings, model, data, choices, parts, meshes,
+    )  # fmt: skip
 
 
 def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> OpenScene:
@@ -225,8 +187,7 @@ def start_digest(
 ) -> Callable[[], str]:
     """Start the sha256 of what the bake can see of a posed model; returns what waits for its hex.
 
-    Small arrays become one, which is hashed on another thread: a hash lets go of Python's lock for
-    each that it is given, and to get that back takes longer than the hash.
+    Small arrays are hashed as one: a hash lets go of Python's lock for each that it is given.
     """
     begun, sites, joints = names or digest_names(model)
     digest, left = begun.copy(), bytearray()

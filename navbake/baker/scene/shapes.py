@@ -48,21 +48,15 @@ class Planes(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """Triangles of meshes, hulls, height fields and finite planes.
-
-    Attributes:
-        geom: MuJoCo's geom id of each, ascending, shape (m,), int32.
-        part: the part of its geom's mesh that each belongs to, shape (m,), int32: 0 for what
-            encloses nothing, and for all triangles of what is no mesh.
-        closed: what that part encloses, shape (m,), uint8: OPEN_SURFACE, CLOSED_SURFACE, SOLID
-            (height fields) or CONVEX_SOLID (hulls). Inside of all but the first counts as occupied.
-        corners: shape (m, 3, 3), float64 [m], counter-clockwise from the front.
-    """
+    """Triangles of meshes, hulls, height fields and finite planes, by geom, ascending."""
 
     geom: Int32
+    # of its geom's mesh: 0 for what encloses nothing, and for all that is no mesh
     part: Int32
+    # OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls): inside of all but
+    # the first counts as occupied
     closed: NDArray[np.uint8]
-    corners: Float
+    corners: Float  # (m, 3, 3), counter-clockwise from the front [m]
 
 
 Items = TypeVar("Items", Solids, Planes, Triangles)
@@ -70,19 +64,12 @@ Items = TypeVar("Items", Solids, Planes, Triangles)
 
 @dataclass(frozen=True)
 class Shapes:
-    """All counted geometry.
-
-    Attributes:
-        solids: the primitive solids.
-        planes: the infinite planes.
-        triangles: everything that is made of triangles.
-        endless: by geom id, shape (ngeom,), bool: planes with one infinite side; they are
-            triangles of FAR, and don't count towards the box.
-    """
+    """All counted geometry."""
 
     solids: Solids
     planes: Planes
     triangles: Triangles
+    # By geom id, planes with one infinite side: triangles of FAR, which don't count for the box
     endless: Bool
 
     @cached_property
@@ -135,11 +122,7 @@ def find_reach(kind: Int32, way: Float, size: Float) -> Float:
 
 
 def plane_triangles(half: Float) -> Float:
-    """A plane with a finite side as two triangles that face its z, in its geom's frame.
-
-    Args:
-        half: its half-sizes, shape (2,) [m]; 0 for infinite.
-    """
+    """A plane with a finite side as two triangles that face its z; half-sizes of 0 are infinite."""
     x, y = np.where(half > 0, half, FAR)
     corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
     return corners[[[0, 1, 2], [0, 2, 3]]]
@@ -149,8 +132,7 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     """A height field as a closed mesh in its geom's frame: top, four sides and bottom.
 
     Its cells are split from their lower corner to their upper one, as MuJoCo's rays and collisions
-    split them. Takes heights of 0 to 1, row 0 at the smallest y, and MuJoCo's size (x half, y half,
-    top, base) [m]; returns corners, (m, 3, 3), counter-clockwise from outside [m].
+    split them. Heights are 0 to 1, row 0 at the smallest y; the size is MuJoCo's.
     """
     rows, cols = heights.shape
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
@@ -171,11 +153,7 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
 
 
 def hull_faces(vertices: Float) -> Int32 | None:
-    """The convex hull of points, shape (n, 3); None if they lie in a plane.
-
-    Returns:
-        Indices of the corners, shape (m, 3), counter-clockwise from outside.
-    """
+    """Corners of the convex hull's faces, counter-clockwise from outside; None for a flat one."""
     try:
         hull = spatial.ConvexHull(vertices)
     except (spatial.QhullError, ValueError):  # flat, or fewer than four

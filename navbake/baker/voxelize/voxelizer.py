@@ -19,7 +19,7 @@ from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
 from navbake.config.keywords import SettingKeywords
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_bands

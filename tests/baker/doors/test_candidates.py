@@ -14,8 +14,7 @@ from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.names import find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.scene import SceneSettings
-from navbake.config.settings import DoorSettings, load_config, parse_config
+from navbake.config.settings import DoorSettings, SceneSettings, load_config, parse_config
 from project_paths import CONFIGS
 
 HANDLE = '<body name="handle" pos="0 0.8 1"><geom type="sphere" size="0.03"/></body>'

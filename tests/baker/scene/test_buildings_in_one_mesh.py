@@ -11,8 +11,7 @@ import trimesh
 
 from navbake.baker.pipeline import BakeResult, run_bake
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.scene import SceneSettings
-from navbake.config.settings import AgentSettings, FloorSettings, parse_config
+from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, parse_config
 from navbake.errors import ConfigError, SceneError
 from project_paths import SHARED_DATA
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from navbake.baker.scene.scene import load_scene
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 
 OFF = 'contype="0" conaffinity="0"'

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from navbake.baker.scene.collect import MeshTriangles
 from navbake.baker.scene.model import load_model
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 
 

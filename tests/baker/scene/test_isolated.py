@@ -17,7 +17,7 @@ from navbake.baker.scene import isolated
 from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.model import load_model
 from navbake.cli.main import main
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from project_paths import CONFIGS, ROOT
 

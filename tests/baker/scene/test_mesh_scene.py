@@ -16,7 +16,7 @@ from navbake.baker.scene import mesh_scene
 from navbake.baker.scene.mesh_readers import read_plain
 from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.baker.scene.scene import load_scene
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import SHARED_DATA
 from scene_files import WEDGE, write_dae

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from navbake.baker.scene.scene import load_scene
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from oracles.rays import first_hit
 from scene_files import WEDGE

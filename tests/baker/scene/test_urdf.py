@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from navbake.baker.scene.scene import load_scene
-from navbake.config.scene import SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from scene_files import WEDGE, write_dae
 
