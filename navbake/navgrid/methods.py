@@ -19,7 +19,7 @@ class Operations:
     at = Method[Any]("navbake.runtime.place:place_at")
     values_at = Method[NDArray[Any]]("navbake.runtime.place:values_at")
     inflate = Method[Any]("navbake.runtime.inflation:inflate")
-    inflate_footprint = Method[list[Bool]]("navbake.runtime.footprint:inflate_footprint")
+    inflate_footprint = Method[list[Bool]]("navbake.runtime.inflation:inflate_footprint")
     block = Method[Block]("navbake.runtime.blocks:block")
     tensors = Method[Any]("navbake.tensors.build:make_tensors")
     describe_cell = Method[Json]("navbake.views.describe:describe_cell")

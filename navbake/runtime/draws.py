@@ -11,7 +11,7 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.cells import check_level, check_positions
 from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, place_crowd
-from navbake.runtime.flat_grid import REAL, check_distance
+from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import find_blocked
@@ -394,8 +394,9 @@ class DrawQuestions(PlaceQuestions):
         flat = self.search.flat
         p, home = flat.locate(position, level)
         if home < 0:
-            where = ", ".join(f"{v:g}" for v in p)
-            raise QueryError(f"{where} is in no cell of {self.grid.scene_id!r}: nothing is near")
+            raise QueryError(
+                f"{text_of(p)} is in no cell of {self.grid.scene_id!r}: nothing is near"
+            )
         if straight:
             return cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
         flat.free_cell_at(p, level)

@@ -34,21 +34,15 @@ class FlatGrid:
     Where a link leads, the baker has decided about the floor: it joins two cells, both ways,
     whenever both are free.
 
-    Attributes:
-        layout: where the cells of each level lie.
-        links: steps between cells that are not neighbours on one level.
-        floors: heights of the cells' floors [m], and `max_step`.
-        free: by flat id, shape (n,), bool.
-        weight: cost of a cell, shape (n,), float64, inf where it isn't free.
-        slopes: by flat id, uint8, to which neighbours a link leads on the same level: bits EAST
-            and SOUTH of `navbake.runtime.kernels.arrays`; empty where none does.
     """
 
-    layout: Layout
-    links: Links
-    floors: Floors
-    free: Bool
-    weight: Float
+    layout: Layout  # where the cells of each level lie
+    links: Links  # steps between cells that are not neighbours on one level
+    floors: Floors  # heights of the cells' floors [m], and `max_step`
+    free: Bool  # by flat id, shape (n,)
+    weight: Float  # cost of a cell, by flat id, inf where it isn't free
+    # by flat id, to which neighbours a link leads on the same level: bits EAST and SOUTH of
+    # `navbake.runtime.kernels.arrays`; empty where none does
     slopes: NDArray[np.uint8]
 
     @property
@@ -108,17 +102,14 @@ class FlatGrid:
         """As `locate`; raises QueryError where no agent can stand."""
         p, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
-            where = ", ".join(f"{v:g}" for v in p)
-            raise QueryError(f"no agent can stand at {where}: snap it to the nearest place first")
+            raise QueryError(
+                f"no agent can stand at {text_of(p)}: snap it to the nearest place first"
+            )
         return p, cell
 
     def positions(self, cells: Int | int) -> Float:
-        """World positions of cells' centres on the floor, or else the level's ground [m].
-
-        Shape (..., 3), float64, of flat ids of shape (...).
-        """
-        level = self.level_of(cells)
-        row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
+        """Centres of cells on the floor, or else the level's ground: world [m], shape (..., 3)."""
+        level, row, col = self.split(cells)
         size = self.layout.cell_size[level]
         x = self.layout.x_min[level] + (col + 0.5) * size
         y = self.layout.y_max[level] - (row + 0.5) * size
@@ -137,6 +128,11 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
         raise QueryError(f"expected a {name} >= 0 m, got {distance!r}")
 
 
+def text_of(position: Float) -> str:
+    """A position for a message."""
+    return ", ".join(f"{v:g}" for v in position)
+
+
 def as_points(p: Float, level: int | None) -> tuple[int, Float]:
     """Checked positions as kernels take them: the level, -1 for any, and positions (n, 2 or 3)."""
     on = 0 if level is None and p.shape[-1] == 2 else -1 if level is None else int(level)
@@ -151,9 +147,10 @@ def flatten(grid: NavGrid) -> FlatGrid:
     start = np.append(0, np.cumsum(width * height))
     layout = arrays.Layout(start, width, height, x_min, y_max, cell_size)
     floor = [v.floor if v.uses_cell_floors else np.full(v.shape, v.ground) for v in levels]
-    z, ground = _flat(floor), np.array([level.ground for level in levels], dtype=np.float64)
+    z = np.concatenate([layer.ravel() for layer in floor])
+    ground = np.array([level.ground for level in levels], dtype=np.float64)
     floors = arrays.Floors(z, ground, step_limit(grid) * grid.unit)
-    weight = _flat([level.weights.astype(np.float64) for level in levels])
+    weight = np.concatenate([level.weights.ravel() for level in levels]).astype(np.float64)
     free = np.isfinite(weight)
     weight[~free] = np.inf
     given = grid.link_array
@@ -180,7 +177,3 @@ def flatten(grid: NavGrid) -> FlatGrid:
     least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
     links.length[:] = np.maximum(along + (math.sqrt(2.0) - 1.0) * across, least)
     return flat
-
-
-def _flat(layers: list[NDArray[np.float64]]) -> Float:
-    return np.concatenate([layer.ravel() for layer in layers])

@@ -1,6 +1,8 @@
 """The same grid for a larger agent: cells that it can't stand on, costs near walls, and margins.
 
-Which cells `exact` blocks: `navbake.runtime.surroundings`.
+Which cells `exact` blocks: `navbake.runtime.surroundings`. A footprint that isn't round counts
+alike: it must not meet the square of an occupied cell (touching is not meeting), and a floor is
+needed under the agent's origin only.
 
 In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
 else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
@@ -8,11 +10,8 @@ for a radius so much larger that the discs round both ends cover the way. Straig
 centres need cells in which the agent may be anywhere; or cells near which nothing but solid
 squares of their own level is in the way, so that a sweep of the disc along the line decides.
 Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
-and as near to it.
-
-Floors are known at cells' centres: where one is a step higher than the next, the edge between
-them may be half a cell off, and so may the edges beside it. There, steps go straight from centre
-to centre, as the bake knows them.
+and as near to it. Beside a step of the floor, edges are known to half a cell only: there, steps go
+from centre to centre, as the bake knows them.
 
 Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
@@ -22,15 +21,22 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.polygon import find_fault
 from navbake.runtime.flat_grid import REAL
-from navbake.runtime.surroundings import LEAST_FLOOR, find_blocked, find_blocked_by_others
-from navbake.types import Bool, Float, Json
+from navbake.runtime.surroundings import (
+    LEAST_FLOOR,
+    block_by_others,
+    find_blocked,
+    find_blocked_by_others,
+    find_surroundings,
+)
+from navbake.types import Bool, Float, Int, Json
 
 kernels = lazy("navbake.runtime.kernels.inflation")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")
@@ -45,6 +51,9 @@ LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
 SCALING = 10.0  # [1/m], nav2's default in code
 MAX_RADIUS = 10_000.0  # [m]
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
+MAX_HEADINGS = 720
+MAX_REACH = 1000  # [cells] of a footprint
+TOUCH = 1e-9  # [cells] by which a polygon may overlap a square that it touches
 
 
 def inflate(
@@ -124,14 +133,18 @@ def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
     In cells: the radius, and the sum of radius and clearance. The client divides the sum, which
     in floating point is not the sum of the quotients; its window leaves out its far row and column.
     """
-    occupied = np.ascontiguousarray(level.occupancy)
-    reach = math.ceil(far - 0.5)
+    occupied = level.occupancy != 0
+    reach = min(math.ceil(far - 0.5), max(level.shape) + 1)
     if reach <= 0:
-        return np.where(occupied != 0, np.inf, 1.0)
-    has_floor, weights = ~np.isnan(level.floor_height), np.empty(level.shape)
-    reach = min(reach, max(level.shape) + 1)
-    kernels.refine_window(occupied, has_floor, radius, far, reach, LEAST_FLOOR, weights)
-    return weights
+        return np.where(occupied, np.inf, 1.0)
+    steps = np.arange(-reach, reach)
+    squares = steps[:, None] ** 2 + steps**2
+    inner, outer = (_to_runs(np.argwhere(squares < size * size) - reach) for size in (radius, far))
+    masks = (occupied, np.ones_like(occupied), ~np.isnan(level.floor_height))
+    hits, within, with_floor = (kernels.count_runs(mask, inner) for mask in masks)
+    too_few = (within > 0) & (with_floor / np.maximum(within, 1) < LEAST_FLOOR)
+    soft = np.where(kernels.count_runs(occupied, outer) > 0, STEP_COST, 1.0)
+    return np.where((hits > 0) | too_few, np.inf, soft)
 
 
 def nav2_costs(
@@ -145,25 +158,28 @@ def nav2_costs(
     solid, cell = level.solid != 0, level.lattice.cell_size
     if not solid.any():
         return np.zeros(level.shape, dtype=np.uint8)
-    distance, slack = ndimage.distance_transform_edt(~solid) * cell, 1e-9 * cell
+    # squared distances in cells are whole numbers: a table has the cost of each
+    squares = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
+    last = min(int(squares.max()), math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1)
+    distance, slack = np.sqrt(np.arange(last + 1)) * cell, 1e-9 * cell
     falling = np.floor(LETHAL_COST * np.exp(-scaling * np.maximum(distance - radius, 0)) + 1e-9)
     cost = np.where(distance <= radius + slack, 253, falling)
     cost[distance > inflation_radius + slack] = 0
-    cost[solid] = 254
-    return cost.astype(np.uint8)
+    cost[0] = 254
+    costs: NDArray[np.uint8] = cost.astype(np.uint8).take(squares, mode="clip")
+    return costs
 
 
 def check_radius(radius: float, name: str = "radius") -> None:
     """Raise a QueryError for anything but a number from 0 to 10,000 m."""
-    is_number = isinstance(radius, REAL)
-    if not is_number or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
+    if not isinstance(radius, REAL) or isinstance(radius, bool) or not 0 <= radius <= MAX_RADIUS:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
 
 
-def check_ledges(ledges: str) -> None:
-    """Raise a QueryError for anything but ``avoid`` and ``ignore``."""
-    if ledges not in LEDGES:
-        raise QueryError(f"expected {' or '.join(LEDGES)} as ledges, got {ledges!r}")
+def check_ledges(value: str, known: tuple[str, ...] = LEDGES, name: str = "ledges") -> None:
+    """Raise a QueryError for anything but ``avoid`` and ``ignore``, or other known words."""
+    if value not in known:
+        raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
 
 
 def check_arguments(
@@ -179,19 +195,22 @@ def check_arguments(
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
-    for value, known, name in ((mode, MODES, "mode"), (costs, COSTS, "costs")):
-        if value not in known:
-            raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
+    check_ledges(mode, MODES, "mode")
+    check_ledges(costs, COSTS, "costs")
     check_ledges(ledges)
     if mode == "minos" and costs != "step":
         raise QueryError("mode minos has costs of its own (step): leave `costs` out")
-    is_number = isinstance(scaling, REAL)
-    if not is_number or not 0 < scaling < math.inf:
+    if not isinstance(scaling, REAL) or not 0 < scaling < math.inf:
         raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
 
 
 def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> AnyGrid:
     """The grid with other weights, layers that follow from them, and a note in its metadata."""
+
+    def noted(metadata: dict[str, Any]) -> dict[str, Any]:
+        earlier: Any = metadata.get("inflation")
+        return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
+
     levels = []
     for level, weight in zip(grid.levels, weights, strict=True):
         # Attributes that a file without them would derive from the weights are stored first, so
@@ -200,18 +219,13 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
         kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
         if not level.uses_cell_floors:  # what the file stores is not the floor
             kept["floorHeight"] = baked["floorHeight"].copy()
-        noted = _noted(level.metadata, done)
-        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=noted))
-    inflated = grid.with_levels(levels, _noted(grid.metadata, done))
+        metadata = noted(level.metadata)
+        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=metadata))
+    inflated = grid.with_levels(levels, noted(grid.metadata))
     if grid.navbake:  # in files of other programs these names may mean anything
         names = {name for level in levels for name in level.attributes}
         add_layers(inflated, names & {"island", "clearance"})
     return inflated
-
-
-def _noted(metadata: dict[str, Any], done: dict[str, Any]) -> dict[str, Any]:
-    earlier = metadata.get("inflation")
-    return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
 
 
 def exact_radius(grid: NavGrid) -> float:
@@ -288,3 +302,106 @@ def _larger(radius: float, cell_size: float) -> tuple[float, float]:
     # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
     # from its centre.
     return math.sqrt(radius**2 + cell_size**2 / 2), radius + cell_size / math.sqrt(2)
+
+
+def inflate_footprint(
+    grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
+) -> list[Bool]:
+    """Where an agent that isn't round can stand, heading by heading.
+
+    Args:
+        polygon: its outline from above, shape (n, 2), n >= 3, in its own frame [m]: x ahead,
+            y to the left, its centre at the origin. Without crossings.
+        num_headings: how many headings; number k looks along ``2 π k / num_headings``,
+            counter-clockwise from the world's x.
+        ledges: as of `inflate`.
+
+    Returns:
+        For each level, shape (num_headings, height, width), bool: whether the cell is free
+        and the polygon, its origin on the cell's centre, meets no occupied cell's square;
+        see the module.
+
+    Raises:
+        QueryError: the polygon is none, or there is no heading.
+    """
+    outline = _check_polygon(polygon)
+    check_ledges(ledges)
+    if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
+        raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
+    masks = []
+    for number, level in enumerate(grid.levels):
+        radius = float(np.hypot(*outline.T).max())
+        reach = math.ceil(radius / level.lattice.cell_size) + 1
+        if reach > MAX_REACH:
+            raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
+        storeys, inside = find_surroundings(grid, number, reach)
+        free = np.empty((num_headings, *level.shape), dtype=np.bool_)
+        for k in range(num_headings):
+            angle = 2 * math.pi * k / num_headings
+            cos, sin, (x, y) = math.cos(angle), math.sin(angle), outline.T / level.lattice.cell_size
+            offsets = _footprint_offsets(cos * x - sin * y, -(sin * x + cos * y))
+            runs = _to_runs(offsets)
+            blocked = kernels.count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
+            block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+            free[k] = level.free_for_point & ~blocked[inside]
+        masks.append(free)
+    return masks
+
+
+def _footprint_offsets(x: Float, y: Float) -> Int:
+    """Steps (row, col) from a cell to those whose squares a polygon on its centre meets.
+
+    A polygon, in columns and rows, meets a square where an edge runs through the square's inside,
+    or where the square's centre is within the polygon. Sorted by row, then column.
+    """
+    low, high = math.floor(min(y.min(), 0) - 0.5), math.ceil(max(y.max(), 0) + 0.5)
+    left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
+    rows, cols = np.mgrid[low : high + 1, left : right + 1].astype(np.float64)
+    meets, inside = np.zeros((2, *rows.shape), dtype=np.bool_)
+    for k in range(len(x)):
+        x0, y0, x1, y1 = x[k - 1], y[k - 1], x[k], y[k]
+        spans = (y0 > rows) != (y1 > rows)  # inside by the parity of a ray's crossings
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= spans & (cols < x0 + (rows - y0) / (y1 - y0) * (x1 - x0))
+        meets |= _runs_through(cols, rows, (x0, y0), (x1, y1))
+    offsets: Int = np.argwhere(meets | inside) + np.array([low, left], dtype=np.int64)
+    return offsets
+
+
+def _runs_through(px: Float, py: Float, a: tuple[float, float], b: tuple[float, float]) -> Bool:
+    """Whether a segment has points inside of squares round some centres (Liang and Barsky 1984)."""
+    enters, leaves = np.zeros(px.shape), np.ones(px.shape)
+    half = 0.5 - TOUCH
+    for start, end, centre in ((a[0], b[0], px), (a[1], b[1], py)):
+        step = end - start
+        if abs(step) < TOUCH:
+            leaves = np.where(np.abs(start - centre) < half, leaves, -1.0)
+            continue
+        near, far = (centre - half - start) / step, (centre + half - start) / step
+        enters = np.maximum(enters, np.minimum(near, far))
+        leaves = np.minimum(leaves, np.maximum(near, far))
+    return np.asarray(enters < leaves)
+
+
+def _to_runs(offsets: Int) -> Int:
+    """Pack steps, by row and column, into runs: row, first column, last column."""
+    row, col = offsets.T
+    is_first = np.ones(len(row), dtype=np.bool_)
+    is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)
+    is_last = np.roll(is_first, -1)
+    return np.stack([row[is_first], col[is_first], col[is_last]], axis=1)
+
+
+def _check_polygon(polygon: ArrayLike) -> Float:
+    try:
+        outline = np.asarray(polygon, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise QueryError(f"expected a polygon of shape (n, 2) [m], got {polygon!r}") from error
+    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        raise QueryError(f"expected a polygon of shape (n, 2) [m], n >= 3, got {outline.shape}")
+    if not np.isfinite(outline).all():
+        raise QueryError("expected a polygon of finite numbers [m]")
+    fault = find_fault(outline)
+    if fault:
+        raise QueryError(f"expected the outline of an area, got {fault}")
+    return outline

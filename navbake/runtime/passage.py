@@ -1,4 +1,4 @@
-"""The widest agent that gets from one place to another, and where it only just fits.
+"""The widest agent that gets from one place to another, and why there is no path, in one sentence.
 
 A larger radius never frees a cell. So the radii that get there are those up to a largest one, which
 a bisection finds. It is exact, because inflation tells only a few radii apart: those at which a
@@ -16,19 +16,30 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import FlatGrid
-from navbake.runtime.inflation import MAX_RADIUS, check_ledges, exact_radius, ledges_of
+from navbake.runtime.flat_grid import FlatGrid, text_of
+from navbake.runtime.inflation import (
+    MAX_RADIUS,
+    agent_radius,
+    check_ledges,
+    exact_radius,
+    ledges_of,
+)
 from navbake.runtime.paths import Goal, find_target
-from navbake.runtime.regions import map_islands
+from navbake.runtime.place import place_in
+from navbake.runtime.regions import doors_on, map_islands
 from navbake.runtime.search import Search
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int
 
 routes = lazy("navbake.runtime.kernels.routes")  # numba loads slowly
+spatial = lazy("scipy.spatial")  # few need it
 
 MAX_LISTED = 4096  # radii that are listed at once; bisection narrows a wider range first
 NARROW = 1000.0  # weight of a cell that a larger agent loses: a way goes round it if it can
 MAX_STOPS = 200  # cells that are looked at for the narrowest one of a gap
+MAX_NAMES = 4  # of what blocks, listed in a sentence
+RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
+BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +75,7 @@ def find_passage(
 
     p, origin = flat.locate(start, level, "start")
     if origin < 0 or not standable[origin]:
-        where = ", ".join(f"{v:g}" for v in p)
-        raise QueryError(f"no way from {where}: {reason(origin >= 0)}")
+        raise QueryError(f"no way from {text_of(p)}: {reason(origin >= 0)}")
     if isinstance(goal, str) and goal.startswith("object:"):
         raise QueryError(
             f"expected a position or room:NAME as goal, got {goal!r}: how near an agent gets to an "
@@ -158,7 +168,7 @@ def deflated(grid: NavGrid) -> NavGrid:
 def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
     """The grid with other weights, by flat id, as if never inflated."""
     metadata = {key: value for key, value in grid.metadata.items() if key != "inflation"}
-    ends = np.cumsum([level.width * level.height for level in grid.levels])
+    ends = np.cumsum([level.free.size for level in grid.levels])
     pairs = zip(grid.levels, np.split(weights, ends[:-1]), strict=True)
     return grid.with_levels(
         [level.with_layers(weights=w.reshape(level.shape)) for level, w in pairs], metadata
@@ -168,11 +178,10 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
 def flanks(flat: FlatGrid, route: Int) -> Int:
     """The cells beside the diagonal steps of a route, which no step may cut, by flat id."""
     level, row, col = flat.split(route)
-    is_diagonal = (np.diff(level) == 0) & (np.abs(np.diff(row)) == 1) & (np.abs(np.diff(col)) == 1)
-    one, other = np.flatnonzero(is_diagonal), np.flatnonzero(is_diagonal) + 1
-    first, width = flat.layout.start[level[one]], flat.layout.width[level[one]]
-    beside = [first + row[a] * width + col[b] for a, b in ((one, other), (other, one))]
-    return np.concatenate(beside)
+    steps = np.abs(np.diff([level, row, col]))
+    one = np.flatnonzero((steps.T == (0, 1, 1)).all(axis=1))
+    across = col[one + 1] - col[one]
+    return np.concatenate([route[one] + across, route[one + 1] - across])
 
 
 def _radii_between(grid: NavGrid, low: float, high: float) -> Float | None:
@@ -189,17 +198,158 @@ def _radii_between(grid: NavGrid, low: float, high: float) -> Float | None:
     return np.unique(np.concatenate(radii))
 
 
-def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> tuple[float, Float] | None:
-    """Find the gap that keeps an agent of an inflated grid's radius from a goal.
-
-    Origin and goals are free cells, by flat id, in different islands. Its width is that between the
-    obstacles [m] (on the centres of cells, up to a cell more is needed), and its position world
-    x, y, z of a cell there [m]. None if the grid isn't inflated, or no smaller radius passes.
-    """
-    if exact_radius(grid) == 0.0:
+def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
+    """`PathFinder.why_not`."""
+    flat = search.flat
+    p, origin = flat.locate(start, level, "start")
+    target = find_target(search, goal, level)
+    if origin < 0 or not flat.free[origin]:
+        return f"the start {_why_not_free(search, p, origin)}"
+    goals = target.free_cells(flat)
+    if not len(goals):
+        if target.positions is not None:
+            first = _why_not_free(search, target.positions[0], int(target.cells[0]))
+            if len(target.positions) == 1:
+                return f"the goal {first}"
+            return f"none of the {len(target.positions)} goals is free: the first {first}"
+        where = f"no cell of {target.name}"
+        if not target.name.startswith("room"):
+            where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
+        return f"{where} is free for a radius of {agent_radius(search.grid):g} m"
+    if search.route(origin, goals) is not None:
         return None
+    apart, cells = _apart(search, origin, goals)
+    because = (
+        _blocked_for_now(search, origin, goals)
+        or _doors(search, origin, goals)
+        or _gap(search, origin, goals)
+        or _links(search, origin, goals)
+    )
+    if not because and cells is not None:  # what stands on the line between the nearest cells
+        on, row, col = flat.split(cells)
+        count = int(np.abs(np.diff([row, col])).max()) + 1
+        line = np.rint(np.linspace((row[0], col[0]), (row[1], col[1]), count)).astype(np.int64)
+        first, width = flat.layout.start[on[0]], flat.layout.width[on[0]]
+        names = _names(search, first + line @ [width, 1])
+        because = f"between them: {names}" if names else None
+    return f"{apart}; {because}" if because else apart
+
+
+def _why_not_free(search: Search, position: Float, cell: int) -> str:
+    """Why no agent can stand at a position, and where the nearest free cell is."""
+    grid, flat = search.grid, search.flat
+    if cell < 0:
+        boxes = np.array([level.lattice.bounds for level in grid.levels])
+        (x0, y0), (x1, y1) = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+        what = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
+            what = "has no floor below it"
+    else:
+        place = place_in(grid, flat.cell(cell))
+        if place.is_blocked:
+            what = "is blocked for now"
+        elif place.floor is None:
+            what = "is on no floor"
+        elif place.occupied:
+            names = _names(search, np.array([cell]))
+            what = f"is where something stands{f' ({names})' if names else ''}"
+        else:
+            what = "is too near to what stands beside it for a radius of "
+            what += f"{agent_radius(grid):g} m"
+    what = f"{_text(position)} {what}"
+    free = np.flatnonzero(flat.free)
+    if not len(free):
+        return f"{what}, and no cell is free at all"
+    level = 0 if cell < 0 else int(flat.level_of(cell))
+    z = position[2] if len(position) == 3 else flat.floors.ground[level]
+    places = flat.positions(free)
+    distance = np.linalg.norm(places - [position[0], position[1], z], axis=1)
+    k = int(np.argmin(distance))
+    return f"{what}; the nearest free cell is at {_text(places[k])}, {distance[k]:.2f} m away"
+
+
+def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
+    """Name the two islands, and find their two nearest cells, if on one level."""
+    flat, islands = search.flat, search.islands
+    home = islands.number[origin]
+    away = np.unique(islands.number[goals])
+    edge = flat.free & (search.graph.moves != 255)
+    ones, others = (np.flatnonzero(edge & np.isin(islands.number, which)) for which in (home, away))
+    # One tree for all levels: as a third coordinate, each level is farther from the next than any
+    # two cells of one level can be.
+    reach = 10.0 * float(flat.layout.start[-1])
+    places = [
+        np.column_stack([flat.positions(c)[:, :2], flat.level_of(c) * reach])
+        for c in (ones, others)
+    ]
+    distance, index = spatial.cKDTree(places[1]).query(places[0])
+    one = int(np.argmin(distance))
+    cells = np.array([ones[one], others[index[one]]])
+    goal = int(islands.number[cells[1]])
+    text = (
+        f"the goal is in island {goal} ({islands.areas[goal]:.2f} m²), the start in island "
+        f"{home} ({islands.areas[home]:.2f} m²)"
+    )
+    if distance[one] >= reach:
+        return f"{text}, which have no level in common", None
+    a, b = (_text(place) for place in flat.positions(cells))
+    return f"{text}; their nearest cells are {distance[one]:.2f} m apart, at {a} and {b}", cells
+
+
+def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
+    """What `grid.block` blocks on the way there would be."""
+    grid, flat = search.grid, search.flat
+    clean = grid.without_blocks()
+    if clean is grid:
+        return None
+    route = Search(clean, cut_corners=search.cut_corners).route(origin, goals)
+    if route is None:
+        return None
+    stops = np.flatnonzero(~flat.free[route])
+    around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
+    heights = flat.positions(around)[:, 2]
+    is_stairs = np.ptp(heights) > RISE
+    text = f"the {'stairs' if is_stairs else 'way'} at {_text(flat.positions(route[stops[0]]))}"
+    if is_stairs:
+        levels = np.unique(flat.level_of(route))
+        if len(levels) > 1:
+            text += f" between {_level(grid, int(levels[0]))} and {_level(grid, int(levels[-1]))}"
+    for steps in _closed_steps(search):
+        text += f", {steps},"
+    return f"{text.rstrip(',')} {'are' if is_stairs else 'is'} blocked for now"
+
+
+def _doors(search: Search, origin: int, goals: Int) -> str | None:
+    """The doors that would join start and goal if they weren't there."""
+    grid, flat = search.grid, search.flat
+    if not grid.doors:
+        return None
+    radius = exact_radius(grid)
+    without = deflated(grid.without_blocks()).with_doors("removed")
+    if radius:
+        without = without.inflate(radius, ledges=ledges_of(grid))
+    route = Search(without, cut_corners=search.cut_corners).route(origin, goals)
+    if route is None:
+        return None
+    names = list(dict.fromkeys(doors_on(search.doors, route[~flat.free[route]])))
+    if not names:
+        return None
+    states = {door.id: door.state for door in grid.doors}
+    states |= {name: "as modelled" for name, state in states.items() if state == "modelled"}
+    listed = " and ".join(f"{name!r} ({states[name]})" for name in names)
+    return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
+
+
+def _gap(search: Search, origin: int, goals: Int) -> str | None:
+    """The gap that keeps an agent of an inflated grid's radius from a goal.
+
+    Origin and goals are free cells in different islands. The gap's width is that between the
+    obstacles [m]; on the centres of cells, up to a cell more is needed. None if the grid isn't
+    inflated, or no smaller radius passes.
+    """
+    grid, flat, agent = search.grid, search.flat, exact_radius(search.grid)
     plain = deflated(grid.without_blocks())
-    widest = find_widest(plain, flat, origin, goals, ledges_of(grid))
+    widest = find_widest(plain, flat, origin, goals, ledges_of(grid)) if agent else None
     if widest is None or math.isinf(widest[0]):
         return None
     radius, free, for_larger = widest
@@ -234,4 +384,55 @@ def find_gap(grid: NavGrid, flat: FlatGrid, origin: int, goals: Int) -> tuple[fl
             side = here + nearest[k]
             across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)[opposite]
             width = float(across.min())
-    return width, flat.positions(narrowest)
+    where = _text(flat.positions(narrowest))
+    return f"the gap between, at {where}, is {width:.2f} m wide, the agent {2 * agent:.2f} m"
+
+
+def _links(search: Search, origin: int, goals: Int) -> str | None:
+    """Name levels that no step joins, or no step that can be taken."""
+    flat = search.flat
+    home = int(flat.level_of(origin))
+    if home in flat.level_of(goals):
+        return None
+    closed = _closed_steps(search)
+    if closed:
+        leads = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
+        return f"{', '.join(closed)} {leads} to cells that aren't free"
+    if not len(flat.links.cell):
+        return f"no steps lead from {_level(search.grid, home)} to another level"
+    return None
+
+
+def _closed_steps(search: Search) -> list[str]:
+    """How many steps lead from a level to another of which none can be taken, in words."""
+    flat, closed = search.flat, []
+    source, target = flat.link_ends()
+    low, high = flat.level_of(source), flat.level_of(target)
+    is_open = flat.free[source] & flat.free[target]
+    for a, b in np.unique(np.stack([low, high], axis=1)[low < high], axis=0).tolist():
+        of_pair = (low == a) & (high == b)
+        if not is_open[of_pair].any():
+            steps = "the step" if of_pair.sum() == 1 else f"all {of_pair.sum()} steps"
+            closed.append(f"{steps} from {_level(search.grid, a)} to {_level(search.grid, b)}")
+    return closed
+
+
+def _names(search: Search, cells: Int) -> str:
+    """The names of what blocks cells, as far as the file tells."""
+    grid, flat = search.grid, search.flat
+    names: dict[str, None] = {}
+    for cell in cells[~flat.free[cells]].tolist():
+        x, y, _ = flat.positions(cell).tolist()
+        names.update(dict.fromkeys(grid.blockers(x, y, int(flat.level_of(cell)))))
+    listed = list(names)
+    more = f" and {len(listed) - MAX_NAMES} more" if len(listed) > MAX_NAMES else ""
+    return ", ".join(listed[:MAX_NAMES]) + more
+
+
+def _level(grid: NavGrid, number: int) -> str:
+    name = grid.level_names[number]
+    return name if name == f"level {number}" else f"level {number} ({name})"
+
+
+def _text(position: ArrayLike) -> str:
+    return f"({', '.join(f'{v:.2f}' for v in np.asarray(position))})"

@@ -7,11 +7,10 @@ from navbake.errors import QueryError
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
-from navbake.runtime.passage import Passage, find_passage
+from navbake.runtime.passage import Passage, find_passage, why_not
 from navbake.runtime.paths import Goal, Path, find_field, find_path
 from navbake.runtime.places import ManyPlaces
 from navbake.runtime.search import Search
-from navbake.runtime.why_not import why_not
 from navbake.types import Float
 
 

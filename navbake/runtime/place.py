@@ -64,15 +64,7 @@ class Place:
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Look up what a grid holds in the cell of a position; None for no cell.
-
-    Args:
-        position: world x, y, z [m]; x, y are enough on one level.
-        level: which level; then z is ignored.
-
-    Raises:
-        QueryError: there is no such level, or the position is not valid.
-    """
+    """Look up what a grid holds in the cell of a position; see `navbake.navgrid.cells.cell_at`."""
     cell = cell_at(grid, position, level)
     return None if cell is None else place_in(grid, cell)
 
@@ -105,8 +97,7 @@ def values_at(
             ``weight`` (float64), ``room`` (its number on its level, uint16), ``island`` (int32),
             ``clearance`` ([m], float32, as `navbake.navgrid.islands.clearance`), or an attribute by
             the name it has in the file, as it stands there.
-        positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
-        level: which level all are on; then z is ignored.
+        positions, level: as `navbake.navgrid.cells.cells_at` takes them.
 
     Returns:
         Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or
@@ -116,22 +107,19 @@ def values_at(
         QueryError: there is no such layer or level, or a position is not valid.
     """
     cells = cells_at(grid, positions, level)
-    if layer in LAYERS:
-        find, outside = LAYERS[layer]
-        arrays: list[NDArray[Any] | None] = list(find(grid))
-    else:  # an attribute, of all levels in one dtype; some may not have it
-        arrays = [part.attributes.get(layer) for part in grid.levels]
-    dtypes = [array.dtype for array in arrays if array is not None]
-    if not dtypes:
+    find, outside = LAYERS.get(layer, (None, None))
+    # an attribute, of all levels in one dtype; some may not have it
+    layers = find(grid) if find else [part.attributes.get(layer) for part in grid.levels]
+    arrays = {number: array for number, array in enumerate(layers) if array is not None}
+    if not arrays:
         known = [*LAYERS, *(key for part in grid.levels for key in part.attributes)]
         hint = suggest(layer, known, limit=len(known))
         raise QueryError(f"no layer {layer!r} in {grid.scene_id!r}: {hint}")
-    dtype = np.result_type(*dtypes)
-    if layer not in LAYERS:
+    dtype = np.result_type(*arrays.values())
+    if outside is None:
         outside = np.nan if dtype.kind == "f" else 0
     values = np.full(cells.level.shape, outside, dtype=dtype)
-    for number, array in enumerate(arrays):
-        if array is not None:
-            here = cells.level == number
-            values[here] = array[cells.row[here], cells.col[here]]
+    for number, array in arrays.items():
+        here = cells.level == number
+        values[here] = array[cells.row[here], cells.col[here]]
     return values

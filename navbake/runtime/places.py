@@ -15,7 +15,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import REAL, FlatGrid, as_points, check_distance
+from navbake.runtime.flat_grid import REAL, FlatGrid, as_points, check_distance, text_of
 from navbake.runtime.paths import Goal, Path, cells_named, find_path
 from navbake.runtime.regions import IslandMap, RoomMap
 from navbake.runtime.search import Search
@@ -90,9 +90,8 @@ class ManyPlaces:
         p = check_positions(starts, flat.num_levels, level)
         q = check_positions(ends, flat.num_levels, 0)  # wherever the way leads, its level follows
         if q.shape[:-1] not in (p.shape[:-1], ()):
-            raise QueryError(
-                f"expected an end for each start, {p.shape[:-1]} of them, got {q.shape[:-1]}"
-            )
+            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
+            raise QueryError(f"expected an end for each start, {counts}")
         on, points = as_points(p, level)
         to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
         found, bad = walks.step_each(
@@ -101,24 +100,16 @@ class ManyPlaces:
         )  # fmt: skip
         if bad >= 0:
             flat.free_cell_at(points[bad], level)  # says which one, and what to do
-        ways: Float = found.reshape(*p.shape[:-1], 3)
-        return ways
+        return np.asarray(found.reshape(*p.shape[:-1], 3))
 
     def find_path(
         self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
     ) -> list[Path | None]:
-        """`PathFinder.find_path` from each start to its goal; None where there is none.
+        """`PathFinder.find_path` from each start, shape (n, 3); None where there is none.
 
-        Args:
-            starts: shape (n, 3).
-            goals: a position for each start, shape (n, 3); or one for all: a position,
-                ``room:NAME`` or ``object:NAME``.
-            level, smooth: see `PathFinder.find_path`.
-
-        Raises:
-            QueryError: starts and goals don't fit together; or as `PathFinder.find_path`.
+        `goals` are a position for each start, shape (n, 3); or one for all: a position,
+        ``room:NAME`` or ``object:NAME``.
         """
-        self._search.update()
         num_levels = self._search.flat.num_levels
         p = check_positions(starts, num_levels, level)
         if p.ndim != 2:
@@ -127,11 +118,10 @@ class ManyPlaces:
         if not isinstance(goals, str):
             q = check_positions(goals, num_levels, level)
             if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
-                raise QueryError(
-                    f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts, got "
-                    f"shape {q.shape}"
-                )
+                wanted = f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts"
+                raise QueryError(f"{wanted}, got shape {q.shape}")
             targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
+        self._search.update()
         return [
             find_path(self._search, start, goal, level, smooth=smooth)
             for start, goal in zip(p, targets, strict=True)
@@ -163,7 +153,7 @@ class PlaceQuestions:
 
     @property
     def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id, shape (n,), bool."""
+        """Where something stands now or there is no floor, see `Search.occupied`."""
         return self.search.occupied
 
     @property
@@ -253,8 +243,7 @@ class PlaceQuestions:
         answers, bad = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
         if bad >= 0:
             check_positions(points[bad], flat.num_levels)  # says what is wrong with it
-        found: Bool = answers.reshape(p.shape[:-1])
-        return found
+        return np.asarray(answers.reshape(p.shape[:-1]))
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
         """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""
@@ -296,9 +285,7 @@ class PlaceQuestions:
         """
         if same_room:
             here = self.room_at(position, level=level)
-            if here is None or (
-                room is not None and self.rooms.find(room) != self.rooms.find(here)
-            ):
+            if here is None or self.rooms.find(room or here) != self.rooms.find(here):
                 return None
             room = here
         search = self.search
@@ -377,8 +364,7 @@ class PlaceQuestions:
         (home,), (cell,), (distance,) = _find_obstacles(self._search, p, level, max_distance)
         if cell < 0:
             return None
-        half = flat.layout.cell_size[flat.level_of(home)] / 2
-        center = flat.positions(cell)[:2]
+        half, center = flat.layout.cell_size[flat.level_of(home)] / 2, flat.positions(cell)[:2]
         point = np.clip(p[:2], center - half, center + half)
         return Obstacle(float(distance), np.append(point, flat.positions(home)[2]))
 
@@ -410,21 +396,18 @@ class PlaceQuestions:
         if level is None:
             raise QueryError(f"expected a level, 0 to {flat.num_levels - 1}, got None")
         check_level(level, flat.num_levels)
-        shape = int(flat.layout.height[level]), int(flat.layout.width[level])
-        cells = flat.cells_of(level)
+        cells, shape = flat.cells_of(level), self.grid.levels[level].shape
         has_floor = ~np.isnan(flat.floors.z[cells])
         kind = np.where(flat.free[cells], 0, np.where(has_floor, 1, 2)).reshape(shape)
         if metres_per_pixel is not None:
-            cell = float(flat.layout.cell_size[level])
             if not (isinstance(metres_per_pixel, REAL) and 0 < metres_per_pixel < math.inf):
                 raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
-            pixels = [math.ceil(n * cell / metres_per_pixel - 1e-6) for n in shape]
+            each = metres_per_pixel / float(flat.layout.cell_size[level])
+            pixels = [math.ceil(n / each - 1e-6) for n in shape]
             if math.prod(pixels) > MAX_PIXELS:
                 raise QueryError(f"{pixels[1]} × {pixels[0]} pixels are too many: make them larger")
-            rows, cols = (
-                np.minimum(((np.arange(count) + 0.5) * metres_per_pixel / cell).astype(int), n - 1)
-                for count, n in zip(pixels, shape, strict=True)
-            )
+            rows, cols = (((np.arange(count) + 0.5) * each).astype(int) for count in pixels)
+            rows, cols = np.minimum(rows, shape[0] - 1), np.minimum(cols, shape[1] - 1)
             kind = kind[rows[:, None], cols]
         palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
         return palette[kind]
@@ -470,30 +453,30 @@ def _snap_in_sight(
     home = int(flat.cells_at(p, level))
     if home < 0:
         return None
-    on, floor = int(flat.level_of(home)), flat.positions(home)[2]
-    if allowed[home] and (level is not None or len(p) == 2 or p[2] - floor <= MAX_DROP):
+    on, floor, on_map = int(flat.level_of(home)), flat.positions(home)[2], len(p) == 2
+    if allowed[home] and (level is not None or on_map or p[2] - floor <= MAX_DROP):
         return np.append(p[:2], floor)
-    on_map = same_level or len(p) == 2
-    levels = [on] if on_map else list(range(flat.num_levels))
-    p = np.append(p, floors.ground[on]) if len(p) == 2 else p
-    left = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
-    radius, done = min(FIRST_LOOK, float(max_distance)), -1.0
-    while left and done < radius:
+    p = np.append(p, floors.ground[on]) if on_map else p
+    axes = 2 if on_map or same_level else 3
+    levels = [on] if axes == 2 else list(range(flat.num_levels))
+    most = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
+    radius = min(FIRST_LOOK, float(max_distance))
+    while True:
         discs = [cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels]
         cells = np.concatenate(discs)
         centers = flat.positions(cells)
-        distance = np.linalg.norm((centers - p)[:, : 2 if on_map else 3], axis=1)
-        near = np.flatnonzero((distance > done) & (distance <= radius))
+        distance = np.linalg.norm((centers - p)[:, :axes], axis=1)
         # stable, so that of equally near cells the lowest id comes first
-        near = near[np.argsort(distance[near], kind="stable")]
+        order = np.argsort(distance, kind="stable")
+        near = order[: np.count_nonzero(distance <= radius)]
         found = walks.first_in_sight(
             *search.sight, search.rooms.number, home, p, cells[near], centers[near]
         )
         if found >= 0:
             return np.asarray(centers[near[found]])
-        left -= len(near)
-        radius, done = min(2.0 * radius, float(max_distance)), radius
-    return None
+        if len(near) == most or radius >= max_distance:
+            return None
+        radius = min(2.0 * radius, float(max_distance))
 
 
 def _find_obstacles(
@@ -513,8 +496,8 @@ def _find_obstacles(
         flat.layout, flat.floors, search.occupied, overlap, on, float(max_distance), points
     )
     if (homes < 0).any():
-        first = ", ".join(f"{v:g}" for v in points[int(np.argmax(homes < 0))])
-        raise QueryError(f"{first} lies beside the grid: no obstacles")
+        first = points[int(np.argmax(homes < 0))]
+        raise QueryError(f"{text_of(first)} lies beside the grid: no obstacles")
     return homes, cells, distances
 
 
@@ -526,20 +509,14 @@ def cells_in_annulus(
     Distances are the smallest and the largest [m], both included; flat ids ascend.
     """
     layout = flat.layout
-    size, width = float(layout.cell_size[level]), int(layout.width[level])
-    row = (layout.y_max[level] - point[1]) / size - 0.5
-    col = (point[0] - layout.x_min[level]) / size - 0.5
-    reach = distances[1] / size
-    rows, cols = (
-        np.arange(
-            math.ceil(min(max(at - reach, 0.0), count)),
-            math.floor(max(min(at + reach, count - 1), -1.0)) + 1,
-        )
-        for at, count in ((row, int(layout.height[level])), (col, width))
-    )
-    squared = ((rows - row)[:, None] ** 2 + (cols - col) ** 2) * size**2
+    size, shape = layout.cell_size[level], (layout.height[level], layout.width[level])
+    at = (layout.y_max[level] - point[1], point[0] - layout.x_min[level])
+    off = [
+        (np.arange(count) + 0.5) * size - middle for count, middle in zip(shape, at, strict=True)
+    ]
+    rows, cols = (np.flatnonzero(np.abs(v) <= distances[1] + SLACK) for v in off)
+    squared = (off[0][rows, None] ** 2) + off[1][cols] ** 2
     low, high = max(distances[0] - SLACK, 0.0), distances[1] + SLACK
     near = (squared >= low**2) & (squared <= high**2)
-    cells = (int(layout.start[level]) + rows[:, None] * width + cols)[near]
-    found: Int = cells[allowed[cells]].astype(np.int64)
-    return found
+    cells: Int = (layout.start[level] + rows[:, None] * shape[1] + cols)[near]
+    return cells[allowed[cells]]

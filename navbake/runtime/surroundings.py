@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
 kernels = lazy("navbake.runtime.kernels.inflation")
+ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
@@ -59,9 +60,9 @@ def find_blocked(grid: NavGrid, number: int, radius: float, ledges: str = "avoid
     cells = radius / grid.levels[number].lattice.cell_size
     storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
     occupied = storeys.occupied[storeys.level]
-    blocked: Bool = kernels.dilate(occupied, half_widths(cells, occupied.shape))
+    offsets, _, widths = disc(cells, occupied.shape)
+    blocked: Bool = kernels.dilate(occupied, widths)
     if cells > 0:
-        offsets = disc_offsets(cells, occupied.shape)[0]
         block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
         _block_by_holes(storeys, cells, blocked)
     return blocked[inside]
@@ -81,7 +82,7 @@ def find_blocked_by_others(
     # as if only other levels were occupied, and these wherever they have a floor
     others = np.ones_like(storeys.occupied)
     others[storeys.level] = 0
-    offsets, elsewhere = disc_offsets(cells, blocked.shape)[0], storeys._replace(occupied=others)
+    offsets, elsewhere = disc(cells, blocked.shape)[0], storeys._replace(occupied=others)
     block_by_others(grid, number, elsewhere, radius, offsets, ledges, blocked)
     return blocked[inside]
 
@@ -104,7 +105,25 @@ def block_by_others(
     # of the disc that is part of `occupied`; 0 where the squares alone are in a layer `solid`
     has_solid = bool(level.navbake) and "solid" in level.attributes
     counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
-    kernels.block_by_floors(storeys, offsets, counts_higher, ledges == "avoid", blocked)
+    least, most = (extreme.reduce(storeys.floor, axis=None) for extreme in (np.fmin, np.fmax))
+    if len(storeys.floor) == 1 and not most - least > storeys.step:
+        return  # neither higher nor lower floors
+    # the lowest and the highest floor in each tile, and in the tiles that offsets lead to from it
+    tile, none, ranges = kernels.TILE, np.float32(np.inf), []
+    window = (1, *[2 * -(-int(np.abs(offsets).max()) // tile) + 1] * 2)
+    pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
+    floor = np.pad(storeys.floor, pads, constant_values=np.nan)
+    tiles = floor.reshape(len(floor), floor.shape[1] // tile, tile, -1, tile)
+    for extreme, of_window, beyond in (
+        (np.fmin, ndimage.minimum_filter, none), (np.fmax, ndimage.maximum_filter, -none),
+    ):  # fmt: skip
+        here = extreme.reduce(extreme.reduce(tiles, axis=2), axis=3)
+        here = np.where(np.isnan(here), beyond, here)
+        near = of_window(here, size=window, mode="constant", cval=beyond)
+        ranges += [here.astype(np.float64), near.astype(np.float64)]
+    kernels.block_by_floors(
+        storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
+    )
 
 
 def _block_by_holes(storeys: Storeys, cells: float, blocked: Bool) -> None:
@@ -113,50 +132,37 @@ def _block_by_holes(storeys: Storeys, cells: float, blocked: Bool) -> None:
     holes = ~has_floor & (storeys.occupied[storeys.level] == 0)
     if not holes.any():
         return
-    table = half_widths(cells, holes.shape, of_squares=False)
-    todo = kernels.dilate(holes.view(np.uint8), table) & has_floor
-    offsets, squares = disc_offsets(cells, holes.shape, of_squares=False)
+    offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
+    todo = kernels.dilate(holes.view(np.uint8), widths) & has_floor
     kernels.block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
 
 
-def half_widths(radius: float, shape: tuple[int, int], *, of_squares: bool = True) -> Int32:
-    """How wide a disc is, row by row, as `dilate` takes it.
+def disc(
+    radius: float, shape: tuple[int, int], *, of_squares: bool = True
+) -> tuple[Int, Int, Int32]:
+    """Steps from a cell to those that an open disc round its centre reaches.
 
     Args:
         radius: [cells].
         shape: (rows, cols) of the cells that it is for; it need not be wider.
         of_squares: whether it reaches a cell when it meets its square, or covers its centre.
-    """
-    reaches = [min(math.ceil(radius) + 1, size) for size in shape]
-    rows, cols = (_squares(np.arange(reach + 1), of_squares) for reach in reaches)
-    widths = np.searchsorted(cols, _square_limit(radius) - rows, side="left") - 1
-    return np.append(widths[widths >= 0], -1).astype(np.int32)
-
-
-def disc_offsets(
-    radius: float, shape: tuple[int, int], *, of_squares: bool = True
-) -> tuple[Int, Int]:
-    """Steps from a cell to those that a disc round its centre reaches, as in `half_widths`.
 
     Returns:
-        Rows and columns, (n, 2) int64, the nearest first; and their squares in half cells.
+        Rows and columns, (n, 2) int64, the nearest first; their squares in half cells; and how
+        wide the disc is, row by row, as `dilate` takes it.
     """
     rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
-    squares = _squares(rows, of_squares)[:, None] + _squares(cols, of_squares)
-    row, col = np.nonzero(squares < _square_limit(radius))
+    # squared half cells along an axis to the near side, or to the centre, of squares
+    along = [2 * np.abs(steps) for steps in (rows, cols)]
+    down, across = (np.maximum(v - 1, 0) ** 2 if of_squares else v**2 for v in along)
+    squares = down[:, None] + across
+    reached = squares < (2 * radius) ** 2 * (1 - TOUCH)  # what only touches is not reached
+    row, col = np.nonzero(reached)
     found = squares[row, col]
     order = np.argsort(found, kind="stable")
-    return np.stack([rows[row], cols[col]], axis=1)[order], found[order]
-
-
-def _square_limit(radius: float) -> float:
-    return (2 * radius) ** 2 * (1 - TOUCH)  # the disc is open: what only touches is not reached
-
-
-def _squares(steps: Int, of_squares: bool) -> Int:
-    """Squared half cells along an axis to the near side, or to the centre, of squares."""
-    half_cells: Int = 2 * np.abs(steps)
-    return np.maximum(half_cells - 1, 0) ** 2 if of_squares else half_cells**2
+    width = np.count_nonzero(reached[len(rows) // 2 :], axis=1) // 2
+    width = np.append(width[reached[len(rows) // 2 :].any(axis=1)], -1).astype(np.int32)
+    return np.stack([rows[row], cols[col]], axis=1)[order], found[order], width
 
 
 def find_surroundings(

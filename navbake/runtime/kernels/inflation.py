@@ -78,36 +78,6 @@ def dilate(occupied, half_width):
 
 
 @kernel
-def refine_window(occupied, has_floor, radius, far, reach, least, weights):
-    """Weigh each cell by the cells of a window around it, as the original client does.
-
-    The window runs from `reach` before the cell to `reach` - 1 after it, along both axes; `least`
-    is the share of the cells within the radius that must have a floor; `far` is the radius plus
-    the clearance. Writes `weights`, float64.
-    """
-    rows, cols = occupied.shape
-    inner, outer = radius * radius, far * far
-    for row in range(rows):
-        for col in range(cols):
-            weight, within, with_floor = 1.0, 0, 0
-            for r in range(max(row - reach, 0), min(row + reach, rows)):
-                for c in range(max(col - reach, 0), min(col + reach, cols)):
-                    square = float((r - row) * (r - row) + (c - col) * (c - col))
-                    if square < inner:
-                        if occupied[r, c]:
-                            weight = np.inf
-                            break
-                        within += 1
-                        with_floor += has_floor[r, c]
-                    elif square < outer and occupied[r, c]:
-                        weight = 10.0
-                if weight == np.inf:
-                    break
-            too_few = within > 0 and with_floor / within < least
-            weights[row, col] = np.inf if too_few else weight
-
-
-@kernel
 def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
     """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
 
@@ -134,28 +104,26 @@ def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
 
 
 @kernel
-def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
+def block_by_floors(storeys, ranges, offsets, counts_higher, counts_lower, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
     `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
     if `counts_higher`, but for those of another level that are higher than an agent and a slab;
-    lower ones count if `counts_lower`. A floor that a slope leads to is neither.
+    lower ones count if `counts_lower`. A floor that a slope leads to is neither. `ranges` are the
+    lowest floor of each level in each tile, and in those that offsets lead to; the highest alike.
     """
     floor, occupied, slopes, level, step, height = storeys
+    low, low_near, high, high_near = ranges
     levels, rows, cols = floor.shape
-    low, high = _tile_ranges(floor)
-    overlap, over = height - step, height + SLAB
-    reach = 0
-    for k in range(offsets.shape[0]):
-        reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
-    tiles = (reach + TILE - 1) // TILE
+    overlap, over, reach = height - step, height + SLAB, np.abs(offsets).max()
     for tile_row in range(low.shape[1] if levels > 1 else 0):
         for tile_col in range(low.shape[2]):
             bottom, top = low[level, tile_row, tile_col], high[level, tile_row, tile_col]
             meets = False
             for other in range(levels):
-                lowest, highest = _range_near(low[other], high[other], tile_row, tile_col, tiles)
-                meets |= other != level and lowest < top + overlap and highest > bottom - overlap
+                is_near = low_near[other, tile_row, tile_col] < top + overlap
+                is_near &= high_near[other, tile_row, tile_col] > bottom - overlap
+                meets |= other != level and is_near
             if not meets:
                 continue
             for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
@@ -166,7 +134,8 @@ def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
                         )
     for tile_row in range(low.shape[1]):
         for tile_col in range(low.shape[2]):
-            lowest, highest = _range_near(low[level], high[level], tile_row, tile_col, tiles)
+            lowest = low_near[level, tile_row, tile_col]
+            highest = high_near[level, tile_row, tile_col]
             row0, row1 = tile_row * TILE, min((tile_row + 1) * TILE, rows)
             col0, col1 = tile_col * TILE, min((tile_col + 1) * TILE, cols)
             for other in range(levels if counts_higher else 0):
@@ -194,23 +163,17 @@ def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
             # Few cells round the tile that are high enough, or few columns in it that may be low
             # enough: the fewer are looked at one by one.
             top, left = max(row0 - reach, 0), max(col0 - reach, 0)
-            bottom, right = min(row0 + TILE + reach, rows), min(col0 + TILE + reach, cols)
-            num_above = 0
-            for row in range(top, bottom):
-                for col in range(left, right):
-                    num_above += floor[level, row, col] > limit
-            if num_above < TILE * TILE:
-                for row in range(top, bottom):
-                    for col in range(left, right):
-                        if blocked[row, col] or not floor[level, row, col] > limit:
-                            continue
-                        for k in range(offsets.shape[0]):
-                            r, c = row + offsets[k, 0], col + offsets[k, 1]
-                            # columns of other tiles have their own turn
-                            is_here = row0 <= r < row1 and col0 <= c < col1
-                            if is_here and _is_drop(floor, slopes, step, level, row, col, r, c):
-                                blocked[row, col] = True
-                                break
+            near = floor[level, top : row0 + TILE + reach, left : col0 + TILE + reach]
+            if (near > limit).sum() < TILE * TILE:
+                for i, j in np.argwhere(near > limit):
+                    row, col = top + i, left + j
+                    for k in range(0 if blocked[row, col] else offsets.shape[0]):
+                        r, c = row + offsets[k, 0], col + offsets[k, 1]
+                        # columns of other tiles have their own turn
+                        is_here = row0 <= r < row1 and col0 <= c < col1
+                        if is_here and _is_drop(floor, slopes, step, level, row, col, r, c):
+                            blocked[row, col] = True
+                            break
                 continue
             for row in range(row0, row1):
                 for col in range(col0, col1):
@@ -224,18 +187,10 @@ def block_by_floors(storeys, offsets, counts_higher, counts_lower, blocked):
                         continue
                     for k in range(offsets.shape[0]):
                         r, c = row - offsets[k, 0], col - offsets[k, 1]
-                        if 0 <= r < rows and 0 <= c < cols and not blocked[r, c]:
+                        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+                            continue
+                        if floor[level, r, c] > limit:
                             blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
-
-
-@part
-def _range_near(low, high, row, col, tiles):
-    """The lowest and the highest floor of a level in the tiles around one."""
-    lowest, highest = np.inf, -np.inf
-    for r in range(max(row - tiles, 0), min(row + tiles + 1, low.shape[0])):
-        for c in range(max(col - tiles, 0), min(col + tiles + 1, low.shape[1])):
-            lowest, highest = min(lowest, low[r, c]), max(highest, high[r, c])
-    return lowest, highest
 
 
 @part
@@ -335,39 +290,15 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
     return -1, 0
 
 
-@part
-def _tile_ranges(floor):
-    """The lowest and the highest floor in each tile of each level; inf and -inf for none."""
-    levels, rows, cols = floor.shape
-    shape = (levels, (rows + TILE - 1) // TILE, (cols + TILE - 1) // TILE)
-    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    lowest, highest = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
-    for level in range(levels):
-        for tile_row in range(shape[1]):
-            # column by column first, in a loop that compilers turn into vector instructions
-            lowest[:], highest[:] = np.inf, -np.inf
-            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
-                line = floor[level, row]
-                for col in range(cols):
-                    # False for NaN
-                    lowest[col] = line[col] if line[col] < lowest[col] else lowest[col]
-                    highest[col] = line[col] if line[col] > highest[col] else highest[col]
-            for col in range(cols):
-                tile_col = col // TILE
-                low[level, tile_row, tile_col] = min(low[level, tile_row, tile_col], lowest[col])
-                high[level, tile_row, tile_col] = max(high[level, tile_row, tile_col], highest[col])
-    return low, high
-
-
 @kernel
-def meets_runs(occupied, runs):
-    """Find the cells at which a shape of runs (row, first column, last column) meets something."""
-    rows, cols = occupied.shape
-    meets = np.zeros((rows, cols), dtype=np.bool_)
+def count_runs(mask, runs):
+    """Count the marked cells that a shape of runs (row, first column, last column) covers."""
+    rows, cols = mask.shape
+    count = np.zeros((rows, cols), dtype=np.int32)
     before = np.zeros((rows, cols + 1), dtype=np.int32)  # running sums: a run is one difference
     for row in range(rows):
         for col in range(cols):
-            before[row, col + 1] = before[row, col] + (occupied[row, col] != 0)
+            before[row, col + 1] = before[row, col] + mask[row, col]
     for k in range(runs.shape[0]):
         first, last = runs[k, 1], runs[k, 2]
         for row in range(max(0, -runs[k, 0]), min(rows, rows - runs[k, 0])):
@@ -376,6 +307,6 @@ def meets_runs(occupied, runs):
                 continue
             for col in range(cols):
                 begin, end = max(col + first, 0), min(col + last + 1, cols)
-                if end > begin and line[end] > line[begin]:
-                    meets[row, col] = True
-    return meets
+                if end > begin:
+                    count[row, col] += line[end] - line[begin]
+    return count
