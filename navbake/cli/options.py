@@ -82,6 +82,8 @@ Verbose = Annotated[
 ]
 
 
+OUTPUT = "-o", "--output"
+"""The names of the option."""
 STDOUT = Path("-")
 """The output that stands for stdout."""
 GRIDS = (".json", ".json.gz")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, BadParameter, Exit
 
-from navbake.cli.options import STDOUT, Overrides, check_output, flag, option, refuse_unused
+from navbake.cli.options import OUTPUT, STDOUT, Overrides, check_output, flag, option, refuse_unused
 from navbake.cli.printing import (
     VOLUME,
     is_terminal,
@@ -37,13 +37,10 @@ INDEX = "index.jsonl"
 class PerScene(NamedTuple):
     """What one scene may take."""
 
-    time_limit: float | None = option(
-        "SECONDS", "How long a scene may take [s].", "--time-limit", min=0.001
-    )
+    time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
     memory_limit: float | None = option(
         "GIB",
         "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
-        "--memory-limit",
         min=0.01,
     )
     retries: int = option(
@@ -61,11 +58,9 @@ class Wholly(NamedTuple):
         "--jobs",
         min=1,
     )
-    max_failures: int | None = option(
-        "N", "Stop when more than N scenes failed.", "--max-failures", min=0
-    )
+    max_failures: int | None = option("N", "Stop when more than N scenes failed.", min=0)
     as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them.")
-    log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each.", "--log")
+    log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each.")
     page: bool = flag(
         "--page", "Write FOLDER/index.html, a page that shows all scenes, their failures and times."
     )
@@ -83,7 +78,6 @@ class Machines(NamedTuple):
     ray_address: str | None = option(
         "ADDRESS",
         "Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
-        "--ray-address",
     )
 
 
@@ -95,19 +89,14 @@ def batch(
         ".parquet; paths or URLs such as s3://.",
     ),
     output: str = option(
-        "FOLDER",
-        "Folder to write into, with a folder of each scene.",
-        "-o",
-        "--output",
-        default=...,
+        "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
     ),
-    config: str | None = option("YAML", "Settings that all scenes share.", "--config"),
+    config: str | None = option("YAML", "Settings that all scenes share."),
     make: list[str] | None = option(
         "WHAT",
         "What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
         "nav2[:RADIUS], "
         "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
-        "--make",
     ),
     overrides: Overrides = None,
     *,

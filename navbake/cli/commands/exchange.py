@@ -10,6 +10,7 @@ from typer import Argument, BadParameter, Option
 import navbake
 from navbake.cli.options import (
     GRIDS,
+    OUTPUT,
     STDOUT,
     AsJson,
     GridFile,
@@ -143,8 +144,7 @@ def inflate(
     output: Path = option(
         "FILE",
         "File to write (.json or .json.gz), - for stdout; not GRID itself.",
-        "-o",
-        "--output",
+        *OUTPUT,
         default=...,
     ),
     clearance: float | None = option(

@@ -13,6 +13,7 @@ import navbake
 from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
 from navbake.cli.options import (
     GRIDS,
+    OUTPUT,
     STDOUT,
     GridFile,
     Overrides,
@@ -37,7 +38,7 @@ ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
 def plot(
     grid: GridFile,
     output: Path = option(
-        "PNG|SVG", "Picture to write; - for a PNG on stdout.", "-o", "--output", default=...
+        "PNG|SVG", "Picture to write; - for a PNG on stdout.", *OUTPUT, default=...
     ),
     level: int | None = option(
         "N", "Draw only this level; 0 is the lowest.  [default: all]", min=0
@@ -77,8 +78,7 @@ def report(
     output: Path | None = option(
         "HTML",
         "Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
-        "-o",
-        "--output",
+        *OUTPUT,
     ),
     with_audit: bool = flag("--audit", "Audit the grids, and add what is found."),
     verifications: list[Path] | None = option(

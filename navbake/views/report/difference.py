@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Int, Json
+from navbake.views.notebook import encode_png
 from navbake.views.page.page import pack, show_table
-from navbake.views.report.maps import describe_place, to_url
 from navbake.views.tables import make_table
 
+MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th
 MOST_APART = 1.5  # of the grounds of two levels that are taken for the same storey [m]
 MOST_ADDED = 4  # times the cells of two levels that a lattice over both may have, and
 ALWAYS = 4_000_000  # as many cells at least
@@ -103,6 +106,20 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
         "layers": [{**layer, "scale": None, "labels": [], "doors": []}],
         "marks": [],
     }
+
+
+def describe_place(name: str, lattice: Lattice) -> Json:
+    """Where a map lies in the world, and every which row and column of it a page shows."""
+    every = 1
+    while -(-lattice.height // every) * -(-lattice.width // every) > MAX_SHOWN:
+        every += 1
+    place = {"name": name, "width": lattice.width, "height": lattice.height, "every": every}
+    return place | {"cellSize": lattice.cell_size, "xMin": lattice.x_min, "yMax": lattice.y_max}
+
+
+def to_url(rgb: NDArray[np.uint8]) -> str:
+    """A picture, shape (rows, cols, 3), as the URL of a PNG that holds all of it."""
+    return "data:image/png;base64," + b64encode(encode_png(Image.fromarray(rgb))).decode("ascii")
 
 
 class LevelDifference(NamedTuple):

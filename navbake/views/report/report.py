@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, TypedDict
 
 import msgspec
 import numpy as np
+import orjson
 
 from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_object, write_bytes
-from navbake.navgrid.grid import NavGrid
-from navbake.types import Json
+from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.islands import clearance, islands_of
+from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
+from navbake.types import Float, Int, Json
 from navbake.views.describe import describe
-from navbake.views.page.page import make_page, show_table
-from navbake.views.report.difference import describe_changes, flatten
-from navbake.views.report.maps import describe_map
+from navbake.views.layers import LAYERS, make_panel, paint
+from navbake.views.page.page import make_page, pack, show_table, to_text
+from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
 from navbake.views.tables import Table, door_table, level_table, make_table, room_table, summarize
 
 if TYPE_CHECKING:
@@ -28,6 +31,11 @@ PRINTED = "what `navbake verify --json` prints"
 Place = tuple[float, float, float]
 Remarked = tuple[str, int | None, Place | None, str | None, str]
 """What was found: its kind, level, place [m], a further fact, and in words."""
+KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
+MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
+MOST_STEPS = 2**31  # that a page counts of heights
+NONE = -1  # stands for no value in what is packed
+BAR = 64  # colours of the bar beside a layer
 
 
 class Finding(TypedDict):
@@ -73,7 +81,7 @@ def render_report(
     """Make a report as one HTML page: maps to zoom, and tables. The same grids, the same bytes.
 
     Each level has its layers, and what is known of the cell under the pointer; floors and
-    clearances are rounded to a millimetre. Of levels of more than `maps.MAX_SHOWN` cells, every
+    clearances are rounded to a millimetre. Of levels of more than `MAX_SHOWN` cells, every
     n-th row and column is shown. With two grids, a third sheet shows what differs.
 
     Args:
@@ -220,3 +228,87 @@ def _show_remarks(
     rows = [(kind, level, _place(at or ()), fact, text) for kind, level, at, fact, text in found]
     columns = ("kind", "level", "x, y, z [m]", more, "what")
     return marks, (title, make_table(columns, rows or [("none", None, "", "", otherwise)]))
+
+
+def describe_map(grid: NavGrid, number: int) -> Json:
+    """The map of one level: its place, its layers, and its cells.
+
+    Of the cells, packed by `pack`: ``floor`` and ``clearance`` in steps of a millimetre from
+    ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m]; ``room``,
+    ``island``; ``weight`` and ``names`` as numbers into the lists ``weights`` (None for infinite)
+    and ``nameLists``, which is JSON, compressed: the names of what stands in a cell, and of what
+    blocks it, by `KINDS`.
+    """
+    level = grid.levels[number]
+    place = describe_place(grid.level_names[number], level.lattice)
+    shown = np.s_[:: place["every"], :: place["every"]]
+    floor, free = level.floor[shown], level.free[shown]
+    finite = floor[np.isfinite(floor)]
+    floor_from = float(finite.min()) if finite.size else 0.0
+    floor_step = max(MILLIMETRE, float(np.ptp(finite)) / MOST_STEPS if finite.size else 0.0)
+    away = clearance(level)[shown].astype(np.float64)
+    weights, weight = np.unique(np.where(free, level.weights[shown], np.inf), return_inverse=True)
+    names, name_lists = _number_names(level)
+    cells = {
+        "floor": pack(_to_steps(floor - floor_from, floor_step)),
+        "floorFrom": floor_from,
+        "floorStep": floor_step,
+        "clearance": pack(_to_steps(np.where(free, away, 0), MILLIMETRE)),
+        "room": pack(level.room_index[shown].astype(np.int64)),
+        "island": pack(islands_of(grid)[number][shown].astype(np.int64)),
+        "weight": pack(weight),
+        "weights": [value if np.isfinite(value) else None for value in weights.tolist()],
+        "names": pack(names[shown]),
+        "nameLists": to_text(orjson.dumps(name_lists)),
+    }
+    layers = [_draw_layer(grid, number, layer, place["every"]) for layer in LAYERS]
+    return {**place, "cells": cells, "layers": layers}
+
+
+def _to_steps(metres: Float, step: float) -> Int:
+    """Metres >= 0 as whole steps, `NONE` where they are not finite."""
+    return np.nan_to_num(np.round(metres / step), nan=NONE, posinf=NONE).astype(np.int64)
+
+
+def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
+    """Which entry of the list of names each cell has, -1 for none, shape (height, width)."""
+    found: dict[bytes, int] = {}  # by an entry's JSON: most cells have the entry of others
+    lists: list[Json] = []
+
+    def number_of(entry: Json) -> int:
+        key = orjson.dumps(entry, default=str)
+        if key not in found:
+            names = {kind: sorted(names_in(entry, kind)) for kind in KINDS}
+            names = {kind: some for kind, some in names.items() if some}
+            found[key] = len(lists) if names else NONE
+            lists.extend([names] if names else [])
+        return found[key]
+
+    numbers = np.full(level.height * level.width, NONE, dtype=np.int64)
+    source = UserData.of(level.user_data).source
+    if isinstance(source, Shared):
+        cells, number, entries = source
+        numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[number]
+    else:
+        for cell, entry in source.items():
+            numbers[cell] = number_of(entry)
+    return numbers.reshape(level.shape), lists
+
+
+def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
+    panel, scale = make_panel(grid, layer, number), None
+    if panel.scale is not None:
+        scale = {
+            "label": panel.scale.label,
+            "colors": [f"#{bytes(color).hex()}" for color in panel.scale.bar(BAR)],
+            "ticks": [tick._asdict() for tick in panel.scale.ticks],
+        }
+    return {
+        "name": layer,
+        "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
+        "png": to_url(paint(panel)[::every, ::every]),
+        "legend": panel.legend,
+        "scale": scale,
+        "labels": [label._asdict() for label in panel.labels],
+        "doors": [door._asdict() for door in panel.doors],
+    }

@@ -18,7 +18,7 @@ from navbake.errors import FormatError, NavbakeError, QueryError
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.page.page import pack
-from navbake.views.report import maps
+from navbake.views.report import difference, report
 from navbake.views.report.report import read_verification, render_report, write_report
 from project_paths import GOLDEN
 from report_pages import check_policy, content_of, picture_of, text_of, unpack
@@ -49,7 +49,7 @@ def test_cells_are_told_as_the_grid_has_them(house):
         np.testing.assert_array_equal(weights[arrays["weight"]], level.weights)
         lists = json.loads(text_of(packed["nameLists"]))
         for cell, entry in level.user_data.items():
-            kept = {key: sorted(entry[key]) for key in maps.KINDS if entry.get(key)}
+            kept = {key: sorted(entry[key]) for key in report.KINDS if entry.get(key)}
             which = int(arrays["names"].flat[cell])
             assert (lists[which] if which >= 0 else {}) == kept
         assert np.count_nonzero(arrays["names"] >= 0) == len(level.user_data)
@@ -132,7 +132,7 @@ def test_the_policy_allows_the_pages_own_script_and_style_only(house):
 
 
 def test_large_levels_show_every_nth_cell(monkeypatch):
-    monkeypatch.setattr(maps, "MAX_SHOWN", 6)
+    monkeypatch.setattr(difference, "MAX_SHOWN", 6)
     level = level_from("..#..\n#...#\n.....")
     [sheet] = content_of(render_report(level))["sheets"]
     [shown] = sheet["levels"]
