@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from urllib.parse import quote
 
@@ -161,14 +162,15 @@ def measure_work(scenes: Iterable[Json]) -> float:
 
     That is the length of the union of the times from each one's beginning to its end.
     """
-    timed = [scene for scene in scenes if scene["ended"] and scene["seconds"]]
-    seconds = np.array([scene["seconds"] for scene in timed], dtype=np.float64)
-    ends = [np.datetime64(scene["ended"].removesuffix("Z"), "ms") for scene in timed]
-    end = np.array(ends, "datetime64[ms]").astype(np.float64) / 1000
-    order = np.argsort(end - seconds)
-    begin, reached = (end - seconds)[order], np.maximum.accumulate(end[order])
-    since = np.maximum(begin, np.concatenate([begin[:1], reached])[: len(begin)])
-    return float(np.maximum(end[order] - since, 0.0).sum())
+    work, reached, spans = 0.0, -math.inf, []
+    for scene in scenes:
+        if scene["ended"] and scene["seconds"]:
+            end = datetime.fromisoformat(scene["ended"].replace("Z", "+00:00")).timestamp()
+            spans.append((end - scene["seconds"], end))
+    for begin, end in sorted(spans):
+        work += max(0.0, end - max(begin, reached))
+        reached = max(reached, end)
+    return work
 
 
 def _edges(values: Sequence[float]) -> list[float]:

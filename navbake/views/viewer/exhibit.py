@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -113,6 +114,25 @@ Counts: TypeAlias = tuple[int, int, float]
 """How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
 
 
+def kept(*fields: str) -> Callable[[Callable[..., Made]], Callable[..., Made]]:
+    """Keeps the last `RECENT` results of a method of `Exhibit`, by these fields of the choices."""
+
+    def decorate(method: Callable[..., Made]) -> Callable[..., Made]:
+        @wraps(method)
+        def call(exhibit: Exhibit, chosen: Choices, *number: int) -> Made:
+            results = exhibit.kept.setdefault((method.__name__, *number), {})
+            key = tuple(getattr(chosen, name) for name in fields)
+            made: Made = results.pop(key) if key in results else method(exhibit, chosen, *number)
+            results[key] = made
+            while len(results) > RECENT:
+                del results[next(iter(results))]
+            return made
+
+        return call
+
+    return decorate
+
+
 class Exhibit:
     """A grid, its scene, and what follows from them for what is chosen.
 
@@ -131,16 +151,7 @@ class Exhibit:
         self.report: VerifyReport | None = None
         with_holes = scene is not None
         self.carpets = [meshes.lay_carpet(level, with_holes=with_holes) for level in grid.levels]
-        self._kept: dict[str, dict[Hashable, Any]] = {}
-
-    def _keep(self, kind: str, key: Hashable, make: Callable[[], Made]) -> Made:
-        """What was made for a key before, or is made now."""
-        kept = self._kept.setdefault(kind, {})
-        made: Made = kept.pop(key) if key in kept else make()
-        kept[key] = made
-        while len(kept) > RECENT:
-            del kept[next(iter(kept))]
-        return made
+        self.kept: dict[Hashable, dict[Hashable, Any]] = {}
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -159,15 +170,12 @@ class Exhibit:
         low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
         return np.array([[*low, min(grounds)], [*high, max(grounds) + CUT_OVER]])
 
+    @kept("doors", "inflation")
     def shown_grid(self, chosen: Choices) -> NavGrid:
         """The grid with its doors as chosen, inflated as chosen."""
-
-        def make() -> NavGrid:
-            grid: NavGrid = self.grid.with_doors(dict(chosen.doors)) if chosen.doors else self.grid
-            inflated: NavGrid = grid.inflate(*chosen.inflation) if chosen.inflation else grid
-            return inflated
-
-        return self._keep("grid", (chosen.doors, chosen.inflation), make)
+        grid: NavGrid = self.grid.with_doors(dict(chosen.doors)) if chosen.doors else self.grid
+        inflated: NavGrid = grid.inflate(*chosen.inflation) if chosen.inflation else grid
+        return inflated
 
     def count(self, chosen: Choices) -> Counts:
         """How much of the shown grid is free."""
@@ -177,25 +185,19 @@ class Exhibit:
         areas = [n * level.lattice.cell_size**2 for n, level in zip(free, levels, strict=True)]
         return sum(free), cells, sum(areas)
 
+    @kept("doors", "inflation", "layer")
     def panel(self, chosen: Choices, number: int) -> Panel:
         """The chosen layer of a level; its occupancy until the scene is verified."""
-        key = chosen.doors, chosen.inflation, chosen.layer, number, id(self.report)
         findings = None if self.report is None else self.report.findings
         is_early = chosen.layer == DISAGREEMENTS and findings is None
         layer = "occupancy" if is_early else chosen.layer
-        make = lambda: make_panel(self.shown_grid(chosen), layer, number, findings=findings)  # noqa: E731
-        return self._keep(f"panel {number}", key, make)
+        return make_panel(self.shown_grid(chosen), layer, number, findings=findings)
 
+    @kept("doors", "inflation", "layer", "opacity")
     def overlay(self, chosen: Choices, number: int) -> bytes:
         """The chosen layer of a level, as it lies in the scene: GLB."""
-        panel = self.panel(chosen, number)
-
-        def make() -> tuple[Panel, bytes]:
-            rgb = paint(panel)
-            return panel, meshes.draw_overlay(self.carpets[number], rgb, chosen.opacity)
-
-        # the panel is kept with its picture: an id counts as long as its object is there
-        return self._keep(f"overlay {number}", (id(panel), chosen.opacity), make)[1]
+        rgb = paint(self.panel(chosen, number))
+        return meshes.draw_overlay(self.carpets[number], rgb, chosen.opacity)
 
     def names(self, chosen: Choices) -> list[tuple[str, tuple[float, float, float]]]:
         """Names on the shown levels and their places [m], but for those below another floor."""
@@ -209,64 +211,56 @@ class Exhibit:
                     found.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
         return [(text, place) for _, text, place in sorted(found)[:MOST_NAMES]]
 
+    @kept("doors", "with_hidden")
     def drawing(self, chosen: Choices) -> Drawing | None:
         """The scene as triangles, its doors as chosen; None without a scene."""
-        scene = self.scene
-        if scene is None:
+        if self.scene is None:
             return None
+        if not chosen.doors:
+            return meshes.draw_scene(self.scene, with_hidden=chosen.with_hidden)
+        from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
-        def make() -> Drawing:
-            if not chosen.doors:
-                return meshes.draw_scene(scene, with_hidden=chosen.with_hidden)
-            from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
+        grid: Any = self.grid.with_doors(dict(chosen.doors))
+        posed, hidden = pose_doors(self.scene, grid), chosen.with_hidden
+        return meshes.draw_scene(
+            self.scene, data=posed.data, removed=posed.removed, with_hidden=hidden
+        )
 
-            grid: Any = self.grid.with_doors(dict(chosen.doors))
-            posed, hidden = pose_doors(scene, grid), chosen.with_hidden
-            return meshes.draw_scene(
-                scene, data=posed.data, removed=posed.removed, with_hidden=hidden
-            )
-
-        return self._keep("drawing", (chosen.doors, chosen.with_hidden), make)
-
+    @kept("doors", "with_hidden", "with_scene", "cut")
     def surfaces(self, chosen: Choices) -> tuple[Surface, ...]:
         """What is drawn of the scene."""
-        drawing, height = self.drawing(chosen) if chosen.with_scene else None, chosen.cut
-        if drawing is None:
-            return ()
-        if height is None:
-            return drawing.surfaces
-        key = chosen.doors, chosen.with_hidden, height
-        return self._keep("surfaces", key, lambda: meshes.cut_drawing(drawing, height))
+        drawing = self.drawing(chosen) if chosen.with_scene else None
+        if drawing is None or chosen.cut is None:
+            return () if drawing is None else drawing.surfaces
+        return meshes.cut_drawing(drawing, chosen.cut)
 
+    @kept("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, chosen: Choices) -> bytes:
         """What is drawn of the scene, as GLB; empty for nothing."""
         surfaces, drawing = self.surfaces(chosen), self.drawing(chosen)
-        if drawing is None or not surfaces:
-            return b""
-        key = chosen.doors, chosen.with_hidden, chosen.cut
-        return self._keep("scene", key, lambda: meshes.draw_surfaces(surfaces, drawing.textures))
+        return meshes.draw_surfaces(surfaces, drawing.textures) if drawing and surfaces else b""
 
     def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
         """The choices after a click along a ray: its origin and its direction."""
         surfaces = [*self.surfaces(chosen), *(self.carpets[number] for number in chosen.levels)]
         return chosen.with_click(meshes.pick(self.grid, ray, surfaces, chosen.levels))
 
+    @kept("doors", "inflation")
+    def finder(self, chosen: Choices) -> PathFinder:
+        """Finds paths in the shown grid."""
+        return PathFinder(self.shown_grid(chosen))
+
+    @kept("doors", "inflation", "start", "goal")
     def route(self, chosen: Choices) -> Path | str | None:
         """The path between start and goal, or why there is none; None where one is missing."""
-        start, goal = chosen.start, chosen.goal
-        if start is None or goal is None:
+        if chosen.start is None or chosen.goal is None:
             return None
-        key = chosen.doors, chosen.inflation
-
-        def make() -> Path | str:
-            finder = self._keep("finder", key, lambda: PathFinder(self.shown_grid(chosen)))
-            ends = start.position, goal.position
-            try:
-                return finder.find_path(*ends) or finder.why_not(*ends) or "no path"
-            except QueryError as error:
-                return str(error)
-
-        return self._keep("route", (*key, start.position, goal.position), make)
+        ends = chosen.start.position, chosen.goal.position
+        finder = self.finder(chosen)
+        try:
+            return finder.find_path(*ends) or finder.why_not(*ends) or "no path"
+        except QueryError as error:
+            return str(error)
 
     def tell(self, chosen: Choices) -> Json | None:
         """What `describe_cell` says of the inspected cell, and the name of what was ``clicked``.
@@ -297,6 +291,7 @@ class Exhibit:
         from navbake.verifier.verify import Options, verify_scene
 
         self.report = verify_scene(self.grid, self.scene, Options(sample=SAMPLE), self.config)
+        self.kept.clear()
 
 
 def triangles_of(drawing: Drawing, geoms: Sequence[int]) -> NDArray[np.float32]:
