@@ -6,35 +6,14 @@ from functools import partial
 
 import pytest
 
+from cli_scenes import write_arena, write_room
 from command_line import run_command
-
-ROOM = """
-<mujoco>
-  <worldbody>
-    <geom name="floor" type="box" size="3 2 .1" pos="0 0 -.1"/>
-    <geom name="wall [b]" type="box" size=".1 2 1" pos="1 0 1"/>
-    <body name="lamp">
-      <geom name="shade" type="sphere" size=".1" contype="0" conaffinity="0"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-ARENA = """
-<mujoco>
-  <worldbody>
-    <geom name="floor" type="box" size=".75 1 .05" pos=".75 1 -.05"/>
-    <geom name="block" type="box" size=".1 .05 .2" pos="1.2 .25 .2"/>
-    <body name="cart" pos=".3 1.6 .3"><geom type="sphere" size=".15"/></body>
-  </worldbody>
-</mujoco>
-"""
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The current folder, with room.xml and room.yaml in it."""
-    (tmp_path / "room.xml").write_text(ROOM)
-    (tmp_path / "room.yaml").write_text("scene: {path: room.xml}\ngrid: {cell_size: 0.5}\n")
+    write_room(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -42,11 +21,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def arena(tmp_path, monkeypatch):
     """The current folder, with arena.xml and arena.yaml in it."""
-    (tmp_path / "arena.xml").write_text(ARENA)
-    (tmp_path / "arena.yaml").write_text(
-        "scene: {path: arena.xml}\nagent: {height: 0.4, traversable_floor_height: 0.05}\n"
-        "floors: {min_area: 0.1, shrink: 0.1}\n"
-    )
+    write_arena(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

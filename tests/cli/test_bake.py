@@ -1,10 +1,18 @@
-"""The command `navbake bake`: what is written, and what is not."""
+"""The commands that read scenes, but for `voxelize`: what is written, and what is not."""
 
+from __future__ import annotations
+
+import json
 import os
+from pathlib import Path
 
 import pytest
 
 import navbake
+from command_line import run_command
+from navbake.config.settings import load_config
+from navbake.formats.navgrid import dumps_navgrid
+from project_paths import GOLDEN
 
 
 def test_bakes_a_yaml(folder, run):
@@ -66,38 +74,6 @@ def test_several_scenes_do_not_overwrite_each_other(folder, run):
     assert "room.xml: room.grid.json was written for another scene" in err
 
 
-def test_several_scenes_need_a_folder(folder, run):
-    status, _, err = run("bake", "room.yaml", "room.xml", "-o", "one.json")
-    assert status == 2
-    assert "expected a folder, got one.json" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "culprit"),
-    [
-        (["none.yaml"], "none.yaml"),
-        (["none.xml"], "none.xml"),
-        (["room.yaml", "--set", "grid.cell_size=5cm"], "`grid.cell_size`"),
-        (["room.yaml", "--set", "grid.cellsize=1"], "`grid.cell_size`"),
-        (["room.yaml", "--set", "grid.max_cells=10"], "`grid.max_cells`"),
-        (["room.yaml", "--set", "scene.geoms=visual", "-o", "none/a.json"], "none/a.json"),
-        (["room.yaml", "-o", "room.yaml"], "got room.yaml"),
-        (["room.yaml", "-o", "room.xml"], "got room.xml"),
-        (["room.yaml", "-o", "room.xml/"], "room.xml/room.grid.json"),
-        (["room.yaml", "--set", "output=."], "cannot write .: it is a folder"),
-    ],
-)
-def test_errors_are_one_line_and_nothing_is_written(folder, run, names, arguments, culprit):
-    before = (folder / "room.xml").read_text()
-    status, out, err = run("bake", *arguments)
-    assert (status, out) == (1, "")
-    assert err.startswith("navbake: ")
-    assert err.count("\n") == 1
-    assert culprit in err
-    assert names(folder) == ["room.xml", "room.yaml"]
-    assert (folder / "room.xml").read_text() == before
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_takes_no_files(folder, run):
     (folder / "locked").mkdir(mode=0o500)
@@ -105,9 +81,142 @@ def test_a_folder_that_takes_no_files(folder, run):
     assert (status, "Permission denied" in err) == (1, True)
 
 
-def test_a_new_folder_without_a_slash_is_told_how_to_write_it(run, names, folder):
-    before = names(folder)
-    status, _, err = run("bake", "room.yaml", "-o", "grids")
-    assert status == 2
-    assert "got grids: a new folder is written grids/" in " ".join(err.split())
-    assert names(folder) == before
+HOUSE = str(GOLDEN / "house.grid.json.gz")
+COARSE = ("--set", "grid.cell_size=0.5")
+ROOMS = {
+    "type": "FeatureCollection",
+    "features": [
+        {
+            "type": "Feature",
+            "properties": {"name": "hall"},
+            "geometry": {"type": "Polygon", "coordinates": [[[-3, -2], [3, -2], [3, 2], [-3, 2]]]},
+        }
+    ],
+}
+
+
+@pytest.fixture
+def scenes(folder):
+    """Three folders, each with a scene.xml."""
+    paths = []
+    for name in ("hall", "attic", "deep/cellar"):
+        path = folder / "scenes" / name / "scene.xml"
+        path.parent.mkdir(parents=True)
+        path.write_text((folder / "room.xml").read_text())
+        paths.append(path)
+    return paths
+
+
+def test_endings_may_be_in_capitals(folder, run):
+    assert run("bake", "room.yaml", "-q", "-o", "a.JSON.GZ") == (0, "", "")
+    assert Path("a.JSON.GZ").read_bytes().startswith(b"\x1f\x8b")
+
+
+def test_no_input_is_overwritten(folder, run):
+    rooms = json.dumps(ROOMS)
+    (folder / "rooms.json").write_text(rooms)
+    (folder / "room.yaml").write_text("scene: {path: room.xml}\nrooms: {polygons: rooms.json}\n")
+    os.link(folder / "rooms.json", folder / "linked.json")
+    os.symlink("rooms.json", folder / "soft.json")
+    for name in ("rooms.json", "./rooms.json", "linked.json", "soft.json"):
+        status, _, err = run("bake", "room.yaml", *COARSE, "-o", name)
+        assert status == 1 and "expected an output apart from the inputs" in err
+    status, _, err = run("bake", "room.yaml", *COARSE, "--set", "output=rooms.json")
+    assert status == 1 and "apart from the inputs" in err
+    assert (folder / "rooms.json").read_text() == rooms
+
+
+def test_a_picture_does_not_overwrite_its_grid(folder, run):
+    (folder / "a.png").write_bytes(Path(HOUSE).read_bytes())
+    assert run("plot", "a.png", "-o", "a.png")[0] == 1
+    assert run("path", "a.png", "--from", "0,0", "--to", "1,1", "-o", "a.png")[0] == 1
+    assert (folder / "a.png").read_bytes() == Path(HOUSE).read_bytes()
+
+
+def test_a_grid_on_stdout(folder, capfdbinary, names):
+    status, out, err = run_command(capfdbinary, "bake", "room.yaml", "--no-timings", "-o", "-")
+    assert status == 0
+    grid = navbake.load(out)
+    assert out == dumps_navgrid(grid)
+    assert b"12 x 8" in err  # what is said goes beside it
+    status, out, err = run_command(capfdbinary, "bake", "room.yaml", "-q", "-o", "-")
+    assert (status, err) == (0, b"") and navbake.load(out).scene_id == "room"
+    status, out, err = run_command(capfdbinary, "inflate", HOUSE, "--radius", 0.2, "-o", "-")
+    assert status == 0 and navbake.load(out).scene_id == "house" and b"0.2 m" in err
+    assert names(folder) == ["room.xml", "room.yaml"]
+
+
+def test_a_closed_stdout_takes_no_grid(folder, capsys, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("sys.stdout", None)
+        status, _, err = run_command(capsys, "inflate", HOUSE, "--radius", 0.2, "-o", "-", "-q")
+    assert (status, err) == (1, "navbake: cannot write to stdout: it is closed\n")
+
+
+def test_pictures_and_settings_on_stdout(folder, capfdbinary, names):
+    status, out, _ = run_command(capfdbinary, "plot", HOUSE, "-o", "-")
+    assert status == 0 and out.startswith(b"\x89PNG")
+    ends = ("--from", "0,-4.8,L0", "--to", "1,-5,L0")
+    status, out, err = run_command(capfdbinary, "path", HOUSE, *ends, "-o", "-")
+    assert status == 0 and out.startswith(b"\x89PNG") and b"length" in err
+    status, out, _ = run_command(capfdbinary, "init", "room.xml", "-o", "-")
+    assert status == 0
+    assert names(folder) == ["room.xml", "room.yaml"]
+    (folder / "again.yaml").write_bytes(out)
+    assert run_command(capfdbinary, "geoms", "again.yaml")[0] == 0
+
+
+def test_names_of_several_scenes(folder, scenes, run, names):
+    assert run("bake", *scenes, *COARSE, "-q", "-o", "a/", "--name", "{parent}") == (0, "", "")
+    assert names(folder / "a") == ["attic.grid.json", "cellar.grid.json", "hall.grid.json"]
+    name = "{parent}/{stem}-{id}"
+    assert run("bake", *scenes[:2], *COARSE, "-q", "-o", "b/", "--name", name) == (0, "", "")
+    assert names(folder / "b") == ["attic/scene-scene.grid.json", "hall/scene-scene.grid.json"]
+    status, _, err = run("bake", *scenes[:2], *COARSE, "-q", "-o", "c/", "--name", "{id}")
+    assert status == 1 and "--name '{parent}-{stem}'" in err
+    assert run("bake", "room.xml", scenes[0], *COARSE, "-q", "-o", "flat/") == (0, "", "")
+    assert names(folder / "flat") == ["room.grid.json", "scene.grid.json"]
+
+
+def test_two_bakes_without_timings_are_the_same_bytes(folder, run):
+    for name in ("a.json", "b.json"):
+        assert run("bake", "room.yaml", "-q", "--no-timings", "-o", name) == (0, "", "")
+    assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
+    assert navbake.load("a.json").timings == {}
+    run("bake", "room.yaml", "-q", "-o", "c.json")
+    timed = navbake.load("c.json")
+    assert timed.timings
+    timed.timings = {}
+    assert dumps_navgrid(timed) == Path("a.json").read_bytes()
+
+
+def test_init_writes_settings_that_bake_the_same(folder, run):
+    status, out, _ = run("init", "room.xml", "-o", "made.yaml")
+    assert (status, out.startswith("made.yaml")) == (0, True)
+    made = load_config("made.yaml")
+    assert made.scene.path.samefile("room.xml")
+    assert run("init", "room.xml", "-o", "made.yaml")[0] == 1
+    assert run("init", "room.xml", "-o", "made.yaml", "--force")[0] == 0
+    assert run("init", "room.xml")[0] == 1  # room.yaml is there
+    assert run("init", "none.xml")[2] == "navbake: no such file: none.xml\n"
+
+
+@pytest.mark.parametrize("config", ["room.xml", "room.yaml"])
+def test_geoms(folder, run, config):
+    status, out, _ = run("geoms", config)
+    assert status == 0
+    lines = {line.split()[1]: line for line in out.splitlines()[1:-1]}
+    assert "wall [b]" in lines["wall"]  # no markup
+    assert " yes " in lines["floor"]
+    assert " no " in lines["shade"]
+    assert out.splitlines()[-1] == "2 geoms counted, 1 left out"
+
+
+def test_geoms_as_json(folder, run):
+    status, out, _ = run("geoms", "room.yaml", "--json", "--set", "scene.geoms=all")
+    assert status == 0
+    facts = json.loads(out)
+    assert facts["scene_id"] == "room"
+    assert [geom["name"] for geom in facts["geoms"]] == ["floor", "wall [b]", "shade"]
+    assert all(geom["counted"] for geom in facts["geoms"])
+    assert set(facts["geoms"][0]) == {"id", "name", "body", "type", "counted", "shape", "reason"}

@@ -147,16 +147,6 @@ def test_a_page_is_written_while_the_batch_goes_on(folder, run, monkeypatch):
     assert content_of_batch("out/index.html")["progress"] is None
 
 
-def test_reports_on_folders_that_are_no_batch_are_refused(folder, run):
-    for arguments, status, message in (
-        (("report", "."), 1, "expected grids, or one folder of a batch with index.jsonl, got ."),
-        (("report", "room.grid.json"), 2, "expected a page to write"),
-        (("report", ".", "--audit"), 2, "does nothing here"),
-    ):
-        got, out, err = run(*arguments)
-        assert (got, out) == (status, "") and message in err, arguments
-
-
 def test_settings_and_products_reach_the_scenes(folder, run, here):
     (folder / "all.yaml").write_text("grid: {cell_size: 0.25}\n")
     given = ("--config", "all.yaml", "--make", "inflated:0.3", "--set", "agent.radius=0.1")
@@ -164,25 +154,6 @@ def test_settings_and_products_reach_the_scenes(folder, run, here):
     grid = read_navgrid(Path("out/room/grid.json.gz"))
     assert grid.cell_size == 0.25 and grid.agent_radius == 0.1
     assert Path("out/room/inflated-0.3.json.gz").is_file()
-
-
-def test_wrong_uses_are_one_line(folder, run):
-    before = {path.name for path in folder.iterdir()}
-    for arguments, message in (
-        (("no/*.xml", "-o", "out"), "expected files that match"),
-        (("room.xml", "-o", "out", "--make", "grid"), "expected one of inflated:RADIUS"),
-        (("room.xml", "-o", "out", "--set", "a.b=1"), "unknown key"),
-        (("room.xml", "-o", "room.xml/out"), "cannot write into"),
-    ):
-        status, out, err = run("batch", *arguments)
-        assert (status, out, err.count("\n")) == (1, "", 1) and message in err, arguments
-    for arguments, message in (
-        (("-o", ""), "expected a folder, got nothing"),
-        (("-o", "out", "--log", "-"), "expected a file, got -: --json prints the same"),
-    ):
-        status, out, err = run("batch", "room.xml", *arguments)
-        assert (status, out) == (2, "") and message in " ".join(err.split()), arguments
-    assert {path.name for path in folder.iterdir()} <= before
 
 
 def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):
@@ -294,14 +265,6 @@ def test_killed_at_random_and_started_again_it_makes_the_same(scenes, tmp_path):
     assert digests(out) == expected
     rows = map(json.loads, (out / "index.jsonl").read_text().splitlines())
     assert {row["status"] for row in rows} == {"ok"}
-
-
-@pytest.mark.parametrize("log", ["room.xml", "out/index.jsonl"])
-def test_a_log_overwrites_neither_scenes_nor_the_index(folder, run, log):
-    before = Path("room.xml").read_bytes()
-    status, _, err = run("batch", "room.xml", "-o", "out", "--log", log)
-    assert status == 1 and "expected an output apart from the inputs" in err
-    assert Path("room.xml").read_bytes() == before
 
 
 def test_a_full_disk_ends_the_batch_with_one_line(folder, run, here, monkeypatch):

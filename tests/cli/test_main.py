@@ -1,37 +1,26 @@
-"""The command line: exit status, what goes to stdout and what to stderr."""
+"""The command line: help, exit status, what goes to stdout and what to stderr."""
 
+from __future__ import annotations
+
+import logging
 import os
 import re
+import shlex
 import subprocess
 import sys
+from typing import Annotated, Any, NamedTuple
 
 import pytest
+import typer
 
 import navbake
-from navbake.cli.main import COMMANDS, main
+from navbake import compiled
+from navbake.cli.main import COMMANDS, app, main
+from navbake.cli.options import check_output, prepared
+from navbake.errors import ConfigError
 from project_paths import GOLDEN
 
 HOUSE = str(GOLDEN / "house.grid.json.gz")
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["bake"],
-        ["bake", "room.yaml", "--threads", "0"],
-        ["bake", "room.yaml", "--set", "novalue"],
-        ["bake", "room.yaml", "--nonsense"],
-        ["nonsense"],
-        ["plot", "room.grid.json"],
-        ["plot", "room.grid.json", "-o", "room.pdf"],
-        ["plot", "room.grid.json", "-o", "room.png", "--layer", "heat"],
-    ],
-)
-def test_wrong_usage(folder, run, names, arguments):
-    status, _, err = run(*arguments)
-    assert status == 2
-    assert err
-    assert names(folder) == ["room.xml", "room.yaml"]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no full device here")
@@ -53,25 +42,6 @@ def test_bugs_keep_their_traceback(folder, monkeypatch):
     monkeypatch.setattr(navbake.baker.pipeline, "run_bake", fail)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         main(["bake", "room.yaml"])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "answer"),
-    [
-        (["export", "a.grid.json", "a.yaml"], "No such command 'export': write `navbake convert"),
-        (["extrude", "map.yaml", "-o", "a.xml"], "write `navbake convert MAP scene.xml`"),
-        (["bake", "x.grid.json"], "x.grid.json is a grid, not a scene: `navbake info x.grid.json`"),
-        (["geoms", "x.json.gz"], "x.json.gz is a grid, not a scene"),
-        (["init", "x.grid.json"], "is a grid, not a scene"),
-        (["voxelize", "x.grid.json", "-o", "a.npz"], "is a grid, not a scene"),
-        (["why", HOUSE], "expected one place"),
-        (["why", HOUSE, "1,1", "--at", "1,1"], "expected one place"),
-        (["inflate", HOUSE, "-o", "a.json"], "expected one radius"),
-    ],
-)
-def test_first_guesses_are_answered(folder, run, arguments, answer):
-    status, out, err = run(*arguments)
-    assert (status, out) == (2, "") and answer in " ".join(err.replace("│", " ").split())
 
 
 @pytest.mark.parametrize(
@@ -111,29 +81,120 @@ def test_version_and_help(run):
     assert all(command in out for command in ("bake", "init", "geoms", "info", "plot"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "culprit"),
-    [
-        (["info", "none.json"], "none.json"),
-        (["rooms", "none.json"], "none.json"),
-        (["info", "room.xml"], "room.xml"),
-        (["plot", "none.json", "-o", "a.png"], "none.json"),
-        (["plot", "room.xml", "-o", "none/a.png"], "none/a.png"),
-        (["geoms", "none.xml"], "none.xml"),
-        (["geoms", "none.yaml"], "none.yaml"),
-    ],
-)
-def test_errors_of_the_others(folder, run, names, arguments, culprit):
-    status, out, err = run(*arguments)
-    assert (status, out) == (1, "")
-    assert err.startswith("navbake: ")
-    assert err.count("\n") == 1
-    assert culprit in err
-    assert names(folder) == ["room.xml", "room.yaml"]
-
-
 def test_runs_as_a_module(tmp_path):
     path = tmp_path / "none.yaml"
     command = [sys.executable, "-m", "navbake", "bake", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, f"navbake: no such file: {path}\n")
+
+
+HELPED: Any = typer.main.get_command(app)
+EXAMPLE = re.compile(r"^Example: navbake (.+)$", re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", sorted(HELPED.commands))
+def test_help_has_an_example_that_parses(name):
+    command = HELPED.commands[name]
+    [example] = EXAMPLE.findall(command.help)
+    words = shlex.split(example)
+    assert words[0] == name
+    command.make_context(name, words[1:])
+
+
+@pytest.mark.parametrize("name", sorted(HELPED.commands))
+def test_help_is_printed_with_the_example_on_a_line_of_its_own(name, run):
+    status, out, _ = run(name, "--help")
+    assert status == 0
+    assert re.search(rf"\n\n  Example: navbake {re.escape(name)}\b", out)
+
+
+@pytest.mark.parametrize("name", sorted(HELPED.commands))
+def test_help_says_what_values_are_and_no_types_of_python(name, run):
+    _, out, _ = run(name, "--help")
+    assert {*re.findall(r"<[^<>]*>", out)} <= {"<id>"}
+    unnamed = [p.name for p in HELPED.commands[name].params if not (p.metavar or is_flag(p))]
+    assert not unnamed
+
+
+def is_flag(parameter):
+    return getattr(parameter, "is_flag", False)
+
+
+@pytest.mark.parametrize("name", sorted(HELPED.commands))
+def test_help_lists_the_output_first(name, run):
+    _, out, _ = run(name, "--help")
+    if "--output" in out:
+        assert re.search(r"\nOptions:\n +-o, --output ", out)
+
+
+class Size(NamedTuple):
+    width: Annotated[int, typer.Option(help="Columns.")]
+    height: Annotated[int, typer.Option(help="Rows.")] = 3
+
+
+def test_options_that_belong_together_are_one_value(capsys):
+    app = typer.Typer(rich_markup_mode=None)
+    got = []
+
+    @app.command()
+    @prepared
+    def draw(
+        size: Size,
+        name: Annotated[str, typer.Argument(help="What.")],
+        fast: Annotated[bool, typer.Option("--fast")] = False,
+    ) -> None:
+        """Draw."""
+        got.append((size, name, fast))
+
+    app(["box", "--width", "4", "--fast"], standalone_mode=False)
+    app(["box", "--width", "4", "--height", "5"], standalone_mode=False)
+    assert got == [(Size(4, 3), "box", True), (Size(4, 5), "box", False)]
+    app(["--help"], standalone_mode=False)
+    out = capsys.readouterr().out
+    assert all(text in out for text in ("Draw.", "--width", "Rows.", "What."))
+    assert "--size" not in out
+
+
+def test_a_missing_folder_may_be_made_if_asked_for(tmp_path):
+    path = tmp_path / "new" / "deep" / "a.png"
+    with pytest.raises(ConfigError, match=r"cannot write .*a\.png"):
+        check_output(path)
+    check_output(path, ".png", may_make_folder=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def run_warm_up(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as done:
+        main(["warm-up", *arguments])
+    return int(done.value.code or 0)
+
+
+def test_all_is_compiled_in_some_processes(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(compiled, "warm_up", lambda **options: asked.append(options) or [])
+    assert run_warm_up() == 0 and asked[0]["everything"]
+    assert capsys.readouterr().out.startswith("compiled")
+    monkeypatch.setattr(compiled, "warm_up", lambda **options: ["runtime.kernels.a.b"])
+    assert (
+        run_warm_up() == 0
+        and "not compiled, or not kept: runtime.kernels.a.b" in capsys.readouterr().err
+    )
+
+
+def test_says_where_nothing_can_be_kept(monkeypatch, capsys):
+    monkeypatch.setattr(compiled, "cache_folder", lambda: None)
+    assert run_warm_up() == 0
+    out, err = capsys.readouterr()
+    assert out == "" and "nothing can be kept: set NUMBA_CACHE_DIR" in err
+
+
+def test_commands_print_what_is_logged(monkeypatch, capsys):
+    """A slow start is announced on stderr, whether it is a terminal or a pipe."""
+
+    def warm_up(**options: object) -> list[str]:
+        logging.getLogger("navbake.compiled").warning("compiling")
+        return []
+
+    monkeypatch.setattr(compiled, "warm_up", warm_up)
+    run_warm_up()
+    assert "navbake: compiling\n" in capsys.readouterr().err

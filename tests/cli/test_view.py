@@ -61,11 +61,6 @@ def test_a_port_in_use_is_one_line(run, tmp_path):
     )
 
 
-def test_an_address_of_others_is_one_line(run, tmp_path):
-    code, error = fails(run, write_room(tmp_path), "--host", "no.such.host.invalid")
-    assert code == 1 and "no address of this machine" in error and error.count("\n") == 1
-
-
 def test_a_grid_of_another_scene_is_one_line(run, tmp_path):
     model = mujoco.MjModel.from_xml_string(ROOM)
     navbake.bake(model, grid={"cell_size": 0.2}).save(tmp_path / "room.grid.json")
@@ -80,16 +75,3 @@ def test_without_the_extra_it_says_what_to_install(run, tmp_path, monkeypatch):
     code, error = fails(run, write_room(tmp_path))
     assert code == 1
     assert error == 'navbake: the viewer needs viser: pip install "navbake[view]"\n'
-
-
-@pytest.mark.parametrize("option", [("--scene", "a.xml"), ("--force",)])
-def test_options_that_do_nothing_are_refused(run, tmp_path, option):
-    code, error = fails(run, write_room(tmp_path), *option)
-    assert code == 2 and "does nothing here" in error
-
-
-def test_a_broken_setting_is_one_line(run, tmp_path):
-    path = write_room(tmp_path)
-    path.write_text(path.read_text() + "agnt: {}\n")
-    code, error = fails(run, path, "--port", 0)
-    assert code == 1 and "agnt" in error and error.count("\n") == 1

@@ -1,7 +1,6 @@
 """The command `navbake voxelize`."""
 
 import numpy as np
-import pytest
 
 import navbake
 
@@ -69,27 +68,3 @@ def test_writes_airsims_layout_when_asked(arena, run):
 def test_free_space_in_octrees(arena, run):
     run("voxelize", "arena.xml", *CENTRED, "-o", "a.bt", "--free")
     assert navbake.load_voxels("a.bt").shape == (15, 20, 12)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "culprit"),
-    [
-        (("-o", "a.vox"), 2, ".binvox, .bt, .ot, .npz"),
-        (("-o", "no/a.bt"), 1, "cannot write no/a.bt"),
-        (("-o", "a.npz", "--segment", "a=b"), 2, "PATTERN=ID"),
-        (("-o", "a.bt", "--segment", "top"), 2, "octrees hold no IDs"),
-        (("-o", "a.npz", "--airsim"), 2, "--airsim: does nothing here: it is for .binvox"),
-        (("-o", "a.npz", "--free"), 2, "--free: does nothing here: it is for .bt and .ot"),
-        (("-o", "a.binvox", "--compact"), 2, "--compact: does nothing here"),
-        (("-o", "a.binvox", "--twin"), 2, "--twin: does nothing here"),
-        (("-o", "a.npz", "--segment", "top", "--twin"), 2, "--twin: does nothing here"),
-        (("-o", "-"), 2, "its ending says which format"),
-        (("-o", "a.bt", "--center", 0, 0, 0), 1, "beside the centre"),
-        (("-o", "a.bt", "--cells", 0, 1, 1), 1, "whole numbers >= 1"),
-        (("-o", "a.bt", "--res", 0), 1, "`res`"),
-        (("-o", "a.bt", "--res", 1e-5), 1, "GiB of memory are free"),
-    ],
-)
-def test_wrong_arguments_say_what_is_wrong(arena, run, arguments, status, culprit):
-    found, _, err = run("voxelize", "arena.xml", *arguments)
-    assert found == status and culprit in " ".join(err.split())

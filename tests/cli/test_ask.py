@@ -1,0 +1,225 @@
+"""The commands `info`, `rooms`, `path`, `plot` and `report`; `why` is tested with its view."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import pytest
+from typer import BadParameter
+
+import navbake
+from door_scenes import LEAF, ROOMS, world
+from navbake.cli.options import parse_place
+from project_paths import GOLDEN
+
+HOUSE, APARTMENT = (str(GOLDEN / f"{name}.grid.json.gz") for name in ("house", "apartment"))
+
+
+@pytest.fixture
+def plan(run):
+    """Returns a function that runs `navbake path`: status, stdout, stderr."""
+    return partial(run, "path")
+
+
+def test_prints_the_path_that_the_finder_finds(plan):
+    status, out, err = plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "--json")
+    assert (status, err) == (0, "")
+    told = json.loads(out)["path"]
+    path = navbake.PathFinder(navbake.load(HOUSE)).find_path((0, -4.8, 0), "room:1:1")
+    assert told["length"] == path.length
+    assert told["cost"] == path.cost
+    assert told["rooms"] == path.rooms
+    assert told["doors"] == path.doors
+    assert told["positions"] == path.positions.tolist()
+    assert told["levels"] == path.levels.tolist()
+
+
+def test_prints_text(plan):
+    status, out, _ = plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1")
+    lines = out.splitlines()
+    assert status == 0
+    assert lines[0].startswith("length  ") and lines[0].endswith(" m")
+    assert lines[2].endswith("1:1")
+    assert lines[5].split() == ["0.000", "-4.800", "-0.050", "0"]
+    assert lines[-1].endswith("  1")
+
+
+def test_the_nearest_of_several_and_heights(plan):
+    out = plan(HOUSE, "--from", "0,-4.8,0", "--to", "-6,5,L0", "--to", "1,-5,0", "--json")[1]
+    assert json.loads(out)["path"]["positions"][-1][:2] == [1.0, -5.0]
+
+
+def test_a_path_may_keep_to_the_centres(plan):
+    smooth, rough = (
+        json.loads(plan(APARTMENT, "--from", "0,0", "--to", "room:bedroom", "--json", *option)[1])
+        for option in ([], ["--no-smooth"])
+    )
+    assert len(rough["path"]["positions"]) > len(smooth["path"]["positions"])
+
+
+def test_no_path_is_status_1_with_the_reason(plan):
+    status, out, err = plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "--radius", 0.4)
+    assert (status, err) == (1, "")
+    assert out.startswith("no path: ")
+    out = plan(HOUSE, "--from", "99,0,0", "--to", "room:1:1", "--json")[1]
+    assert json.loads(out)["path"] is None
+    assert "lies beside the grid" in json.loads(out)["reason"]
+
+
+def test_draws_a_picture(plan, tmp_path):
+    picture = tmp_path / "path.png"
+    assert plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "-o", picture)[0] == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    empty = tmp_path / "none.png"
+    assert plan(HOUSE, "--from", "99,0,0", "--to", "room:1:1", "-o", empty)[0] == 1
+    assert empty.read_bytes() != picture.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("1.5,-2", (1.5, -2.0, None, None)),
+        ("-1.5,+2,1", (-1.5, 2.0, 1.0, None)),
+        (".5,2.,-1e-3", (0.5, 2.0, -0.001, None)),
+        ("0,0,L0", (0.0, 0.0, None, 0)),
+        ("0,0,L12", (0.0, 0.0, None, 12)),
+    ],
+)
+def test_the_three_spellings(text, place):
+    assert parse_place(text, "--at") == place
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("1.5 -2", "1.5,-2"),
+        ("1.5, -2, 1", "1.5,-2,1"),
+        ("(1.5,-2)", "1.5,-2"),
+        ("[1, 2, 3]", "1,2,3"),
+        ("1;2;L1", "1,2,L1"),
+        ("1,2,l1", "1,2,L1"),
+        ("1,2,level 1", "1,2,L1"),
+        ("1,2,level1", "1,2,L1"),
+    ],
+)
+def test_other_spellings_mean_the_same(text, plain):
+    assert parse_place(text, "--at") == parse_place(plain, "--at")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "here", "1", "1,2,3,4", "1,2,Lx", "1,2,L-1", "nan,0", "inf,0", "1,2,L1.5"]
+)
+def test_what_is_no_place_is_refused(text):
+    with pytest.raises(BadParameter, match="expected X,Y"):
+        parse_place(text, "--at")
+
+
+def test_numbers_beyond_floats_are_refused():
+    with pytest.raises(BadParameter, match="finite"):
+        parse_place("1e999,0", "--at")
+
+
+@pytest.mark.parametrize(("at", "level"), [("1,1,1", 0), ("1,1,3.5", 1), ("1,1,L1", 1)])
+def test_why_and_path_mean_the_same(run, at, level):
+    status, out, _ = run("why", HOUSE, "--at", at, "--json")
+    assert status == 0
+    assert [place["level"] for place in json.loads(out)] == [level]
+    status, out, _ = run("path", HOUSE, "--from", at, "--to", at, "--json")
+    assert status == 0
+    assert json.loads(out)["path"]["levels"][0] == level
+
+
+def test_a_place_without_a_level_is_on_the_only_floor_there(run):
+    goal = ("--to", "-2.2,-3.2,L1")
+    with_level, without = (
+        run("path", HOUSE, "--from", start, *goal, "--json") for start in ("0,-4.8,L0", "0,-4.8")
+    )
+    assert with_level[0] == 0 and with_level == without
+
+
+def test_info_and_plot(folder, run):
+    run("bake", "room.yaml", "-q")
+    status, out, _ = run("info", "room.grid.json")
+    assert status == 0
+    digest = navbake.load("room.grid.json").navbake["settingsDigest"]
+    assert digest in out  # nothing is cut in a pipe
+    assert "12 x 8" in out
+    status, out, _ = run("info", "room.grid.json", "--json")
+    assert (status, json.loads(out)["scene_id"]) == (0, "room")
+    status, out, _ = run("plot", "room.grid.json", "-o", "room.png", "--level", "0")
+    assert (status, out) == (0, "room.png\n")
+    assert (folder / "room.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_rooms_and_their_picture(folder, run):
+    run("bake", "room.yaml", "-q")
+    status, out, _ = run("rooms", "room.grid.json")
+    assert status == 0
+    header, *rows, last = out.splitlines()
+    assert " ".join(header.split()) == "id m2 centroid x y z m from"
+    assert last == f"{len(rows)} room{'' if len(rows) == 1 else 's'}"
+    status, out, _ = run("rooms", "room.grid.json", "--json")
+    listed = json.loads(out)
+    assert listed["scene_id"] == "room"
+    assert listed["rooms"] == navbake.load("room.grid.json").navbake["rooms"]
+    layers = ("--layer", "rooms", "--layer", "clearance")
+    status, out, _ = run("plot", "room.grid.json", "-o", "rooms.png", *layers)
+    assert (status, out) == (0, "rooms.png\n")
+    assert (folder / "rooms.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_pictures_end_as_they_are(folder, run):
+    run("bake", "room.yaml", "-q")
+    status, out, _ = run("plot", "room.grid.json", "-o", "room.svg", "--layer", "doors")
+    assert (status, out) == (0, "room.svg\n")
+    assert b"<svg" in (folder / "room.svg").read_bytes()
+    status, _, err = run("plot", "room.grid.json", "-o", "room.png", "--layer", "heat")
+    assert status == 2
+    assert all(layer in " ".join(err.split()) for layer in ("occupancy", "doors", "links", "heat"))
+
+
+def test_doors_are_listed_with_their_states(folder, run):
+    box = '<body name="box" pos="1.5 1.5 0.5"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    (folder / "doors.xml").write_text(world(ROOMS, LEAF, box))
+    run("bake", "doors.xml", "-q", "--set", "doors.state=open", "--set", "doors.patterns=[box]")
+    expected = {
+        "id": "leaf",
+        "joint": "leaf",
+        "rooms": ["0:1", "0:2"],
+        "levels": [0],
+        "state": "open",
+        "like": None,
+        "states": ["modelled", "open", "closed", "removed"],
+    }
+    for command in ("info", "rooms"):
+        status, out, _ = run(command, "doors.grid.json", "--json")
+        assert (status, json.loads(out)["doors"][0]) == (0, expected)
+        *_, header, row, other = run(command, "doors.grid.json")[1].splitlines()
+        assert header.split() == ["door", "joint", "joins", "is", "can", "be"]
+        cells = "leaf leaf 0:1 - 0:2 open modelled, open, closed, removed"
+        assert " ".join(row.split()) == cells
+        expected_other = "box none nothing modelled (closed) modelled, closed, removed"
+        assert " ".join(other.split()) == expected_other
+
+
+def test_a_report_of_two_bakes(folder, run):
+    run("bake", "room.yaml", "-q")
+    run("bake", "room.yaml", "-o", "other.grid.json", "--set", "agent.radius=0.3", "-q")
+    status, out, _ = run(
+        "report", "room.grid.json", "other.grid.json", "-o", "report.html", "--audit"
+    )
+    assert (status, out) == (0, "report.html\n")
+    assert b"<title>room, other</title>" in (folder / "report.html").read_bytes()
+
+
+def test_a_verification_is_added(folder, run):
+    run("bake", "room.yaml", "-q")
+    _, out, _ = run("verify", "room.grid.json", "--json")
+    (folder / "verify.json").write_text(out)
+    arguments = ("room.grid.json", "-o", "report.html", "--verify", "verify.json")
+    assert run("report", *arguments)[0] == 0
+    assert b"Verification: agrees" in (folder / "report.html").read_bytes()
+    status, _, err = run("report", "room.grid.json", *arguments)
+    assert status == 2
+    assert "expected one for each GRID, 2, got 1" in err

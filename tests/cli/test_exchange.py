@@ -1,0 +1,177 @@
+"""The commands `convert`, `inflate` and `map-descriptor`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import navbake
+from cli_scenes import P1, P2
+from differences import first_difference
+from navbake import files
+from navbake.errors import FormatError
+from navbake.formats.convert import FORMATS, find_format
+from navbake.navgrid.operations import resolve
+from project_paths import GOLDEN
+
+HOUSE = GOLDEN / "house.grid.json.gz"
+
+
+@pytest.fixture
+def house(tmp_path, monkeypatch):
+    """The current folder, with a house in it."""
+    shutil.copy(HOUSE, tmp_path / "house.json.gz")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def convert(run, house):
+    return partial(run, "convert")
+
+
+@pytest.fixture
+def inflate(run, house):
+    return partial(run, "inflate")
+
+
+def test_converts_by_ending_or_by_name(convert):
+    assert convert("house.json.gz", "a.json") == (0, "a.json\n", "")
+    shutil.copy("a.json", "b.dat")
+    assert convert("b.dat", "c.dat", "--from", "navgrid", "--to", "navgrid") == (0, "c.dat\n", "")
+    house = navbake.load("house.json.gz")
+    assert first_difference(navbake.load("c.dat"), house) is None
+    assert house.convert("d.dat", "navgrid") == [Path("d.dat")]
+    assert Path("d.dat").read_bytes() == Path("c.dat").read_bytes()
+    with pytest.raises(FormatError, match="navgrid takes no option 'radius', it takes: none"):
+        house.convert("e.json", radius=1.0)
+
+
+def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(convert, monkeypatch):
+    before = Path("house.json.gz").read_bytes()
+    for output in ("house.json.gz", "./house.json.gz"):
+        status, out, err = convert("house.json.gz", output)
+        assert (status, out) == (1, "") and "apart from the inputs" in err
+    Path("big.json").write_text("{}")
+
+    def fail(*_args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "replace", fail)
+    status, out, err = convert("house.json.gz", "big.json")
+    assert (status, out) == (1, "")
+    assert "No space left" in err
+    assert Path("big.json").read_text() == "{}"
+    assert Path("house.json.gz").read_bytes() == before
+
+
+def test_the_table_names_functions_that_are_there():
+    for form in FORMATS:
+        for where in (form.encode, form.read):
+            assert where is None or callable(resolve(f"navbake.formats.{where}"))
+
+
+def test_the_longest_ending_decides():
+    assert find_format("a.json.gz", writing=True).name == "navgrid"
+    assert find_format("A.JSON", writing=False).name == "navgrid"
+    with pytest.raises(FormatError, match=r"got json"):
+        find_format("json", writing=False)
+
+
+# ---------------------------------------------------------------- maps
+
+
+def test_each_way_there_and_back(convert):
+    house = navbake.load("house.json.gz")
+    assert convert("house.json.gz", "a.npz") == (0, "a.npz\n", "")
+    assert convert("a.npz", "a.json")[0] == 0
+    assert first_difference(navbake.load("a.json"), house) is None
+    status, out, err = convert("house.json.gz", "map.yaml", "--level", 1, "--radius", 0.3)
+    assert (status, out, err) == (0, "map.pgm\nmap.yaml\n", "")
+    assert convert("map.yaml", "top.png")[0] == 0 and convert("top.png", "top.json")[0] == 0
+    expected = house.inflate(0.3).levels[1].free
+    assert (navbake.load("top.json").free == expected).all()
+    assert convert("house.json.gz", "stay.yml", "--to", "nav2-keepout", "--zone", "1")[0] == 0
+
+
+def test_an_image_is_never_written_over_an_input(convert):
+    convert("house.json.gz", "map.yaml", "--level", 1, "--image", "png")
+    convert("house.json.gz", "plan.png", "--level", 1)
+    status, _, err = convert("plan.png", "plan.yaml", "--image", "png")
+    assert status == 1 and "apart from the inputs" in err and not Path("plan.yaml").exists()
+    before = Path("map.png").read_bytes()
+    status, _, err = convert("map.yaml", "map.png")
+    assert status == 1 and "apart from the inputs" in err and Path("map.png").read_bytes() == before
+
+
+def test_any_map_becomes_a_scene(convert):
+    convert("house.json.gz", "map.yaml", "--level", 1)
+    for source in ("map.yaml", "house.json.gz"):
+        assert convert(source, "scene.xml")[0] == 0
+        assert Path("scene.xml").exists() and Path("scene.yaml").exists()
+    for arguments in (["-", "--to", "mjcf"], ["a.xml", "--level", "7"]):
+        assert convert("house.json.gz", *arguments)[0]
+    assert not Path("a.xml").exists()
+
+
+def test_writes_the_grid_that_inflate_gives(inflate):
+    status, out, err = inflate(
+        "house.json.gz", "--radius", 0.3, "--clearance", 0.2, "-o", "big.json"
+    )
+    assert (status, err) == (0, "")
+    house = navbake.load("house.json.gz")
+    inflated = house.inflate(0.3, 0.2)
+    assert first_difference(navbake.load("big.json"), inflated) is None
+    before, after = (sum(level.free.sum() for level in g.levels) / 100 for g in (house, inflated))
+    assert out == (
+        f"big.json: {after:.2f} of {before:.2f} m² free ({after / before:.1%}) "
+        "for an agent of radius 0.3 m (exact)\n"
+    )
+
+
+def test_takes_modes_and_costs(inflate):
+    house = navbake.load("house.json.gz")
+    assert inflate("house.json.gz", "--radius", 0.3, "--mode", "minos", "-o", "a.json")[0] == 0
+    options = ("--costs", "nav2", "--scaling", 3)
+    assert inflate("house.json.gz", "--radius", 0.3, *options, "-o", "b.json")[0] == 0
+    for name, expected in (
+        ("a.json", house.inflate(0.3, mode="minos")),
+        ("b.json", house.inflate(0.3, costs="nav2", scaling=3.0)),
+    ):
+        for level, same in zip(navbake.load(name).levels, expected.levels, strict=True):
+            np.testing.assert_array_equal(level.weights, same.weights)
+
+
+def test_a_baked_arena_as_a_descriptor(arena, run):
+    run("bake", "arena.yaml", "-q")
+    status, out, err = run("map-descriptor", "arena.grid.json")
+    assert (status, err) == (0, "")
+    part1, part2, *drawing = out.strip().split("\n")
+    assert part1 == "F" * 76 and len(part2) == 76
+    assert len(drawing) == 20 and {len(row) for row in drawing} == {15}
+    assert drawing[17] == "...........##.." and drawing[3] == ".####.........."
+    status, again, _ = run("mdf", "--decode", part1, part2)
+    assert again.strip().split("\n") == drawing
+
+
+def test_part_of_a_level_with_a_mask(arena, run):
+    run("bake", "arena.yaml", "-q", "--set", "grid.cell_size=0.05")
+    mask = np.zeros((4, 5), dtype=bool)
+    mask[3, 3:] = True
+    np.save("seen.npy", mask)
+    status, out, _ = run(
+        "mdf", "arena.grid.json", "--corner", 0.8, 0.2, "--rows", 4, "--cols", 5,
+        "--explored", "seen.npy", "--json",
+    )  # fmt: skip
+    facts = json.loads(out)
+    assert status == 0 and facts["map"] == ["?????", "?????", "?????", "???##"]
+    assert (facts["rows"], facts["cols"]) == (4, 5)
+
+
+def test_decodes_the_canonical_descriptor(run):
+    status, out, _ = run("mdf", "--decode", P1, P2)
+    assert status == 0 and out.count("?") == 92 and out.count("#") == 15
