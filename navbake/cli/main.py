@@ -101,7 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         if error.filename is not None or error.errno not in UNWRITABLE:
             raise
-        _drop_stdout()
+        # what is still buffered goes nowhere: Python would try it again at its end, and complain
+        with suppress(OSError, ValueError):  # ValueError: it has no number, as under tests
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno != errno.EPIPE:  # whoever closed a pipe wants no more
             print_error(f"cannot write to stdout: {error.strerror}")
         raise SystemExit(1) from None
@@ -112,12 +114,6 @@ class _LogPrinter(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())
-
-
-def _drop_stdout() -> None:
-    """Send what is still buffered nowhere: Python would try it again at its end, and complain."""
-    with suppress(OSError, ValueError):  # ValueError: it has no number, as under tests
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_version(asked: bool) -> None:

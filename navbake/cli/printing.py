@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TextIO
 
 from navbake.errors import printable
@@ -41,16 +41,8 @@ VERIFY_COLUMNS = {
 """Headings, and which of a level's counts stand under them: the grid first, then the scene."""
 
 
-@dataclass
-class Volume:
-    """How much commands print: `quiet` and `verbose` are what --quiet and --verbose ask for."""
-
-    quiet: bool = False
-    verbose: bool = False
-
-
-VOLUME = Volume()
-"""Of the command that runs; `volume` sets it."""
+VOLUME = SimpleNamespace(quiet=False, verbose=False)
+"""Whether the command that runs was given --quiet or --verbose; `volume` sets it."""
 
 
 @contextmanager

@@ -34,22 +34,8 @@ if TYPE_CHECKING:
 INDEX = "index.jsonl"
 
 
-class PerScene(NamedTuple):
-    """What one scene may take."""
-
-    time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
-    memory_limit: float | None = option(
-        "GIB",
-        "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
-        min=0.01,
-    )
-    retries: int = option(
-        "N", "How often a scene that crashed or exceeded a limit is tried again.", default=0, min=0
-    )
-
-
-class Wholly(NamedTuple):
-    """What concerns the whole batch."""
+class Ways(NamedTuple):
+    """How the batch runs: as a whole, for one scene, and on which machines."""
 
     jobs: int | None = option(
         "N",
@@ -65,11 +51,15 @@ class Wholly(NamedTuple):
         "--page", "Write FOLDER/index.html, a page that shows all scenes, their failures and times."
     )
     parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
-
-
-class Machines(NamedTuple):
-    """Where the worker processes are."""
-
+    time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
+    memory_limit: float | None = option(
+        "GIB",
+        "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
+        min=0.01,
+    )
+    retries: int = option(
+        "N", "How often a scene that crashed or exceeded a limit is tried again.", default=0, min=0
+    )
     executor: Literal["embedded", "ray"] = option(
         "embedded|ray",
         "Where workers run: embedded, on this machine; ray, on a Ray cluster.",
@@ -100,9 +90,7 @@ def batch(
     ),
     overrides: Overrides = None,
     *,
-    wholly: Wholly,
-    per_scene: PerScene,
-    machines: Machines,
+    ways: Ways,
 ) -> None:
     """Bake many scenes in several processes.
 
@@ -122,30 +110,30 @@ def batch(
     from navbake.batch.store import as_folder
     from navbake.batch.workers import JobLimits
 
-    is_ray = machines.executor == "ray"
+    is_ray = ways.executor == "ray"
     refuse_unused(
-        ("--ray-address", machines.ray_address is not None, is_ray, "--executor ray"),
+        ("--ray-address", ways.ray_address is not None, is_ray, "--executor ray"),
     )
     if not output:
         raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
-    if wholly.log == STDOUT:
+    if ways.log == STDOUT:
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     jobs = list_jobs(sources)
-    if wholly.log is not None:
+    if ways.log is not None:
         own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
         given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
-        check_output(wholly.log, inputs=map(Path, given), may_make_folder=True, option="--log")
+        check_output(ways.log, inputs=map(Path, given), may_make_folder=True, option="--log")
     settings = {} if config is None else read_shared(config)
-    limits = JobLimits(per_scene.time_limit, per_scene.memory_limit, per_scene.retries)
+    limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
     folder = as_folder(output)
     witness = folder / LOCK if isinstance(folder, Path) else None
-    executor = RayExecutor(machines.ray_address, witness) if is_ray else None
-    means = Means(wholly.jobs, limits, wholly.max_failures, executor)
+    executor = RayExecutor(ways.ray_address, witness) if is_ray else None
+    means = Means(ways.jobs, limits, ways.max_failures, executor)
     made = parse_products(make or [])
     given = tuple(overrides or [])
-    plan = Plan(folder, settings, given, made, wholly.page, wholly.parquet)
+    plan = Plan(folder, settings, given, made, ways.page, ways.parquet)
     with ExitStack() as stack:
-        watch = _Watch(stack, wholly, folder)
+        watch = _Watch(stack, ways, folder)
         try:
             result = run_batch(plan, jobs, means, watch)
         except BaseException as error:
@@ -159,13 +147,13 @@ def batch(
 class _Watch:
     """Says how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
 
-    def __init__(self, stack: ExitStack, wholly: Wholly, folder: Folder) -> None:
+    def __init__(self, stack: ExitStack, ways: Ways, folder: Folder) -> None:
         from navbake.batch.index import LineFile
 
-        self._stack, self._wholly, self._folder = stack, wholly, folder
-        self._takers: list[Callable[[Json], None]] = [print_json_line] if wholly.as_json else []
-        if wholly.log is not None:
-            log = LineFile(wholly.log, f"the log {wholly.log}")
+        self._stack, self._ways, self._folder = stack, ways, folder
+        self._takers: list[Callable[[Json], None]] = [print_json_line] if ways.as_json else []
+        if ways.log is not None:
+            log = LineFile(ways.log, f"the log {ways.log}")
             stack.callback(log.close)
             self._takers.append(log.add)
         self._begin = time.perf_counter()
@@ -185,17 +173,17 @@ class _Watch:
         if event == "begin":
             from navbake.cli.progress import progress_bars
 
-            if self._wholly.page:
+            if self._ways.page:
                 from navbake.batch.page import LivePage
 
                 self._page = LivePage(self._folder, self._total)
             # on a terminal, lines and a bar would run into each other
-            hidden = VOLUME.quiet or (self._wholly.as_json and is_terminal(sys.stdout))
+            hidden = VOLUME.quiet or (self._ways.as_json and is_terminal(sys.stdout))
             self._show = self._stack.enter_context(progress_bars("batch", hidden))
         if event == "scene":
             counts["failed" if values["status"] == "failed" else "baked"] += 1
             counts["left"] -= 1
-            if values["status"] == "failed" and not self._wholly.as_json:
+            if values["status"] == "failed" and not self._ways.as_json:
                 print_error(f"{values['id']}: {values['how']}: {values['error']}")
         if event in ("begin", "scene"):
             done = self._total - counts["left"]
@@ -221,7 +209,7 @@ class _Watch:
         from navbake.batch.page import write_page
 
         why = str(error) if isinstance(error, Exception) else "interrupted"
-        if self._total and not self._wholly.as_json and not isinstance(error, Exception):
+        if self._total and not self._ways.as_json and not isinstance(error, Exception):
             say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
             self._log_end(why)
@@ -242,18 +230,18 @@ class _Watch:
         try:
             self._log_end(result.stopped)
         except NavbakeError as error:  # of the log; what the batch came to is said all the same
-            if self._wholly.as_json:
+            if self._ways.as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
-        names = [NAME, *[TABLE] * self._wholly.parquet]
-        if self._wholly.page:
+        names = [NAME, *[TABLE] * self._ways.parquet]
+        if self._ways.page:
             draw_missing_thumbnails(self._folder)
             try:
                 write_page(self._folder)
                 names.append(PAGE)
             except NavbakeError as error:
                 print_warnings([str(error)])
-        if self._wholly.as_json:
+        if self._ways.as_json:
             return
         if result.stopped:
             print_error(f"stopped: {result.stopped}")

@@ -33,8 +33,8 @@ SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 # for one that isn't given.
 
 
-class MapOptions(NamedTuple):
-    """Options of maps."""
+class FormatOptions(NamedTuple):
+    """Options of maps, meshes and graphs."""
 
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
@@ -61,11 +61,6 @@ class MapOptions(NamedTuple):
     scaling: float | None = option(
         "FACTOR", "How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
     )
-
-
-class ShapeOptions(NamedTuple):
-    """Options of meshes and graphs."""
-
     tolerance: float | None = option(
         "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
     )
@@ -78,15 +73,14 @@ class ShapeOptions(NamedTuple):
 def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
-    maps: MapOptions,
-    shapes: ShapeOptions,
+    chosen: FormatOptions,
     to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
     origin: str | None = option("FORMAT", "Format of IN.  [default: by its ending]", "--from"),
 ) -> None:
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
-    options = maps._asdict() | shapes._asdict()
+    options = chosen._asdict()
     given = {
         key: value
         for key, value in options.items()

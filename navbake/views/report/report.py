@@ -33,7 +33,7 @@ Remarked = tuple[str, int | None, Place | None, str | None, str]
 """What was found: its kind, level, place [m], a further fact, and in words."""
 KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
 MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
-MOST_STEPS = 2**31  # that a page counts of heights
+MOST_STEPS = 2**31 - 2  # that a page counts of heights
 NONE = -1  # stands for no value in what is packed
 BAR = 64  # colours of the bar beside a layer
 

@@ -65,7 +65,8 @@ class Controls:
             self._keep("told", gui.add_markdown(""))
             self._keep("route", gui.add_markdown(""))
             self._keep("clear", gui.add_button("Clear", visible=False))
-            self._handles["clear"].on_click(lambda _: change(Choices.without_clicks))
+            forget: Change = lambda now: replace(now, start=None, goal=None, inspected=None)  # noqa: E731
+            self._handles["clear"].on_click(lambda _: change(forget))
         if exhibit.grid.doors:
             with gui.add_folder("Doors", expand_by_default=False):
                 self._add_doors()

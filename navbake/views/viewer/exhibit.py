@@ -67,10 +67,6 @@ class Choices:
                 states |= {} if state == door.state else {door.id: state}
         return replace(self, doors=tuple(sorted(states.items())))
 
-    def without_clicks(self) -> Choices:
-        """As if nothing had been clicked."""
-        return replace(self, start=None, goal=None, inspected=None)
-
     def with_click(self, found: Pick | None) -> Choices:
         """After a click on a cell, or beside all of them: None."""
         if self.click == INSPECT:
