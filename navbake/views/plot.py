@@ -63,23 +63,14 @@ class Mark(NamedTuple):
     kind: str
 
 
-def plot_grid(
-    grid: NavGrid,
-    path: str | PathLike[str],
-    *,
-    level: int | None = None,
-    layers: Sequence[str] = DEFAULT_LAYERS,
-    route: Route | None = None,
-    marks: Sequence[Mark] = (),
-) -> Path:
+def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     """Write a picture, whole or not at all, and return the path that was written.
 
     It is an SVG if the name ends in ``.svg``, else a PNG; see `render_picture` for the arguments.
     """
     path = Path(path)
     form = "svg" if path.name.lower().endswith(".svg") else "png"
-    picture = render_picture(grid, form, level=level, layers=layers, route=route, marks=marks)
-    write_bytes(picture, path)
+    write_bytes(render_picture(grid, form, **drawn), path)
     return path
 
 
