@@ -39,6 +39,14 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
 """The checks, by what each looks for: what its remarks are called, and its function."""
 
 
+def run_check(check: Callable[[Facts], Iterator[Found]], facts: Facts) -> Iterator[Found]:
+    """What a check finds; that the metadata which it is about are broken is an error."""
+    try:
+        yield from check(facts)
+    except FormatError as error:
+        yield ERROR, None, None, str(error)
+
+
 def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
     """Look at a grid of any program for what a person would notice, without its scene.
 
@@ -53,7 +61,7 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
     content: Any = grid if isinstance(grid, GridBase) else read_navgrid(grid)
     facts, remarks = Facts(content), []
     for name, check in CHECKS.values():
-        for severity, level, place, text in check(facts):
+        for severity, level, place, text in run_check(check, facts):
             # the grid's own place may be no number
             is_place = place is not None and all(map(math.isfinite, place))
             remarks.append(Remark(name, severity, level, place if is_place else None, text))

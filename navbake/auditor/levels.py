@@ -12,7 +12,6 @@ from scipy.ndimage import mean
 from navbake.auditor.cells import pairs_across
 from navbake.auditor.facts import Facts, find_wrong_sizes
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
-from navbake.errors import FormatError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.types import Bool, Int, Vector3
 
@@ -95,11 +94,7 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bo
 
 def check_links(facts: Facts) -> Iterator[Found]:
     """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
-    try:
-        links = facts.grid.link_array
-    except FormatError as error:
-        yield ERROR, None, None, str(error)
-        return
+    links = facts.grid.link_array
     one, other = places = np.full((2, len(links), 3), np.nan)
     for place, (level, cell) in zip(places, ((0, 1), (2, 3)), strict=True):
         for number, grid in enumerate(facts.levels):
@@ -157,11 +152,7 @@ def check_agent(facts: Facts) -> Iterator[Found]:
 
 def check_room_table(facts: Facts) -> Iterator[Found]:
     """The table of rooms and the cells contradict each other."""
-    try:
-        stated = facts.grid.stated_rooms
-    except FormatError as error:
-        yield ERROR, None, None, str(error)
-        return
+    stated = facts.grid.stated_rooms
     if stated is None:
         return
     known = {(room.level, room.index) for room in stated}
@@ -231,11 +222,7 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
 
 def check_doors(facts: Facts) -> Iterator[Found]:
     """A door joins a room to itself, or to none that there is; or its cells aren't as it says."""
-    try:
-        doors = facts.grid.doors
-    except FormatError as error:
-        yield ERROR, None, None, str(error)
-        return
+    doors = facts.grid.doors
     known = None if facts.rooms is None else {room.id for room in facts.rooms}
     standing = facts.cells_of([(door, door.state) for door in doors])
     for door in doors:

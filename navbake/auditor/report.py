@@ -13,21 +13,13 @@ Found = tuple[str, int | None, Vector3 | None, str]
 
 @dataclass(frozen=True)
 class Remark:
-    """One thing that a person would notice.
+    """One thing that a person would notice."""
 
-    Attributes:
-        check: what it is about, in a word or two.
-        severity: ERROR for what can't be right, REMARK for what may be meant.
-        level: the level, 0 is the lowest; None for the whole grid.
-        place: world x, y, z [m]; None where no place is meant.
-        text: what it is, in words.
-    """
-
-    check: str
-    severity: str
-    level: int | None
-    place: Vector3 | None
-    text: str
+    check: str  # what it is about, in a word or two
+    severity: str  # ERROR for what can't be right, REMARK for what may be meant
+    level: int | None  # 0 is the lowest; None for the whole grid
+    place: Vector3 | None  # world x, y, z [m]; None where no place is meant
+    text: str  # what it is, in words
 
     def __str__(self) -> str:
         """One line: how bad, where, what."""
@@ -44,17 +36,11 @@ class Remark:
 
 @dataclass
 class AuditReport:
-    """All remarks on a grid.
-
-    Attributes:
-        scene_id: of the grid.
-        remarks: errors first.
-        checks: the checks that ran.
-    """
+    """All remarks on a grid."""
 
     scene_id: str | None
-    remarks: list[Remark] = field(default_factory=list)
-    checks: list[str] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)  # errors first
+    checks: list[str] = field(default_factory=list)  # that ran
 
     @property
     def errors(self) -> list[Remark]:

@@ -43,10 +43,7 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
     """Settings in any form that `as_config` takes, with keywords laid over them.
 
     A section's keys are replaced one by one, everything else as a whole. Tuples count as lists,
-    and NumPy's numbers as Python's.
-
-    Raises:
-        ConfigError: a setting is wrong; or the settings are none.
+    and NumPy's numbers as Python's. Raises a ConfigError for wrong settings.
     """
     if not isinstance(config, BakeConfig | str | PathLike | Mapping):
         raise ConfigError(
@@ -69,13 +66,9 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
-    """The settings of a scene in memory.
+    """The settings of a scene in memory, by its name.
 
-    Where the keywords give a `scene.path`, the grid names it as that of the scene; nothing is
-    read from there.
-
-    Args:
-        name: the scene's.
+    A `scene.path` among the keywords is what the grid names; nothing is read from there.
     """
     return parse_config(_lay_over({"scene": {"path": memory_path(name)}}, keywords), KEYWORDS)
 

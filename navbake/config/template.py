@@ -55,12 +55,7 @@ def write_template(
 
 
 def template_for(scene: Path, folder: Path) -> str:
-    """The commented default settings for a scene, for a YAML in a folder.
-
-    Raises:
-        SceneError: there is no such scene.
-        ConfigError: it is no scene, or a YAML can't hold its name.
-    """
+    """The commented default settings for a scene, for a YAML in a folder."""
     scene_id, scene = _scene_id(scene), scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))

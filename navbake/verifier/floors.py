@@ -189,10 +189,9 @@ class Sheet:
 class SheetSearch:
     """Searches for all that hangs together by steps with places to stand that no level has.
 
-    Tops of furniture, shelves and roofs are no floors, and no level has them. So a place to stand
-    that no level has is a fault only where steps lead to it, or where it is as large as a floor,
-    without drops, and either has walls round most of it (a storey), or lies over nothing that one
-    could stand on (a ground). What is neither is counted, and reported in a note.
+    It is a fault only where steps lead to it, or where it is as large as a floor, without drops,
+    and either has walls round most of it (a storey), or lies over nothing that one could stand on
+    (a ground). Else it may be the top of furniture, a shelf or a roof, which a note counts.
     """
 
     def __init__(self, check: FloorCheck, cell_size: float, shrink: float) -> None:

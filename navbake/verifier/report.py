@@ -20,25 +20,16 @@ MOST_FINDINGS = 10_000  # that are listed; all are counted
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where a grid and its scene disagree.
+    """One place where a grid and its scene disagree."""
 
-    Attributes:
-        kind: what it is, one of this module's names in capitals, such as `FREE_TOUCHES`.
-        level: the level, 0 is the lowest; of a lost place, the one where it was looked for.
-        cell: row and column on it, None where it has no such cell.
-        position: world x, y, z [m].
-        text: what is wrong, in words.
-        geom: the geom that it is about, None for none.
-        size: how deep it touches, how far it is from everything, how far a floor is off [m], or
-            how large a lost place is [m²]; None where that wasn't measured.
-    """
-
-    kind: str
-    level: int
-    cell: tuple[int, int] | None
-    position: Vector3
-    text: str
-    geom: str | None = None
+    kind: str  # one of this module's names in capitals, such as `FREE_TOUCHES`
+    level: int  # 0 is the lowest; of a lost place, the one where it was looked for
+    cell: tuple[int, int] | None  # row and column on it, None where it has no such cell
+    position: Vector3  # world x, y, z [m]
+    text: str  # what is wrong, in words
+    geom: str | None = None  # the geom that it is about, None for none
+    # how deep it touches, how far it is from everything, how far a floor is off [m], or how large a
+    # lost place is [m²]; None where that wasn't measured
     size: float | None = None
 
     def to_json(self) -> Json:
@@ -53,78 +44,48 @@ class Finding:
 class LevelCounts:
     """How often the cells of a level agree with the scene, and how often they don't.
 
-    Attributes:
-        name: the level's name.
-        cells: cells that were looked at.
-        free_free: free in the grid, and nothing touches there.
-        blocked_blocked: blocked in the grid, and something touches there, or there is no floor.
-        free_touches: free in the grid, and something touches there.
-        blocked_apart: blocked in the grid, and nothing touches there.
-        disputed: where MuJoCo and FCL contradict each other and no proof settles it; not counted
-            as a fault.
-        floors: floors that were looked at.
-        floors_off: floors where no geom has a surface.
-        in_cracks: floors whose surface lies beside the cell's centre.
-        lost: places to stand that no level has.
+    The first word of a name says what the grid says, the second one what the scene does.
     """
 
-    name: str
-    cells: int = 0
+    name: str  # the level's
+    cells: int = 0  # that were looked at
     free_free: int = 0
-    blocked_blocked: int = 0
+    blocked_blocked: int = 0  # something touches there, or there is no floor
     free_touches: int = 0
     blocked_apart: int = 0
-    disputed: int = 0
-    floors: int = 0
-    floors_off: int = 0
-    in_cracks: int = 0
-    lost: int = 0
+    disputed: int = 0  # MuJoCo and FCL contradict each other, and no proof settles it: no fault
+    floors: int = 0  # that were looked at
+    floors_off: int = 0  # where no geom has a surface
+    in_cracks: int = 0  # whose surface lies beside the cell's centre
+    lost: int = 0  # places to stand that no level has
 
 
 @dataclass
 class SweepCounts:
-    """What came of sweeping a cylinder along paths.
+    """What came of sweeping a cylinder along paths."""
 
-    Attributes:
-        radius: of the cylinder [m].
-        paths: how many were swept.
-        length: of all [m].
-        touching: how many touch something.
-        beside: how many meet, within a step of the lower or the upper end of the cylinder, what
-            cells with other floors leave open; that is known, and no fault.
-    """
-
-    radius: float
+    radius: float  # of the cylinder [m]
     paths: int = 0
-    length: float = 0.0
-    touching: int = 0
+    length: float = 0.0  # of all [m]
+    touching: int = 0  # paths that touch something
+    # paths that meet, within a step of the lower or the upper end of the cylinder, what cells with
+    # other floors leave open; that is known, and no fault
     beside: int = 0
 
 
 @dataclass
 class VerifyReport:
-    """What a verification found.
-
-    Attributes:
-        scene_id: of the grid.
-        num_cells: cells of all levels.
-        seed: of the sample.
-        tolerance: what touches by less than this touches by rounding [m].
-        radius: of the cylinder that stood on free cells [m]; None for the baked footprint.
-        levels: the counts, lowest level first.
-        sweeps: of the swept paths, None where none were swept.
-        findings: the disagreements, by level and cell.
-        notes: what was left out, or is judged by one of the two libraries alone.
-    """
+    """What a verification found."""
 
     scene_id: str | None
-    num_cells: int
-    seed: int
-    tolerance: float
-    radius: float | None = None
-    levels: list[LevelCounts] = field(default_factory=list)
-    sweeps: SweepCounts | None = None
-    findings: list[Finding] = field(default_factory=list)
+    num_cells: int  # of all levels
+    seed: int  # of the sample
+    tolerance: float  # what touches by less than this touches by rounding [m]
+    radius: float | None = None  # of the cylinder on free cells [m]; None for the baked footprint
+    levels: list[LevelCounts] = field(default_factory=list)  # lowest level first
+    sweeps: SweepCounts | None = None  # None where no paths were swept
+    findings: list[Finding] = field(default_factory=list)  # by level and cell
+    # what was left out, or is judged by one of the two libraries alone
     notes: list[str] = field(default_factory=list)
 
     @property

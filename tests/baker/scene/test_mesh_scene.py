@@ -13,8 +13,7 @@ import trimesh
 from PIL import Image
 
 from navbake.baker.scene import mesh_scene
-from navbake.baker.scene.mesh_readers import read_plain
-from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.scene.mesh_scene import read_mesh_parts, read_plain
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
