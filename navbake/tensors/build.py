@@ -82,12 +82,8 @@ def make_tensors(
     floating: Floating = np.dtype("float64" if of_library == xp.float64 else "float32")
     searches = [Search(grid, cut_corners=cut_corners) for grid in several]
     levels = [level for grid in several for level in grid.levels]
-    shape = Shape(
-        len(several),
-        max(len(grid.levels) for grid in several),
-        max(level.height for level in levels),
-        max(level.width for level in levels),
-    )
+    most = max(len(grid.levels) for grid in several)
+    shape = Shape(len(several), most, *np.max([v.shape for v in levels], axis=0).tolist())
     num_goals = len(per_grid[0])
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
         of_goals = f" for each of {num_goals} goals" if num_goals else ""
@@ -302,18 +298,13 @@ def first_in_cell(
 def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
     """The lowest z of `dtype` from which floors are at most a step above, by floor [m]."""
     some, where = np.unique(floors, return_inverse=True)
-    low, high = _about(some, some - max_step, dtype)
-    return smallest_true(lambda z: some <= z + max_step, low, high, dtype)[where]
+    # numbers round the exact thresholds, farther off than rounding can move these
+    exact = some - max_step
+    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(exact))
+    return smallest_true(lambda z: some <= z + max_step, exact - reach, exact + reach, dtype)[where]
 
 
 def highest_standing(floors: Float, max_drop: float, dtype: Floating) -> NDArray[np.floating]:
     """The highest z of `dtype` that is at most `max_drop` above floors, by floor [m]."""
-    some, where = np.unique(floors, return_inverse=True)
-    low, high = _about(some, -some - max_drop, dtype)
-    return -smallest_true(lambda down: -down - some <= max_drop, low, high, dtype)[where]
-
-
-def _about(floors: Float, exact: Float, dtype: Floating) -> tuple[Float, Float]:
-    """Numbers round exact thresholds, farther off than rounding can move these."""
-    reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(floors) + np.abs(exact))
-    return exact - reach, exact + reach
+    # upside down: the lowest number from which the mirrored floor is at most the drop above
+    return -lowest_reaching(-floors, max_drop, dtype)

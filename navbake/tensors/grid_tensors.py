@@ -1,11 +1,26 @@
-"""What the functions of `navbake.tensors` look things up in."""
+"""What the functions of `navbake.tensors` look things up in, and which cell a position is in.
 
+The rule is that of `navbake.navgrid.cells`, for arrays of any library. numpy answers large batches
+in pieces that fit the processor's cache, on several threads. The other libraries run whole
+expressions on threads or devices of their own.
+"""
+
+import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from navbake.errors import QueryError
 
 Array: TypeAlias = Any
 """An array of whatever library the tensors were made for."""
+
+NUMPY = ("numpy", "array_api_compat.numpy")
+PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second cache
+FAR = 1e30  # metres; what lies higher is no position
 
 
 class Shape(NamedTuple):
@@ -17,86 +32,61 @@ class Shape(NamedTuple):
     cols: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GridTensors:
     """One or several grids as arrays of one library, on one device; made by `make_tensors`.
 
     Scenes are padded to the most levels, rows and columns that one of them has. The id of a cell
     is ``((scene * levels + level) * rows + row) * cols + col``, over the padded `shape`; n is the
-    number of ids. Arrays named ``…_first``, ``…_scale``, ``…_ground`` have one value a level of a
-    scene, at ``scene * levels + level``. Positions are world x, y, z [m] in the dtype `dtype`.
-
-    Attributes:
-        xp: the array library's namespace.
-        dtype: of positions and of all values in metres: float32 or float64 of the library.
-        index: the integer dtype that ids are computed in.
-        shape: the padded shape.
-        same_lattice: whether all levels of each scene have their cells at the same x, y.
-        one_ground: whether no scene has a second level, so that no level is to be chosen.
-        rooms: ids of the rooms of each scene; number r of `room` is ``rooms[scene][r - 1]``.
-        goals: what `goal` of `distance_to_goal` numbers, as it was given.
-        x_first, y_first: x of the first column's edge and y of the first row's [m].
-        scale: cells per metre.
-        x_edge: the smallest number of `dtype` in each column or beyond it, ``cols + 1`` a level.
-        y_edge: the largest number of `dtype` in each row or beyond it, ``rows + 1`` a level.
-        west, east, north, south: the first and the last of these of each level: x from west to
-            below east and y from north to above south are on it.
-        num_rows, num_cols: of each level, without padding.
-        reach: by cell, the lowest z [m] from which the cell's floor is at most a step above; of a
-            cell without a floor the same of its level's ground; inf in padding.
-        rank: by cell, int32, its place among the heights of a scene's floors, all grounds below
-            all floors; -1 in padding. Of the floors that a position reaches, the highest rank
-            counts.
-        top: by cell, the highest z [m] at which `is_navigable` holds; -inf where nobody can stand.
-        floor: by cell [m], NaN for no floor.
-        ground: z of each level's ground [m].
-        room: by cell, int32, 0 for no room.
-        island: by cell, int32, counted through all scenes from 1; 0 where it isn't free.
-        clearance: by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free.
-        cost: by goal and cell, at ``goal * n + cell``, what the cheapest path to the goal costs.
-        onward: by goal and cell, the id of the next cell of that path; itself at the goal, -1
-            where no path is; int32.
-        by_island: the free cells' ids, sorted by `island_key`; int32, shape (m,).
-        island_key: of each of them ``island * (num_rooms + 1) + room``.
-        by_room: the free cells' ids, sorted by `room_key`; int32, shape (m,).
-        room_key: of each of them ``scene * (num_rooms + 1) + room``.
-        num_rooms: the most rooms that a scene has.
+    number of ids. What is said to be "by level" has one value a level of a scene, at
+    ``scene * levels + level``. Positions are world x, y, z [m] in the dtype `dtype`.
     """
 
-    xp: Any = field(repr=False)
-    dtype: Any
-    index: Any = field(repr=False)
-    shape: Shape
-    same_lattice: bool
-    one_ground: bool
-    num_rooms: int
-    rooms: tuple[tuple[str, ...], ...] = field(repr=False)
-    goals: tuple[str, ...]
-    x_first: Array = field(repr=False)
-    y_first: Array = field(repr=False)
-    scale: Array = field(repr=False)
-    x_edge: Array = field(repr=False)
-    y_edge: Array = field(repr=False)
-    west: Array = field(repr=False)
-    east: Array = field(repr=False)
-    north: Array = field(repr=False)
-    south: Array = field(repr=False)
-    num_rows: Array = field(repr=False)
-    num_cols: Array = field(repr=False)
-    reach: Array = field(repr=False)
-    rank: Array = field(repr=False)
-    top: Array = field(repr=False)
-    floor: Array = field(repr=False)
-    ground: Array = field(repr=False)
-    room: Array = field(repr=False)
-    island: Array = field(repr=False)
-    clearance: Array = field(repr=False)
-    cost: Array = field(repr=False)
-    onward: Array = field(repr=False)
-    by_island: Array = field(repr=False)
-    island_key: Array = field(repr=False)
-    by_room: Array = field(repr=False)
-    room_key: Array = field(repr=False)
+    xp: Any  # the array library's namespace
+    dtype: Any  # of positions and of all values in metres: float32 or float64 of the library
+    index: Any  # the integer dtype that ids are computed in
+    shape: Shape  # padded
+    same_lattice: bool  # whether all levels of each scene have their cells at the same x, y
+    one_ground: bool  # whether no scene has a second level, so that no level is to be chosen
+    num_rooms: int  # the most rooms that a scene has
+    rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
+    goals: tuple[str, ...]  # what `goal` of `distance_to_goal` numbers, as it was given
+    x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
+    y_first: Array
+    scale: Array  # by level, cells per metre
+    x_edge: Array  # the smallest number of `dtype` in each column or beyond it, cols + 1 a level
+    y_edge: Array  # the largest number of `dtype` in each row or beyond it, rows + 1 a level
+    # by level, the first and the last of these: x from west to below east and y from north to
+    # above south are on it
+    west: Array
+    east: Array
+    north: Array
+    south: Array
+    num_rows: Array  # by level, without padding
+    num_cols: Array
+    # by cell, the lowest z [m] from which the cell's floor is at most a step above; of a cell
+    # without a floor the same of its level's ground; inf in padding
+    reach: Array
+    # by cell, int32, its place among the heights of a scene's floors, all grounds below all floors;
+    # -1 in padding. Of the floors that a position reaches, the highest rank counts.
+    rank: Array
+    top: Array  # by cell, the highest z [m] at which `is_navigable` holds; -inf where it never does
+    floor: Array  # by cell [m], NaN for no floor
+    ground: Array  # by level, z of its ground [m]
+    room: Array  # by cell, int32, 0 for no room
+    island: Array  # by cell, int32, counted through all scenes from 1; 0 where it isn't free
+    clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
+    cost: Array  # at ``goal * n + cell``, what the cheapest path to the goal costs
+    # at ``goal * n + cell``, int32, the id of the next cell of that path; itself at the goal, -1
+    # where no path is
+    onward: Array
+    by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
+    island_key: Array  # of each of them ``island * (num_rooms + 1) + room``
+    by_room: Array  # the free cells' ids, sorted by `room_key`; int32, shape (m,)
+    room_key: Array  # of each of them ``scene * (num_rooms + 1) + room``
+
+    def __repr__(self) -> str:
+        return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
 
 STATIC: tuple[str, ...] = (
@@ -119,3 +109,187 @@ def register_pytree(xp: Any) -> None:
 
     with suppress(ValueError):  # registered before
         tree_util.register_pytree_node(GridTensors, flatten, unflatten)
+
+
+def locate(
+    t: GridTensors, positions: Array, scene_id: Array | int | None
+) -> tuple[Array, Array, Array]:
+    """Find the cells of checked positions, shape (..., 3), on the nearest floor below each.
+
+    Ids of cells and levels, 0 where there is none, and whether there is one; shape (...).
+    """
+    xp, shape = t.xp, t.shape
+    x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
+    first = first_level(t, scene_id)
+    if scene_id is not None:
+        z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
+    cell, inside = on_level(t, x, y, first)
+    if t.one_ground:
+        inside = inside & (z >= t.reach[cell]) & (z < FAR)
+        return xp.where(inside, cell, 0), xp.zeros_like(cell), inside
+    best, level = xp.zeros_like(cell), xp.zeros_like(cell)
+    highest = xp.full_like(cell, -1)  # the rank of the best floor
+    for k in range(shape.levels):
+        if k and t.same_lattice:
+            cell = cell + shape.rows * shape.cols
+        elif k:
+            cell, inside = on_level(t, x, y, first + k)
+        rank = t.rank[cell]
+        better = inside & (z >= t.reach[cell]) & (z < FAR) & (rank > highest)
+        best = xp.where(better, cell, best)
+        level = xp.where(better, k, level)
+        highest = xp.where(better, rank, highest)
+    return best, level, highest >= 0
+
+
+def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
+    """The cells at x, y of one level, clamped to valid ids, and whether they are there.
+
+    `first` is the number of the level among those of all scenes, shape (...) or one for all. The
+    nearest edge is found by rounding, which half a cell of error can't mislead; on which side of
+    that edge a position is, is decided exactly.
+    """
+    xp, shape = t.xp, t.shape
+    west, east, north, south = t.west[first], t.east[first], t.north[first], t.south[first]
+    in_cols = (x >= west) & (x < east)  # False for NaN
+    x = xp.where(in_cols, x, west)
+    col = xp.astype(xp.round((x - t.x_first[first]) * t.scale[first]), t.index)
+    col = col - xp.astype(x < t.x_edge[first * (shape.cols + 1) + col], t.index)
+    in_rows = (y <= north) & (y > south)
+    y = xp.where(in_rows, y, north)
+    row = xp.astype(xp.round((t.y_first[first] - y) * t.scale[first]), t.index)
+    row = row - xp.astype(y > t.y_edge[first * (shape.rows + 1) + row], t.index)
+    return (first * shape.rows + row) * shape.cols + col, in_cols & in_rows
+
+
+def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
+    """The number of the first level of each scene, among those of all scenes."""
+    if scene_id is None:
+        return 0
+    return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
+
+
+def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:
+    """Level among those of all scenes, row and column of cells."""
+    level, rest = cell // (t.shape.rows * t.shape.cols), cell % (t.shape.rows * t.shape.cols)
+    return level, rest // t.shape.cols, rest % t.shape.cols
+
+
+def check_positions(t: GridTensors, positions: Array) -> Array:
+    """Check the shape and dtype of world positions, (..., 3)."""
+    given = as_array(t, positions)
+    if given.ndim == 0 or given.shape[-1] != 3:
+        raise QueryError(f"expected positions of shape (..., 3) [m], got {tuple(given.shape)}")
+    return given
+
+
+def as_array(t: GridTensors, values: Array) -> Array:
+    """Numbers as an array of the tensors' dtype; an array of another dtype is refused.
+
+    A position that is rounded to another dtype may be in another cell.
+    """
+    if isinstance(values, int | float | Sequence):
+        return _new_array(t, values, t.dtype)
+    if getattr(values, "dtype", None) != t.dtype:
+        kind = getattr(values, "dtype", "no numbers")
+        raise QueryError(
+            f"expected an array of {t.dtype}, as the tensors are, got {type(values).__name__} of "
+            f"{kind}: convert it, or make the tensors with that dtype"
+        )
+    return values
+
+
+def check_scenes(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Array:
+    """The scenes of positions of a shape (...), -1 for unknown ones; None where there is one."""
+    if scene_id is None:
+        if t.shape.scenes > 1:
+            raise QueryError(f"expected a scene_id, 0 to {t.shape.scenes - 1}: there are several")
+        return None
+    if isinstance(scene_id, int | np.integer):
+        scene_id = check_number(scene_id, "scene", t.shape.scenes)
+        if t.shape.scenes == 1:
+            return None
+    return check_numbers(t, scene_id, "scene", t.shape.scenes, shape)
+
+
+def check_number(given: int | np.integer, what: str, count: int) -> int:
+    """Check the number of a scene or goal: 0 to count - 1."""
+    if not 0 <= given < count:
+        raise QueryError(f"no {what} {given}: expected 0 to {count - 1}")
+    return int(given)
+
+
+def check_numbers(
+    t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
+) -> Array:
+    """Numbers, 0 to count - 1, of scenes, goals or rooms as an array of a shape; -1 for others.
+
+    They can't be refused: no code may look at the numbers of an array, as it may be traced.
+    """
+    if isinstance(given, int | Sequence | np.ndarray | np.integer):
+        given = _new_array(t, given, None)
+    if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):
+        kind = getattr(given, "dtype", type(given).__name__)
+        raise QueryError(f"expected an integer or integers as {what}, got {kind}")
+    numbers = t.xp.astype(given, t.index)
+    numbers = t.xp.where((numbers >= 0) & (numbers < count), numbers, -1)
+    return broadcast(t, numbers, shape, what)
+
+
+def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) -> Array:
+    """Values in a shape that they fit."""
+    try:
+        return t.xp.broadcast_to(values, shape)
+    except (ValueError, RuntimeError, TypeError) as error:
+        raise QueryError(
+            f"expected a {what} that fits the shape {tuple(shape)}, got one of shape "
+            f"{tuple(values.shape)}"
+        ) from error
+
+
+def device_of(t: GridTensors) -> Array:
+    """Where the arrays are; None for the default, as in what JAX compiles."""
+    return getattr(t.floor, "device", None)
+
+
+def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
+    """Python's or numpy's numbers as an array on the tensors' device."""
+    try:
+        return t.xp.asarray(values, dtype=dtype, device=device_of(t))
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise QueryError(f"expected numbers, got {values!r:.60}") from error
+
+
+def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:
+    """Values cut off at a lowest and a highest; NaN stays."""
+    return xp.where(values < low, low, xp.where(values > high, high, values))
+
+
+def answer_all(
+    t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
+) -> Array:
+    """Answer a question about positions of any shape (..., 3), in pieces where that is quicker.
+
+    `answer` takes positions and the further arguments, of shape (...), None or an integer, as they
+    are or in pieces, and returns an array of shape (m, ...).
+    """
+    shape = tuple(positions.shape[:-1])
+    count = math.prod(shape)
+    if t.xp.__name__ not in NUMPY or count < 2 * PIECE:
+        return answer(positions, *further)
+    from navbake.threads import run_in_bands  # saves numba where batches are small
+
+    whole = [
+        a if a is None or isinstance(a, int) else np.reshape(a, (count, *a.shape[len(shape) :]))
+        for a in (positions, *further)
+    ]
+    parts: dict[int, Array] = {}
+
+    def fill(first: int, last: int) -> None:
+        for begin in range(first, last, PIECE):
+            piece = slice(begin, min(begin + PIECE, last))
+            parts[begin] = answer(*(a[piece] if isinstance(a, np.ndarray) else a for a in whole))
+
+    run_in_bands(fill, count, least=PIECE)
+    found = np.concatenate([parts[begin] for begin in sorted(parts)])
+    return found.reshape(*shape, *found.shape[1:])

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from navbake.errors import QueryError
-from navbake.tensors.grid_tensors import Array, GridTensors
-from navbake.tensors.lookup import (
+from navbake.tensors.grid_tensors import (
+    Array,
+    GridTensors,
     answer_all,
     as_array,
     bounded,
@@ -33,7 +34,7 @@ MODES = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The level that each position is on, int32: `PathFinder.cell_at` gives the same; -1 for none.
+    """The level that each position is on, int32, as `PathFinder.cell_at` has it; -1 for none.
 
     Args:
         t: tensors of one or several grids.
@@ -173,11 +174,9 @@ def heights(
     on the ground doesn't see the floor above.
 
     Args:
-        t: tensors of one or several grids.
-        positions: of agents, world x, y, z [m], shape (..., 3).
+        t, positions, scene_id: of agents, see `level_at`.
         yaw: their headings [rad], 0 along x, counted towards y; shape (...).
         pattern: points in the agents' frames, x ahead, y to the left [m], shape (k, 2).
-        scene_id: which grid, where there are several; an integer or integers of shape (...).
 
     Returns:
         World z [m], shape (..., k); NaN where there is no floor.
@@ -235,11 +234,9 @@ def _turned(t: GridTensors, positions: Array, yaw: Array, pattern: Array) -> Arr
     p, turn, points = check_positions(t, positions), as_array(t, yaw), as_array(t, pattern)
     if points.ndim != 2 or points.shape[-1] != 2:
         raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(points.shape)}")
-    if tuple(turn.shape) != tuple(p.shape[:-1]):
-        raise QueryError(
-            f"expected a yaw of shape {tuple(p.shape[:-1])}, one for each position, got "
-            f"{tuple(turn.shape)}"
-        )
+    shape, given = tuple(p.shape[:-1]), tuple(turn.shape)
+    if given != shape:
+        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {given}")
     cos, sin = xp.cos(turn)[..., None], xp.sin(turn)[..., None]
     x = p[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
     y = p[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
@@ -261,11 +258,9 @@ def distance_to_goal(
     """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
 
     Args:
-        t: tensors that were made with goals.
-        positions: world x, y, z [m], shape (..., 3), in the tensors' dtype.
+        t, positions, scene_id: see `level_at`.
         goal: the place of the goal among those that the tensors were made with; an integer, or
             integers that fit the shape (...).
-        scene_id: which grid, where there are several.
 
     Returns:
         Shape (...): metres times weights; inf where no path leads to the goal, NaN beside the
@@ -347,11 +342,10 @@ def sample(
 ) -> Array:
     """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
 
-    The same numbers give the same places. The free cells are kept sorted by island and room, so a
-    draw is one look-up; with `min_clearance` a running sum over the cells comes before it.
+    The same numbers give the same places.
 
     Args:
-        t: tensors of one or several grids; the cells of a grid's levels are of one size.
+        t, scene_id: see `level_at`; the cells of a grid's levels are of one size.
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
             it. 0.5 for these is the cell's centre, where the agent's radius fits for certain.
             Shape (..., 1) gives centres.
@@ -359,7 +353,6 @@ def sample(
         min_clearance: only in cells with so much of `clearance` [m]; one number.
         reachable_from: only where a walk leads to from these world positions, shape (..., 3) or
             (3,).
-        scene_id: which grid, where there are several; an integer or integers of shape (...).
 
     Returns:
         World x, y and floor z [m], shape (..., 3); NaN where there is no such place, or a number
