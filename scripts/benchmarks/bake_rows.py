@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
+import re
 import statistics
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ import navbake
 from benchmarks.measure import Job, Row, Sample, run_process
 from benchmarks.peers import plain_loop_job, recast_job, why_no_recast
 from benchmarks.scenes import APARTMENT, CELL, DUNGEON, ROOT, SAMPLES, TRIANGLES, Scenes, num_cells
+from make_house import ROOM
 
 WORKER = Path(__file__).with_name("worker.py")
 NAVBAKE = [sys.executable, "-m", "navbake"]
@@ -102,8 +106,13 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
             for name in SAMPLES
         },
         **_command_rows(scenes.folder),
-        "update": lambda: _update_row(scenes, 1, limit=0.010),
-        "update 100": lambda: _update_row(scenes, 100, limit=0.150),
+        "update": lambda: _update_row(scenes, "house", ratio=0.05),
+        "update 100": lambda: _update_row(scenes, "house", 100, limit=0.150),
+        "update ceiling": lambda: _update_row(scenes, "ceiling", ratio=0.05),
+        "update storeys": lambda: _update_row(scenes, "storeys", ratio=0.05),
+        "update apartment": lambda: _update_row(scenes, "apartment", ratio=0.15),
+        "update rooms": lambda: _update_row(scenes, "rooms", ratio=0.15),
+        "update whole": lambda: _update_row(scenes, "whole", ratio=1.1),
     }
 
 
@@ -218,38 +227,60 @@ def _command_rows(folder: Path) -> dict[str, Callable[[], Row]]:
 # --- updates -------------------------------------------------------------------------------
 
 
-def _update_row(scenes: Scenes, count: int, limit: float) -> Row:
-    """Furniture is pushed by up to half a metre from where it stood at first."""
-    from sweep_moves import free_pieces  # beside bench.py
+CEILING = '<geom name="ceiling" type="box" pos="{0} {0} 2.6" size="{0} {0} 0.1"/></worldbody>'
+
+
+def _update_row(scenes: Scenes, kind: str, count: int = 1, **limits: float) -> Row:
+    """Furniture is pushed by up to half a metre from where it stood at first.
+
+    Or one piece is put where another stood, into another room; or beyond the house and back, so
+    that all is baked again.
+    """
+    from sweep_moves import free_pieces, make_model  # beside bench.py
 
     warnings.simplefilter("ignore", navbake.BakeWarning)
-    model = mujoco.MjModel.from_xml_string(free_pieces(scenes.main.read_text()))
-    baker, rng = navbake.Baker(model, grid={"cell_size": CELL}), random.Random(0)
-    places = {model.body(b).name: model.body_pos[b].copy() for b in range(1, model.nbody)}
-    edge = float(np.stack(list(places.values()))[:, :2].max())
+    xml, settings = scenes.main.read_text(encoding="utf-8"), {"grid": {"cell_size": CELL}}
+    if kind == "ceiling":
+        half = ROOM * math.ceil(math.sqrt(scenes.rooms)) / 2
+        xml = xml.replace("</worldbody>", CEILING.format(half))
+    elif kind == "storeys":
+        storey = re.search("<worldbody>(.*)</worldbody>", xml, re.DOTALL)[1]  # type: ignore[index]
+        above = re.sub(r'name="', 'name="up_', re.sub(r'<geom name="ground"[^>]*/>', "", storey))
+        xml = xml.replace("</worldbody>", f'<frame pos="0 0 3">{above}</frame></worldbody>')
+    if kind == "apartment":
+        model = make_model("apartment")[0]
+    else:
+        model = mujoco.MjModel.from_xml_string(free_pieces(xml))
+    baker, rng, data = navbake.Baker(model, **settings), random.Random(0), mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    places = {model.body(b).name: data.xpos[b].copy() for b in free}
+    low, high = (f(list(places.values()), axis=0) for f in (np.min, np.max))
+    first = sorted(places)[0]
+    stops = cycle((high + 5.0, places[first]))
+
+    def draw(place: Any) -> list[float]:
+        if kind == "rooms":
+            return [*rng.choice(list(places.values()))[:2], place[2]]
+        if kind == "whole":
+            return [*next(stops)[:2], place[2]]
+        xy = place[:2] + np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)])
+        return [*np.clip(xy, low[:2], high[:2]), place[2]]  # nothing stands beyond the house
 
     def update() -> Sample:
-        moves = {}
-        for name in rng.sample(sorted(places), count):
-            *xy, z = places[name]
-            # nothing of one stands beyond the house
-            xy = [min(max(v + rng.uniform(-0.5, 0.5), 1.0), edge - 0.7) for v in xy]
-            moves[name] = [*xy, z]
+        names = [first] if kind == "whole" else rng.sample(sorted(places), count)
+        moves = {name: draw(places[name]) for name in names}
         begin = time.perf_counter()
         changes = baker.update(bodies=moves)
         seconds = time.perf_counter() - begin
         return Sample(seconds, facts={"reason": changes.reason, "cells": len(changes.cells[0])})
 
     def bake() -> Sample:
-        data = mujoco.MjData(model)
         data.qpos[:] = baker.pose[0]
         begin = time.perf_counter()
-        navbake.bake(model, data, grid={"cell_size": CELL})
+        navbake.bake(model, data, **settings)
         return Sample(time.perf_counter() - begin)
 
-    name = "a chair moves" if count == 1 else f"{count} bodies move at once"
-    return Row(
-        Job(f"Baker.update: {name}", update, warms_up=True),
-        [Job("a fresh bake of the model in memory", bake, warms_up=True)],
-        limit=limit,
-    )
+    name = f"Baker.update: {kind}" if count == 1 else f"Baker.update: {kind}, {count} bodies"
+    fresh = Job("a fresh bake of the model in memory", bake, warms_up=True)
+    return Row(Job(name, update, warms_up=True), [fresh], **limits)

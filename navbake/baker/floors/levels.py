@@ -11,6 +11,7 @@ from navbake.baker.blocks import Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
+from navbake.baker.floors.kernels.surfaces import HELD
 from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
 from navbake.baker.floors.reach import (
     Unreached,
@@ -99,6 +100,7 @@ class FloorFinder:
         self._spans, self._lattice = given_spans(given or ()), store.lattice
         self._blocks = Blocks(store.lattice)
         self._sheets = Sheets(self._store, self._blocks, agent)
+        self._held: Sheets | None = None  # of surfaces that closed meshes hold
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
         self._edges = BlockTable(self._blocks.num, NO_EDGES)
         # in which update something last changed in or near a block
@@ -133,8 +135,8 @@ class FloorFinder:
                 starts from.
         """
         sheets, facts, settings, agent = self._sheets, self._facts, self._settings, self._agent
-        sheets.update(self._stale)
-        self._stale = np.zeros_like(self._stale)
+        stale, self._stale = self._stale, np.zeros_like(self._stale)
+        sheets.update(stale)
         if not len(sheets.key):
             raise SceneError(_no_floor(self._store, agent))
         cropped = find_cropped(self._lattice, shapes.bounds)
@@ -176,8 +178,21 @@ class FloorFinder:
             small_starts=facts.describe(starts & ~is_large),
             unreached=unreached,
             left_out=left_out,
-            enclosed=find_enclosed(self._store, self._blocks, agent, settings),
+            enclosed=self._find_enclosed(stale),
         )
+
+    def _find_enclosed(self, stale: Bool) -> list[Patch]:
+        """See `find_enclosed`; most scenes hold nothing."""
+        surfaces = self._store.surfaces
+        is_held = surfaces.marks & HELD != 0
+        if not is_held.any():
+            self._held = None
+            return []
+        if self._held is None:
+            self._held = Sheets(self._store, self._blocks, self._agent)
+            stale = self._blocks.all()
+        self._held.update(stale, np.where(is_held, surfaces.geom, np.int32(-1)))
+        return find_enclosed(self._held, self._agent, self._settings)
 
     def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int]:
         """Find `edges`, `reach`, `near` and `at_edges` of a `Site`; `near` has other geometry."""

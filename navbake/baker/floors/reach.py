@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks
 from navbake.baker.floors.kernels.members import Members
-from navbake.baker.floors.kernels.surfaces import HELD
 from navbake.baker.floors.outline import DROP, Site, beside
 from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.floors.sheets import Patch, Sheets, describe_members
 from navbake.baker.floors.storeys import Placed
-from navbake.baker.floors.surfaces import SurfaceStore, find_near
+from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
@@ -144,20 +142,14 @@ def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreac
     return unreached
 
 
-def find_enclosed(
-    store: SurfaceStore, blocks: Blocks, agent: AgentSettings, settings: FloorSettings
-) -> list[Patch]:
+def find_enclosed(sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
     """Find floors that closed meshes hold, so that nobody can stand on them, the largest first.
 
     Where such a floor goes on outside at its height, a closed thing only stands on it, like a
     crate, unless it is as large as a building. The geom of each patch is the mesh that holds it.
+    `sheets` are those of surfaces that one mesh holds.
     """
-    surfaces, lattice, found = store.surfaces, store.lattice, list[Patch]()
-    is_held = surfaces.marks & HELD != 0
-    if not is_held.any():
-        return []
-    sheets = Sheets(store, blocks, agent)
-    sheets.update(blocks.all(), np.where(is_held, surfaces.geom, np.int32(-1)))
+    surfaces, lattice, found = sheets.surfaces, sheets.lattice, list[Patch]()
     for sheet in np.flatnonzero(sheets.left(sheets.size > 0, settings)).tolist():
         members, edges, goes_on = sheets.members(sheet), 0, 0
         for way in range(4):
