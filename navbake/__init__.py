@@ -19,7 +19,7 @@ from navbake.errors import (
     QueryError,
     SceneError,
 )
-from navbake.navgrid.operations import resolve
+from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake import samples, tensors

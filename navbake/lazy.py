@@ -1,4 +1,4 @@
-"""Libraries that load slowly and that not every command needs: each is loaded at its first use.
+"""Libraries and functions of modules above that are loaded at their first use.
 
 A module names such a library at its top, where its other imports stand:
 ``trimesh = lazy("trimesh")``. So imports stay in one place, and nothing is loaded until a function
@@ -6,8 +6,14 @@ asks the name for something. `tests/test_imports.py` counts the call as an impor
 each command may load.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from types import MethodType
+from typing import Any, Generic, TypeVar
+
+Result = TypeVar("Result")
 
 
 class LazyModule:
@@ -25,3 +31,20 @@ class LazyModule:
 def lazy(name: str) -> Any:
     """A module by its full name, loaded when something of it is first used."""
     return LazyModule(name)
+
+
+def resolve(where: str) -> Any:
+    """Import what stands at ``module:name``."""
+    module, _, name = where.partition(":")
+    return getattr(import_module(module), name)
+
+
+class Method(Generic[Result]):
+    """A function at ``module:name`` that takes the object first, as a method of its class."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+
+    def __get__(self, instance: object, owner: type | None = None) -> Callable[..., Result]:
+        function: Callable[..., Result] = resolve(self.where)
+        return function if instance is None else MethodType(function, instance)

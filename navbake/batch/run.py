@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+from navbake._version import __version__
 from navbake.batch.index import Index, check_pyarrow, only_batch
 from navbake.batch.job import (
     FAILED,
@@ -20,6 +21,7 @@ from navbake.batch.job import (
     fail,
     find_record,
     prepare,
+    stamp,
 )
 from navbake.batch.settings import Job, check_settings
 from navbake.batch.store import FullError, is_url, shown, sizes_below
@@ -30,6 +32,8 @@ from navbake.types import Json
 
 UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
 AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
+# of a row of the index: what tells whether a scene is done, which may be long
+BOOKKEEPING = ("key", "inputs", "files", "ended")
 
 
 Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
@@ -168,3 +172,19 @@ def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     with ThreadPoolExecutor(1 if is_here else AT_ONCE) as pool:
         found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
+
+
+def line_of_event(event: str, values: Json) -> Json:
+    """What happens, as a line of JSON for programs that collect logs.
+
+    It has ``time``, ``level`` (``info``, ``warning`` or ``error``) and ``event``: ``begin``,
+    ``scene-begin``, ``retry``, ``scene`` or ``end``. Others of its keys are those of the index.
+    """
+    is_error = values.get("status") == FAILED or values.get("stopped") or values.get("failed")
+    level = "error" if is_error else "info"
+    if event == AGAIN or (values.get("warnings") and not is_error):
+        level = "warning"
+    values = {key: value for key, value in values.items() if key not in BOOKKEEPING}
+    if event == "begin":
+        values["version"] = __version__
+    return {"time": stamp(), "level": level, "event": event, **values}

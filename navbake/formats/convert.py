@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from navbake.errors import FormatError
 from navbake.formats.source import check_path, write_files
-from navbake.navgrid.operations import resolve
+from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake.formats.source import Files

@@ -1,4 +1,8 @@
-"""Methods of grids whose functions live in modules above: the run time, formats, views."""
+"""Methods of grids whose functions live in modules above: the run time, formats, views.
+
+These import the grid, so the grid may not import them: it names the function, which is imported
+when the method is first looked at. Signature and docstring are the function's.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from navbake.lazy import Method
 from navbake.navgrid.block_state import Block
-from navbake.navgrid.operations import Method
 from navbake.types import Bool, Json
 
 

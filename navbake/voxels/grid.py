@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
+from navbake.lazy import Method
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.navgrid.operations import Method
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.voxels.placement import finite_array
 

@@ -12,7 +12,7 @@ import pytest
 
 from navbake.batch.index import LineFile
 from navbake.batch.job import stamp
-from navbake.batch.log import line_of_event
+from navbake.batch.run import line_of_event
 from navbake.batch.workers import AGAIN, BEGUN, CRASHED
 from navbake.errors import NavbakeError
 

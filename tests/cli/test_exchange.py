@@ -16,7 +16,7 @@ from differences import first_difference
 from navbake import files
 from navbake.errors import FormatError
 from navbake.formats.convert import FORMATS, find_format
-from navbake.navgrid.operations import resolve
+from navbake.lazy import resolve
 from project_paths import GOLDEN
 
 HOUSE = GOLDEN / "house.grid.json.gz"

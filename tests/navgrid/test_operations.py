@@ -6,9 +6,9 @@ import inspect
 
 import pytest
 
+from navbake.lazy import Method, resolve
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.methods import Operations
-from navbake.navgrid.operations import Method, resolve
 from navbake.voxels.grid import VoxelGrid
 
 METHODS = [

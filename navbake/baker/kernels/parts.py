@@ -13,7 +13,7 @@ import numpy as np
 
 from navbake.baker.scene.kernels.shells import sort_keys
 from navbake.compiled import kernel, part
-from navbake.navgrid.kernels.union_find import find_root, unite
+from navbake.navgrid.kernels.connect import find_root, unite
 
 # What a triangle is when it belongs to no closed part: one of a sheet, or a copy of another
 SHEET, COPY = np.int32(-1), np.int32(-2)

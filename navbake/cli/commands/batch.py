@@ -194,7 +194,7 @@ class _Watch:
                 self._page.refresh(done)
 
     def _log(self, event: str, values: Json) -> None:
-        from navbake.batch.log import line_of_event
+        from navbake.batch.run import line_of_event
 
         line = line_of_event(event, values)
         for take in self._takers:

@@ -13,7 +13,7 @@ from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
 from navbake.baker.kernels.blocks import block_window
 from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.navgrid.kernels.union_find import unite
+from navbake.navgrid.kernels.connect import unite
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other
 JOINS, LINKS = 0, 1

@@ -2,7 +2,7 @@
 
 Points at one place are welded by a hash table. The half-edges are listed by their lower point (a
 counting sort), and sorted by the upper one within each list (Shell's sort, 1959), so that those of
-one edge are neighbours. Triangles at an edge are united (see `union_find`). Parts of which any edge
+one edge are neighbours. Triangles at an edge are united (see `unite`). Parts of which any edge
 is met by other than two triangles, or by two in one direction, are no shells: what they enclose is
 a harder question, see `navbake.baker.kernels.parts`.
 """
@@ -10,7 +10,7 @@ a harder question, see `navbake.baker.kernels.parts`.
 import numpy as np
 
 from navbake.compiled import kernel, part
-from navbake.navgrid.kernels.union_find import find_root, unite
+from navbake.navgrid.kernels.connect import find_root, unite
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 
