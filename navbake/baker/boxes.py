@@ -73,21 +73,27 @@ def find_level_boxes(
         agent_height: an agent on the highest floor is in the highest level's box [m].
     """
     written = [level.floor.astype(np.float32).astype(np.float64) for level in levels]
+    has_floor = [~np.isnan(floor) for floor in written]
+    free = sum(
+        int(np.count_nonzero(floor > taken))
+        for floor, taken in zip(has_floor, occupied, strict=True)
+    )
+    windows = [bounding_window(floor) for floor in has_floor]
+    sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
+    lowest = [float(np.nanmin(floor)) for floor in written]
+    highest = max(float(np.nanmax(floor)) for floor in written)
     if len(levels) == 1:
-        free = int(np.count_nonzero(~np.isnan(written[0]) & ~occupied[0]))
         whole = (slice(0, lattice.height), slice(0, lattice.width))
-        box = _scene_box(written[0], lattice, scene_box, agent_height)
+        box = _scene_box(sides[0], lowest[0], highest, scene_box, agent_height)
         return LevelBoxes([whole], [box], free, 0, [])
-    windows = [bounding_window(~np.isnan(floor)) for floor in written]
-    bottoms = [round(float(np.nanmin(floor)) - MARGIN, GAP_DIGITS) for floor in written]
+    bottoms = [round(z - MARGIN, GAP_DIGITS) for z in lowest]
     bottoms[0] = min(bottoms[0], round(levels[0].ground - MARGIN, GAP_DIGITS))
-    top = max(float(np.nanmax(floor)) for floor in written) + agent_height
+    top = highest + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
-    heights = [np.where(taken, np.nan, z) for taken, z in zip(occupied, written, strict=True)]
-    free = sum(int(np.count_nonzero(~np.isnan(z))) for z in heights)
-    tops, lost = _find_tops(heights, windows, bottoms, round(top, DIGITS))
-    sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
+    for floor, taken in zip(written, occupied, strict=True):
+        floor[taken] = np.nan
+    tops, lost = _find_tops(written, windows, bottoms, round(top, DIGITS))
     boxes = [_to_file(*box) for box in zip(sides, bottoms, tops, strict=True)]
     return LevelBoxes(windows, boxes, free, int(lost.sum()), np.flatnonzero(lost).tolist())
 
@@ -172,11 +178,9 @@ def _level_sides(part: Lattice, scene_box: Float | None) -> Float:
 
 
 def _scene_box(
-    written: Float, lattice: Lattice, scene_box: Float | None, agent_height: float
+    sides: Float, lowest: float, highest: float, scene_box: Float | None, agent_height: float
 ) -> Box:
     """The box of the only level: the scene's, and what of the grid lies outside of it."""
-    lowest, highest = float(np.nanmin(written)), float(np.nanmax(written))
-    sides = _level_sides(lattice.cut(*bounding_window(~np.isnan(written))), scene_box)
     if scene_box is None:
         return _to_file(
             sides, round(lowest - MARGIN, DIGITS), round(highest + agent_height, DIGITS)
