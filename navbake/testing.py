@@ -22,14 +22,8 @@ def assert_true(
 ) -> VerifyReport:
     """Assert that a grid says of its scene what MuJoCo and FCL say.
 
-    Args:
-        grid, scene, options: as of `navbake.verify`.
-
-    Returns:
-        The report.
-
-    Raises:
-        AssertionError: they disagree; the message lists the first places.
+    Takes and returns what `navbake.verify` does; the message of its AssertionError lists the first
+    places where they disagree.
     """
     report = verify(grid, scene, **options)
     if not report.ok:
@@ -39,17 +33,10 @@ def assert_true(
 
 
 def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -> AuditReport:
-    """Assert that an audit finds no error in a grid, and nothing to remark.
+    """Assert that an audit finds no error in a grid and, if `remarks` count, nothing to remark.
 
-    Args:
-        grid: as of `navbake.audit`.
-        remarks: whether remarks count, too.
-
-    Returns:
-        The report.
-
-    Raises:
-        AssertionError: it finds something; the message lists it.
+    Takes and returns what `navbake.audit` does; the message of its AssertionError lists what was
+    found.
     """
     report = audit(grid)
     found = report.remarks if remarks else report.errors

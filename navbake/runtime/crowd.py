@@ -16,7 +16,7 @@ import numpy as np
 from navbake.errors import QueryError
 from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places import cells_in_annulus
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Int
 
 TRIES = 8  # random crowds that are drawn before one is packed
 DARTS = 32  # cells that are drawn at once
@@ -36,19 +36,10 @@ def place_crowd(
 ) -> Int:
     """Draw the cells of n agents: as many from each part, give or take one, as far as they fit.
 
-    What doesn't fit into a part is drawn from the others.
-
-    Args:
-        parts: flat ids of their cells.
-        apart: `reach` and `height`.
-        words: what a message calls the agents, and all parts together.
-
-    Returns:
-        Flat ids, shape (n,), in random order.
-
-    Raises:
-        QueryError: they don't fit: at once where that can be proved, else after `TRIES` and one
-            packing.
+    What doesn't fit into a part is drawn from the others. `apart` are `reach` and `height`, `words`
+    what a message calls the agents, and all parts together. Returns flat ids, in random order.
+    Raises QueryError: at once where it is proved that they don't fit, else after `TRIES` crowds and
+    a packed one.
     """
     agents, where = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}", words[1]
     found = most = 0
@@ -85,30 +76,23 @@ def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int
         return len(cells)
     p = flat.positions(cells)
     p -= p.min(axis=0)
-    layer = np.floor(p[:, 2] / height).astype(np.int64) if height > 0 else 0
+    layer = np.floor(p[:, 2] / height) if height > 0 else np.zeros(len(cells))
     most = len(cells)
     for x, y in ((p[:, 0], p[:, 1]), (p[:, 1], p[:, 0])):
         for shift in np.ndindex(SHIFTS, SHIFTS):
             offset = np.array(shift) * reach / SHIFTS
-            q, r = _hexagon_of(x + offset[0], y + offset[1], reach / 2)
-            q, r = q - q.min(), r - r.min()
+            # axial coordinates of hexagons whose corners are half of `reach` from their middles,
+            # rounded so that q + r + s is 0 again: the one with the largest error gives way
+            u, v = (x + offset[0]) / (reach / 2), (y + offset[1]) / (reach / 2)
+            exact = np.stack([math.sqrt(3.0) / 3.0 * u - v / 3.0, 2.0 / 3.0 * v])
+            exact = np.vstack([exact, -exact.sum(axis=0)])
+            near = np.round(exact)
+            worst = np.argmax(np.abs(near - exact), axis=0), np.arange(len(cells))
+            near[worst] -= near.sum(axis=0)
+            q, r = near[:2] - near[:2].min(axis=1, keepdims=True)
             numbers = q + (q.max() + 1) * (r + (r.max() + 1) * layer)
             most = min(most, len(np.unique(numbers)))
     return most
-
-
-def _hexagon_of(x: Float, y: Float, radius: float) -> tuple[Int, Int]:
-    """The hexagon of a honeycomb that each point is in; corners are `radius` from the middle.
-
-    Axial coordinates, rounded so that the three of them, q + r + s = 0, still sum to nothing: the
-    largest error gives way.
-    """
-    q, r = (math.sqrt(3.0) / 3.0 * x - y / 3.0) / radius, (2.0 / 3.0 * y) / radius
-    near = np.round(np.stack([q, r, -q - r]))
-    worst = np.argmax(np.abs(near - np.stack([q, r, -q - r])), axis=0)
-    near[0] = np.where(worst == 0, -near[1] - near[2], near[0])
-    near[1] = np.where(worst == 1, -near[0] - near[2], near[1])
-    return near[0].astype(np.int64), near[1].astype(np.int64)
 
 
 def _take(flat: FlatGrid, apart: tuple[float, float], taken: Bool, cell: int) -> None:
@@ -142,26 +126,21 @@ def _draw_crowd(
                 if not len(others):
                     return chosen[:k]
                 part = int(others[rng.integers(len(others))])
-            cell, left[part] = _draw_open(flat, left[part], taken, rng)
-            full[part] = cell < 0
+            cells = left[part]
+            for _ in range(MISSES if len(cells) else 0):
+                darts = cells[draw_cells(flat, cells, rng, DARTS)]
+                hits = darts[~taken[darts]]
+                if len(hits):
+                    cell = int(hits[0])
+                    break
+            else:
+                cells = left[part] = cells[~taken[cells]]
+                full[part] = not len(cells)
+                if len(cells):
+                    cell = int(cells[draw_cells(flat, cells, rng, 1)[0]])
         chosen[k] = cell
         _take(flat, apart, taken, cell)
     return chosen
-
-
-def _draw_open(
-    flat: FlatGrid, cells: Int, taken: Bool, rng: np.random.Generator
-) -> tuple[int, Int]:
-    """Draw a cell that isn't taken, -1 for none; and the cells without some that are taken."""
-    for _ in range(MISSES if len(cells) else 0):
-        darts = cells[draw_cells(flat, cells, rng, DARTS)]
-        hits = ~taken[darts]
-        if hits.any():
-            return int(darts[int(np.argmax(hits))]), cells
-    cells = cells[~taken[cells]]
-    if not len(cells):
-        return -1, cells
-    return int(cells[draw_cells(flat, cells, rng, 1)[0]]), cells
 
 
 def _pack_crowd(

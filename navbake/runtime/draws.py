@@ -1,15 +1,15 @@
 """Random places and poses, where many agents start, and the lattice that steps lead to."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.cells import check_level, check_positions
+from navbake.navgrid.cells import check_level
 from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, place_crowd
 from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
@@ -27,24 +27,14 @@ TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
 
 class Pose(NamedTuple):
-    """Where an agent stands and looks.
+    """Where an agent stands and looks."""
 
-    Attributes:
-        position: world x, y and floor z [m], shape (3,), float64.
-        heading: 0 along x, counted towards y, -pi to pi [rad].
-    """
-
-    position: Float
-    heading: float
+    position: Float  #: World x, y and floor z [m], shape (3,), float64.
+    heading: float  #: 0 along x, counted towards y, -pi to pi [rad].
 
 
 class Spawns(NamedTuple):
-    """Where agents start.
-
-    Attributes:
-        positions: world x, y and floor z [m], shape (n, 3), float64.
-        headings: 0 along x, counted towards y, -pi to pi [rad], shape (n,), float64.
-    """
+    """Where agents start; as `Pose`, of shapes (n, 3) and (n,)."""
 
     positions: Float
     headings: Float
@@ -67,28 +57,20 @@ class DrawQuestions(PlaceQuestions):
         """Draw places where an agent can stand, each as likely as its area has it.
 
         Args:
-            rng: draws them; another one each time if None. One with a seed repeats itself.
             count: how many, with repetition; one unless given.
-            level: on this level.
-            room: in this room, by id or name.
-            island: on this island; 1 is the largest. On all of them unless given.
-            reachable_from: where a path leads to from this world position [m].
+            level, room, island: only there.
+            reachable_from: only where a path leads to from this position, where an agent can stand.
             anywhere: draw points all over the cells, so up to half a cell nearer to obstacles;
                 else the cells' centres, where the agent's radius fits.
 
-        Returns:
-            World x, y and floor z [m], shape (3,) or (count, 3), float64.
-
         Raises:
-            QueryError: there is no such place, no agent can stand at the position, or `rng` is
-                not a generator.
+            QueryError: there is no such place, or `rng` is no numpy Generator.
         """
         search = self.search
         if reachable_from is not None:
             island = search.home_island(reachable_from, island)
         cells = np.flatnonzero(search.allowed(level=level, room=room, island=island))
-        limits = {"level": level, "room": room, "island": island}
-        return self._draw(cells, rng, count, anywhere, limits)
+        return self._draw(cells, rng, count, anywhere, level=level, room=room, island=island)
 
     def random_point_near(
         self,
@@ -103,33 +85,16 @@ class DrawQuestions(PlaceQuestions):
         level: int | None = None,
         anywhere: bool = False,
     ) -> Float:
-        """Draw places near a position.
+        """Draw places near a position, else as `random_point` does.
 
-        Distances are those of the shortest path from it; or straight on the map of its level,
-        through walls as well. They are measured to the cells' centres.
-
-        Args:
-            rng: see `random_point`.
-            position: world position [m]; with paths, one where an agent can stand.
-            max_distance: [m].
-            count: how many, with repetition; one unless given.
-            min_distance: [m]; the places are in an annulus then.
-            straight: measure straight.
-            room: only in this room, by id or name.
-            anywhere: see `random_point`.
-
-        Returns:
-            World x, y and floor z [m], shape (3,) or (count, 3), float64.
-
-        Raises:
-            QueryError: as `random_point`; or the distances are not 0 <= minimum <= maximum.
+        Distances are those of the shortest path from it, which needs a position where an agent can
+        stand; or, if `straight`, on the map of its level, through walls as well. They are measured
+        to the cells' centres, from `min_distance` to `max_distance` [m].
         """
-        distances = (min_distance, max_distance)
-        cells = self._cells_near(position, distances, straight, level)
+        cells, limits = self._cells_near(position, (min_distance, max_distance), straight, level)
         if room is not None:
             cells = cells[self.rooms.number[cells] == self.rooms.find(room)]
-        limits = {"room": room, "distance [m]": f"{min_distance:g} to {max_distance:g}"}
-        return self._draw(cells, rng, count, anywhere, limits)
+        return self._draw(cells, rng, count, anywhere, room=room, **limits)
 
     def any_free_in_annulus(
         self,
@@ -140,8 +105,8 @@ class DrawQuestions(PlaceQuestions):
         level: int | None = None,
     ) -> bool:
         """Whether a free cell's centre is so far from a position, on the map of its level [m]."""
-        distances = (min_distance, max_distance)
-        return len(self._cells_near(position, distances, True, level)) > 0
+        cells, _ = self._cells_near(position, (min_distance, max_distance), True, level)
+        return len(cells) > 0
 
     def random_pose(
         self,
@@ -157,22 +122,21 @@ class DrawQuestions(PlaceQuestions):
         """Draw where an agent stands and looks: at a target, if there is one.
 
         Args:
-            rng: see `random_point`.
-            target: world position [m], which may be in something; the agent stands on its level.
+            target: a position, which may be in something; the agent stands on its level.
             max_distance, min_distance: from the target, straight on the map [m].
             in_sight: nothing stands between, but for what the target is in, as with `snap`.
             same_room: stand in the target's room.
             level: which level the target is on; without one, where to stand.
 
         Raises:
-            QueryError: see `random_point_near`.
+            QueryError: as `random_point`.
         """
         rng, search = as_generator(rng), self.search
         if target is None:
             cells = np.flatnonzero(search.allowed(level=level))
-            place = self._draw(cells, rng, None, False, {"level": level})
+            place = self._draw(cells, rng, None, False, level=level)
             return Pose(place, float(rng.uniform(-math.pi, math.pi)))
-        cells = self._cells_near(target, (min_distance, max_distance), True, level)
+        cells, limits = self._cells_near(target, (min_distance, max_distance), True, level)
         flat, number = search.flat, search.rooms.number
         p, home = flat.locate(target, level)
         if same_room:
@@ -183,8 +147,7 @@ class DrawQuestions(PlaceQuestions):
             points = np.ascontiguousarray(flat.positions(cells)[:, :2])
             found = walks.first_in_sight(*search.sight, number, home, p, cells, points)
             cells = cells[found : found + 1] if found >= 0 else cells[:0]
-        limits = {"distance [m]": f"{min_distance:g} to {max_distance:g}", "in sight": in_sight}
-        place = self._draw(cells, rng, None, False, limits)
+        place = self._draw(cells, rng, None, False, **limits, **{"in sight": in_sight})
         return Pose(place, math.atan2(p[1] - place[1], p[0] - place[0]))
 
     def spawn(
@@ -209,17 +172,14 @@ class DrawQuestions(PlaceQuestions):
         on the map; agents on floors that are the agent's height or more apart don't count.
 
         Args:
-            rng: see `random_point`.
             n: how many agents, >= 1.
-            rooms: in these rooms, by id or name; one or several.
-            level: on this level.
-            island: on this island; 1 is the largest.
-            reachable_from: where a path leads to from this world position [m].
+            rooms: in these rooms; one or several.
+            level, island, reachable_from: see `random_point`.
             clearance: a disc of this radius round each agent meets no obstacle and no drop, as
                 with `grid.inflate` [m]; unless `min_distance` is given, nor another agent's.
             min_distance: between the centres of any two agents [m]; in any case more than twice
                 the agent's radius.
-            facing: where all look: a world position [m], or a heading [rad]; everywhere, if None.
+            facing: where all look: a position, or a heading [rad]; everywhere, if None.
             stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
                 each; ``room`` and ``island`` draw as many agents in each, give or take one, and
                 leave out cells in no room. Agents that don't fit into a part go to others.
@@ -229,20 +189,17 @@ class DrawQuestions(PlaceQuestions):
 
         Raises:
             QueryError: they don't fit, with how many do at most where that can be proved at once;
-                there is no such room, level or island; a number makes no sense.
+                or a number makes no sense.
         """
         rng, search, grid = as_generator(rng), self.search, self.grid
         check_level(level, search.flat.num_levels)
         if clearance is not None:
             check_radius(clearance, "clearance")
             clearance = float(clearance)
-        numbers: tuple[int, ...] = ()
-        if rooms is not None:
-            is_one = isinstance(rooms, str) or not isinstance(rooms, Iterable)
-            names: list[Any] = [rooms] if is_one else list(rooms)
-            if not names:
-                raise QueryError("expected at least one room, got none")
-            numbers = tuple(sorted({search.rooms.find(name) for name in names}))
+        names = [] if rooms is None else [rooms] if isinstance(rooms, str | int) else list(rooms)
+        if rooms is not None and not names:
+            raise QueryError("expected at least one room, got none")
+        numbers = tuple(sorted({search.rooms.find(name) for name in names}))
         if island is not None:
             island = search.islands.check(island)
         if reachable_from is not None:
@@ -253,7 +210,6 @@ class DrawQuestions(PlaceQuestions):
             raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
         least = 0.0 if min_distance is None else min_distance
         check_distance(least, "min_distance")
-        target = _check_facing(facing)
         radius = agent_radius(grid)
         if min_distance is None:
             radius = max(radius, clearance or 0.0)
@@ -297,11 +253,13 @@ class DrawQuestions(PlaceQuestions):
         apart = reach, grid.agent_height
         chosen = place_crowd(search.flat, parts, int(n), apart, rng, (words, where))
         positions = search.flat.positions(chosen)
-        if target is None:
+        if facing is None:
             return Spawns(positions, rng.uniform(-math.pi, math.pi, size=int(n)))
-        if target.ndim == 0:
-            turned = math.remainder(float(target), 2.0 * math.pi)
-            return Spawns(positions, np.full(int(n), turned))
+        if isinstance(facing, REAL):
+            if not math.isfinite(facing):
+                raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
+            return Spawns(positions, np.full(int(n), math.remainder(facing, 2.0 * math.pi)))
+        target = search.flat.check_one(facing, 0, "position or heading as facing")
         away = target[:2] - positions[:, :2]
         return Spawns(positions, np.arctan2(away[:, 1], away[:, 0]))
 
@@ -314,16 +272,9 @@ class DrawQuestions(PlaceQuestions):
         `try_step` gets to its end without sliding, over links to other levels as well, and where
         the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
 
-        Args:
-            start: world position [m] where an agent can stand; the first in the list. From a
-                cell's centre, steps of whole cells lead to centres.
-            spacing: of the lattice [m], a cell's size or more.
-
-        Returns:
-            World x, y and floor z [m], shape (n, 3), float64, those of the fewest steps first.
-
-        Raises:
-            QueryError: no agent can stand at the start, or the spacing is less than a cell.
+        The start, where an agent can stand, comes first, then the places of the fewest steps. The
+        spacing is a cell's size or more [m]; from a cell's centre, steps of whole cells lead to
+        centres.
         """
         flat, radius = self.search.flat, agent_radius(self.grid)
         cell = float(flat.layout.cell_size.max())
@@ -359,7 +310,7 @@ class DrawQuestions(PlaceQuestions):
         rng: np.random.Generator | None,
         count: int | None,
         anywhere: bool,
-        limits: Mapping[str, object],
+        **limits: object,
     ) -> Float:
         """Draw places in some cells; `limits` say which, for the message where there are none."""
         rng = as_generator(rng)
@@ -384,8 +335,8 @@ class DrawQuestions(PlaceQuestions):
         distances: tuple[float, float],
         straight: bool,
         level: int | None,
-    ) -> Int:
-        """The free cells so far from a position, straight or by the shortest path: flat ids."""
+    ) -> tuple[Int, dict[str, object]]:
+        """The free cells so far from a position, and the limits as `_draw` takes them."""
         low, high = distances
         if not (isinstance(low, REAL) and isinstance(high, REAL) and 0 <= low <= high):
             raise QueryError(
@@ -398,11 +349,13 @@ class DrawQuestions(PlaceQuestions):
                 f"{text_of(p)} is in no cell of {self.grid.scene_id!r}: nothing is near"
             )
         if straight:
-            return cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
-        flat.free_cell_at(p, level)
-        field = self.search.field(np.array([home]), weighted=False)
-        near = (field >= low) & (field <= high + SLACK)
-        return np.flatnonzero(near & np.isfinite(field))  # inf <= inf: not what no path leads to
+            cells = cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
+        else:
+            flat.free_cell_at(p, level)
+            field = self.search.field(np.array([home]), weighted=False)
+            near = (field >= low) & (field <= high + SLACK)
+            cells = np.flatnonzero(near & np.isfinite(field))  # inf <= inf where no path leads
+        return cells, {"distance [m]": f"{low:g} to {high:g}"}
 
 
 def as_generator(rng: object) -> np.random.Generator:
@@ -415,17 +368,3 @@ def as_generator(rng: object) -> np.random.Generator:
         f"expected a numpy.random.Generator, or None, got {rng!r}: make one with "
         "numpy.random.default_rng"
     )
-
-
-def _check_facing(facing: ArrayLike | None) -> Float | None:
-    """A heading [rad] of shape (), or a position; None for neither."""
-    if facing is None:
-        return None
-    if isinstance(facing, REAL) and not isinstance(facing, bool):
-        if not math.isfinite(facing):
-            raise QueryError(f"expected a finite heading [rad] as facing, got {facing!r}")
-        return np.asarray(float(facing))
-    p = check_positions(facing, 1)
-    if p.ndim != 1:
-        raise QueryError(f"expected one position or heading as facing, got shape {p.shape}")
-    return p

@@ -62,25 +62,14 @@ class Follower:
         num_replans: how often it has taken a new path.
     """
 
-    def __init__(
-        self,
-        search: Search,
-        path: Path,
-        speed: float,
-        acceleration: float,
-        turn_rate: float,
-        lookahead: float,
-        tolerance: float,
-    ) -> None:
-        limits = {"speed": speed, "acceleration": acceleration, "turn_rate": turn_rate}
-        limits |= {"lookahead": lookahead, "tolerance": tolerance}
+    def __init__(self, search: Search, path: Path, limits: dict[str, float]) -> None:
         for name, value in limits.items():
             if not isinstance(value, REAL) or isinstance(value, bool) or not 0 < value < math.inf:
                 raise QueryError(f"expected a {name} > 0, got {value!r}")
-        self._search, self._speed, self._acceleration = search, speed, acceleration
-        self._turn_rate, self._lookahead, self._tolerance = turn_rate, lookahead, tolerance
+        self._search, self._goal = search, path.positions[-1]
+        self._speed, self._acceleration, self._turn_rate = list(limits.values())[:3]
+        self._lookahead, self._tolerance = limits["lookahead"], limits["tolerance"]
         self.state, self.num_replans = DRIVING, 0
-        self._goal = path.positions[-1]
         self._version, self._length, self._distance = -1, 0.0, 0.0
         self._take(path)
 
@@ -92,14 +81,8 @@ class Follower:
     def command(self, position: ArrayLike, heading: float) -> Command:
         """What a base with two driven wheels should do now.
 
-        Call it as often as the base is steered, such as every 0.05 s.
-
-        Args:
-            position: of the base, world x, y, z [m].
-            heading: of the base, 0 along x, counted towards y [rad].
-
-        Raises:
-            QueryError: the position or the heading is not finite.
+        Call it as often as the base is steered, such as every 0.05 s, with its position, world x,
+        y, z [m], and its heading, 0 along x, counted towards y [rad].
         """
         p = self._advance(position)
         if not isinstance(heading, REAL) or not math.isfinite(heading):
@@ -113,20 +96,16 @@ class Follower:
             rate = min(TURN_GAIN * abs(bearing), self._turn_rate)
             return Command(0.0, math.copysign(rate, bearing), target)
         curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*way)), STANDSTILL)
-        forward = min(self._speed, math.sqrt(2.0 * self._acceleration * self._free_ahead))
+        free_ahead = max(self._free_until - self._distance, 0.0)
+        forward = min(self._speed, math.sqrt(2.0 * self._acceleration * free_ahead))
         if forward * abs(curvature) > self._turn_rate:
             forward = self._turn_rate / abs(curvature)
         return Command(forward, forward * curvature, target)
 
     def waypoint(self, position: ArrayLike) -> Float:
-        """Where a base that drives to positions should head for now.
+        """Where a base that drives to positions should head for now: world x, y, z [m], shape (3,).
 
-        Args:
-            position: of the base, world x, y, z [m].
-
-        Returns:
-            World x, y, z [m], shape (3,), float64, at most the lookahead away along the path; the
-            base's own position, while it waits.
+        It is at most the lookahead away along the path; the base's own position, while it waits.
         """
         p = self._advance(position)
         return p if self.state == WAITING else self._point_ahead(p)
@@ -138,11 +117,6 @@ class Follower:
             self._take(path)
             self.num_replans += 1
         return path is not None
-
-    @property
-    def _free_ahead(self) -> float:
-        """How far on the path is free [m]."""
-        return max(self._free_until - self._distance, 0.0)
 
     def _check(self, position: ArrayLike) -> Float:
         self._search.update()
@@ -165,7 +139,8 @@ class Follower:
         if off <= self._tolerance and self.left <= 2 * self._lookahead:
             self.state = ARRIVED
         else:
-            is_stopped = self._free_until < self._length and self._free_ahead <= STANDSTILL
+            left = self._free_until - self._distance
+            is_stopped = self._free_until < self._length and left <= STANDSTILL
             self.state = WAITING if is_stopped else DRIVING
         return p
 
@@ -175,12 +150,8 @@ class Follower:
         It may be in none where it is a little off its path, or where something has come near.
         """
         flat = self._search.flat
-        _, cell = flat.locate(p)
-        if cell < 0 or not flat.free[cell]:
-            p, _ = snap(flat, flat.free, p, max_distance=self._lookahead)
-            if np.isnan(p[0]):
-                return None
-        return find_path(self._search, p, self._goal, None, smooth=True)
+        start, cell = snap(flat, flat.free, p, max_distance=self._lookahead)
+        return find_path(self._search, start, self._goal, None, smooth=True) if cell >= 0 else None
 
     def _take(self, path: Path) -> None:
         """Follow a path from its start on, as straight legs, seen from above.
@@ -268,10 +239,7 @@ class Follower:
         level, target = self._level_at(self._distance), p
         for share in CLOSER:
             distance = self._distance + share * self._lookahead
-            axes = self.path.positions.T
-            target = np.array([np.interp(distance, self._run, axis) for axis in axes])
-            if self._level_at(distance) == level and self._search.can_pass(
-                p[:2], target[:2], level
-            ):
+            target, is_same = self.path.at(distance), self._level_at(distance) == level
+            if is_same and self._search.can_pass(p[:2], target[:2], level):
                 break
         return target

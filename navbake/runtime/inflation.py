@@ -176,8 +176,8 @@ def check_radius(radius: float, name: str = "radius") -> None:
         raise QueryError(f"expected 0 to {MAX_RADIUS:,.0f} m as {name}, got {radius!r}")
 
 
-def check_ledges(value: str, known: tuple[str, ...] = LEDGES, name: str = "ledges") -> None:
-    """Raise a QueryError for anything but ``avoid`` and ``ignore``, or other known words."""
+def check_word(value: str, known: tuple[str, ...], name: str) -> None:
+    """Raise a QueryError for anything but the known words."""
     if value not in known:
         raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
 
@@ -195,9 +195,9 @@ def check_arguments(
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
-    check_ledges(mode, MODES, "mode")
-    check_ledges(costs, COSTS, "costs")
-    check_ledges(ledges)
+    check_word(mode, MODES, "mode")
+    check_word(costs, COSTS, "costs")
+    check_word(ledges, LEDGES, "ledges")
     if mode == "minos" and costs != "step":
         raise QueryError("mode minos has costs of its own (step): leave `costs` out")
     if not isinstance(scaling, REAL) or not 0 < scaling < math.inf:
@@ -324,8 +324,19 @@ def inflate_footprint(
     Raises:
         QueryError: the polygon is none, or there is no heading.
     """
-    outline = _check_polygon(polygon)
-    check_ledges(ledges)
+    check_word(ledges, LEDGES, "ledges")
+    wanted = "expected a polygon of shape (n, 2) [m]"
+    try:
+        outline = np.asarray(polygon, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise QueryError(f"{wanted}, got {polygon!r}") from error
+    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        raise QueryError(f"{wanted}, n >= 3, got {outline.shape}")
+    if not np.isfinite(outline).all():
+        raise QueryError("expected a polygon of finite numbers [m]")
+    fault = find_fault(outline)
+    if fault:
+        raise QueryError(f"expected the outline of an area, got {fault}")
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     masks = []
@@ -358,29 +369,24 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
     left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
     rows, cols = np.mgrid[low : high + 1, left : right + 1].astype(np.float64)
     meets, inside = np.zeros((2, *rows.shape), dtype=np.bool_)
+    half = 0.5 - TOUCH
     for k in range(len(x)):
         x0, y0, x1, y1 = x[k - 1], y[k - 1], x[k], y[k]
         spans = (y0 > rows) != (y1 > rows)  # inside by the parity of a ray's crossings
         with np.errstate(divide="ignore", invalid="ignore"):
             inside ^= spans & (cols < x0 + (rows - y0) / (y1 - y0) * (x1 - x0))
-        meets |= _runs_through(cols, rows, (x0, y0), (x1, y1))
+        # where the edge enters and leaves the inside of each square (Liang and Barsky 1984)
+        enters, leaves = np.zeros(rows.shape), np.ones(rows.shape)
+        for start, step, centre in ((x0, x1 - x0, cols), (y0, y1 - y0, rows)):
+            if abs(step) < TOUCH:
+                leaves = np.where(np.abs(start - centre) < half, leaves, -1.0)
+            else:
+                sides = (centre - half - start) / step, (centre + half - start) / step
+                enters = np.maximum(enters, np.minimum(*sides))
+                leaves = np.minimum(leaves, np.maximum(*sides))
+        meets |= enters < leaves
     offsets: Int = np.argwhere(meets | inside) + np.array([low, left], dtype=np.int64)
     return offsets
-
-
-def _runs_through(px: Float, py: Float, a: tuple[float, float], b: tuple[float, float]) -> Bool:
-    """Whether a segment has points inside of squares round some centres (Liang and Barsky 1984)."""
-    enters, leaves = np.zeros(px.shape), np.ones(px.shape)
-    half = 0.5 - TOUCH
-    for start, end, centre in ((a[0], b[0], px), (a[1], b[1], py)):
-        step = end - start
-        if abs(step) < TOUCH:
-            leaves = np.where(np.abs(start - centre) < half, leaves, -1.0)
-            continue
-        near, far = (centre - half - start) / step, (centre + half - start) / step
-        enters = np.maximum(enters, np.minimum(near, far))
-        leaves = np.minimum(leaves, np.maximum(near, far))
-    return np.asarray(enters < leaves)
 
 
 def _to_runs(offsets: Int) -> Int:
@@ -390,18 +396,3 @@ def _to_runs(offsets: Int) -> Int:
     is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)
     is_last = np.roll(is_first, -1)
     return np.stack([row[is_first], col[is_first], col[is_last]], axis=1)
-
-
-def _check_polygon(polygon: ArrayLike) -> Float:
-    try:
-        outline = np.asarray(polygon, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise QueryError(f"expected a polygon of shape (n, 2) [m], got {polygon!r}") from error
-    if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
-        raise QueryError(f"expected a polygon of shape (n, 2) [m], n >= 3, got {outline.shape}")
-    if not np.isfinite(outline).all():
-        raise QueryError("expected a polygon of finite numbers [m]")
-    fault = find_fault(outline)
-    if fault:
-        raise QueryError(f"expected the outline of an area, got {fault}")
-    return outline

@@ -18,9 +18,10 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.flat_grid import FlatGrid, text_of
 from navbake.runtime.inflation import (
+    LEDGES,
     MAX_RADIUS,
     agent_radius,
-    check_ledges,
+    check_word,
     exact_radius,
     ledges_of,
 )
@@ -31,10 +32,8 @@ from navbake.runtime.search import Search
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int
 
-routes = lazy("navbake.runtime.kernels.routes")  # numba loads slowly
 spatial = lazy("scipy.spatial")  # few need it
 
-MAX_LISTED = 4096  # radii that are listed at once; bisection narrows a wider range first
 NARROW = 1000.0  # weight of a cell that a larger agent loses: a way goes round it if it can
 MAX_STOPS = 200  # cells that are looked at for the narrowest one of a gap
 MAX_NAMES = 4  # of what blocks, listed in a sentence
@@ -66,7 +65,7 @@ def find_passage(
     first row of such cells that is left on it is the bottleneck, and the middle one of the row is
     its place.
     """
-    check_ledges(ledges)
+    check_word(ledges, LEDGES, "ledges")
     grid, flat, corners = deflated(search.grid), search.flat, search.cut_corners
     standable = free_for(grid, 0.0, ledges)
 
@@ -94,7 +93,7 @@ def find_passage(
         return Passage(math.inf, None)
     lost = free & ~for_larger
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
-    route = Search(with_weights(grid, weights), cut_corners=corners).route(origin, goals)
+    route = find_route(with_weights(grid, weights), origin, goals, corners)
     assert route is not None  # the islands say that there is one
     stops = np.flatnonzero(lost[route])
     if len(stops):
@@ -119,30 +118,32 @@ def find_widest(
         ends = goals[free[goals]]
         if not free[origin] or not len(ends):
             return False
-        moves = None
-        if corners:
-            moves = np.zeros(flat.num_cells, dtype=np.uint8)
-            for number, level in enumerate(grid.levels):
-                routes.find_moves(
-                    free, free, flat.floors, flat.slopes, True, flat.layout, number,
-                    (0, level.height, 0, level.width), moves,
-                )  # fmt: skip
-        islands = map_islands(replace(flat, free=free), moves).number
-        return bool((islands[ends] == islands[origin]).any())
+        if corners:  # over which islands are joined, too
+            weights = np.where(free, 1.0, np.inf)
+            islands = Search(with_weights(grid, weights), cut_corners=True).islands
+        else:
+            islands = map_islands(replace(flat, free=free))
+        return bool((islands.number[ends] == islands.number[origin]).any())
 
     if not passes(0.0):
         return None
     # the largest radius is in [low, high)
-    low, high = 0.0, float(flat.layout.cell_size.min())
+    size = float(flat.layout.cell_size.min())
+    low, high = 0.0, size
     while passes(high):
         if high == MAX_RADIUS:
             free = free_for(grid, MAX_RADIUS, ledges)
             return math.inf, free, free
         low, high = high, min(2.0 * high, MAX_RADIUS)
-    while (listed := _radii_between(grid, low, high)) is None:
+    while high - low > size:  # so that few radii are left
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
-    radii = [*listed.tolist(), high]
+    told_apart = [np.array([grid.agent_radius])]
+    for cell in set(flat.layout.cell_size.tolist()):
+        first, last = math.floor((2 * low / cell) ** 2), math.ceil((2 * high / cell) ** 2)
+        told_apart.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
+    listed = np.unique(np.concatenate(told_apart))
+    radii = [*listed[(listed >= low) & (listed < high)].tolist(), high]
     good, bad = 0, len(radii) - 1
     while bad - good > 1:
         half = (good + bad) // 2
@@ -175,6 +176,12 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
     )
 
 
+def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) -> Int | None:
+    """`Search.route` on another grid of the same cells, without its cost."""
+    found = Search(grid, cut_corners=corners).route(origin, goals)
+    return None if found is None else found[0]
+
+
 def flanks(flat: FlatGrid, route: Int) -> Int:
     """The cells beside the diagonal steps of a route, which no step may cut, by flat id."""
     level, row, col = flat.split(route)
@@ -182,20 +189,6 @@ def flanks(flat: FlatGrid, route: Int) -> Int:
     one = np.flatnonzero((steps.T == (0, 1, 1)).all(axis=1))
     across = col[one + 1] - col[one]
     return np.concatenate([route[one] + across, route[one + 1] - across])
-
-
-def _radii_between(grid: NavGrid, low: float, high: float) -> Float | None:
-    """The radii that inflation tells apart in [low, high) [m], ascending; None for too many."""
-    of_bake = np.array([grid.agent_radius])
-    radii, count = [of_bake[(of_bake >= low) & (of_bake < high)]], 1
-    for cell in {level.lattice.cell_size for level in grid.levels}:
-        first, last = math.floor((2 * low / cell) ** 2), math.ceil((2 * high / cell) ** 2)
-        count += last - first + 1
-        if count > MAX_LISTED:
-            return None
-        found = np.sqrt(np.arange(first, last + 1)) * (cell / 2)
-        radii.append(found[(found >= low) & (found < high)])
-    return np.unique(np.concatenate(radii))
 
 
 def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
@@ -302,21 +295,20 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
     clean = grid.without_blocks()
     if clean is grid:
         return None
-    route = Search(clean, cut_corners=search.cut_corners).route(origin, goals)
+    route = find_route(clean, origin, goals, search.cut_corners)
     if route is None:
         return None
     stops = np.flatnonzero(~flat.free[route])
     around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
-    heights = flat.positions(around)[:, 2]
-    is_stairs = np.ptp(heights) > RISE
-    text = f"the {'stairs' if is_stairs else 'way'} at {_text(flat.positions(route[stops[0]]))}"
-    if is_stairs:
-        levels = np.unique(flat.level_of(route))
-        if len(levels) > 1:
-            text += f" between {_level(grid, int(levels[0]))} and {_level(grid, int(levels[-1]))}"
-    for steps in _closed_steps(search):
-        text += f", {steps},"
-    return f"{text.rstrip(',')} {'are' if is_stairs else 'is'} blocked for now"
+    is_stairs = np.ptp(flat.positions(around)[:, 2]) > RISE
+    levels = np.unique(flat.level_of(route)).tolist()
+    between = ""
+    if is_stairs and len(levels) > 1:
+        between = f" between {_level(grid, levels[0])} and {_level(grid, levels[-1])}"
+    where = f"{_text(flat.positions(route[stops[0]]))}{between}"
+    what, verb = ("stairs", "are") if is_stairs else ("way", "is")
+    closed = "".join(f" {steps}," for steps in _closed_steps(search))
+    return f"the {what} at {where}{',' if closed else ''}{closed} {verb} blocked for now"
 
 
 def _doors(search: Search, origin: int, goals: Int) -> str | None:
@@ -328,7 +320,7 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     without = deflated(grid.without_blocks()).with_doors("removed")
     if radius:
         without = without.inflate(radius, ledges=ledges_of(grid))
-    route = Search(without, cut_corners=search.cut_corners).route(origin, goals)
+    route = find_route(without, origin, goals, search.cut_corners)
     if route is None:
         return None
     names = list(dict.fromkeys(doors_on(search.doors, route[~flat.free[route]])))
@@ -353,7 +345,7 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     if widest is None or math.isinf(widest[0]):
         return None
     radius, free, for_larger = widest
-    route = Search(with_weights(plain, np.where(free, 1.0, np.inf))).route(origin, goals)
+    route = find_route(with_weights(plain, np.where(free, 1.0, np.inf)), origin, goals)
     if route is None:
         return None
     # of the widest way, the cells that a slightly larger agent loses: the gap is one of them
@@ -420,11 +412,10 @@ def _closed_steps(search: Search) -> list[str]:
 def _names(search: Search, cells: Int) -> str:
     """The names of what blocks cells, as far as the file tells."""
     grid, flat = search.grid, search.flat
-    names: dict[str, None] = {}
-    for cell in cells[~flat.free[cells]].tolist():
-        x, y, _ = flat.positions(cell).tolist()
-        names.update(dict.fromkeys(grid.blockers(x, y, int(flat.level_of(cell)))))
-    listed = list(names)
+    blocked = cells[~flat.free[cells]]
+    levels, (x, y, _) = flat.level_of(blocked), flat.positions(blocked).T
+    ways = zip(x.tolist(), y.tolist(), levels.tolist(), strict=True)
+    listed = list(dict.fromkeys(name for at in ways for name in grid.blockers(*at)))
     more = f" and {len(listed) - MAX_NAMES} more" if len(listed) > MAX_NAMES else ""
     return ", ".join(listed[:MAX_NAMES]) + more
 

@@ -21,12 +21,19 @@ class PathFinder(DrawQuestions):
     neighbours differ by at most the grid's `traversableFloorHeight`. A step costs its length [m]
     times the weight of the cell that it leads to.
 
-    Goals are a position, several of them (the one that is the cheapest to reach counts),
-    ``room:NAME`` with a room's id or name, or ``object:NAME`` with a name of the user data (the
-    free cells next to it). Positions are world x, y, z [m], on the level of the nearest floor
-    below. With `level`, positions are on that level (0 is the lowest) and z is ignored. x, y are
-    enough with `level`, or on a grid of one level. Every method raises QueryError where a
-    position is not valid, or where there is no such level, room, object or island.
+    In all methods
+
+    - a position is world x, y, z [m], on the level of the nearest floor below. With `level`,
+      positions are on that level (0 is the lowest) and z is ignored. x, y are enough with `level`,
+      or on a grid of one level;
+    - a goal is a position, several of them (the one that is the cheapest to reach counts),
+      ``room:NAME``, or ``object:NAME`` with a name of the user data (the free cells next to it);
+    - a room goes by its id or its name, an island by its number; 1 is the largest;
+    - a place is world x, y and floor z [m], shape (3,), or (n, 3) for several, float64;
+    - `rng` draws what is random; without one, another generator does each time. One with a seed
+      repeats itself;
+    - QueryError is raised where a position is not valid, or where there is no such level, room,
+      object or island.
 
     One object serves one thread at a time.
 
@@ -47,9 +54,6 @@ class PathFinder(DrawQuestions):
         """Answer about another grid from now on, as after `Baker.update`.
 
         What was planned and kept for the last one is forgotten.
-
-        Raises:
-            QueryError: a weight is negative.
         """
         self.grid, self._search = grid, Search(grid, cut_corners=self._cut_corners)
         self.many = ManyPlaces(self._search)
@@ -57,34 +61,21 @@ class PathFinder(DrawQuestions):
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
     ) -> Path | None:
-        """Find the cheapest path.
+        """Find the cheapest path; None where there is none: `why_not` tells the reason.
 
-        Args:
-            start: world position [m].
-            goal: see `PathFinder`.
-            smooth: pull the path straight where that stays free; else it runs through the
-                cells' centres. It begins and ends at the positions themselves unless they are
-                nearer to obstacles than the agent may be.
-
-        Returns:
-            None where there is no path: `why_not` tells the reason.
+        If `smooth`, it is pulled straight where that stays free; else it runs through the cells'
+        centres. It begins and ends at the positions themselves unless they are nearer to obstacles
+        than the agent may be.
         """
         return find_path(self.search, start, goal, level, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
-        """Say why there is no path: in one sentence, with positions and figures.
+        """Say why there is no path: in one sentence, with positions and figures; None if there is.
 
         It names a start or goal that isn't free, and the nearest cell that is; or else the islands
         of both, how near these come, and the first of these that is between them: cells that are
         blocked for now, doors, a gap that is too narrow for the agent (known of inflated grids),
         steps between levels that can't be taken, the names of what stands there.
-
-        Args:
-            start: world position [m].
-            goal: see `PathFinder`.
-
-        Returns:
-            None if there is a path.
         """
         return why_not(self.search, start, goal, level)
 
@@ -94,7 +85,6 @@ class PathFinder(DrawQuestions):
         """Find what the cheapest path from every cell to the goal costs.
 
         Args:
-            goal: see `PathFinder`.
             weighted: count steps by their weights, as `find_path` does; else by their lengths
                 alone, so that the shortest path counts [m].
 
@@ -108,16 +98,7 @@ class PathFinder(DrawQuestions):
     def distances(
         self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
     ) -> Float:
-        """Find what the cheapest paths from many starts to the goal cost.
-
-        Args:
-            starts: world positions [m], shape (..., 3).
-            goal: see `PathFinder`.
-            weighted: see `distance_field`.
-
-        Returns:
-            Shape (...), float64; inf where there is no path.
-        """
+        """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path."""
         cells = self._search.flat.cells_at(starts, level)
         field = find_field(self.search, goal, level, weighted=weighted)
         return np.where(cells >= 0, field[cells], np.inf)
@@ -128,13 +109,8 @@ class PathFinder(DrawQuestions):
         """Find the widest agent that gets from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for none that is larger. What is blocked now counts. On an inflated grid, the answer is
-        that of the grid before, if it can be told from the file.
-
-        Args:
-            start: world position [m].
-            goal: position, several of them or ``room:NAME``, see `PathFinder`.
-            ledges: see `SceneGrid2D.inflate`.
+        for none that is larger; `ledges` as there. What is blocked now counts. On an inflated grid,
+        the answer is that of the grid before, if it can be told from the file.
 
         Returns:
             The radius [m] and the bottleneck's place. None where no agent gets there, however
@@ -176,5 +152,8 @@ class PathFinder(DrawQuestions):
         """
         if not isinstance(path, Path):
             raise QueryError(f"expected a path that find_path has found, got {path!r}")
-        limits = (speed, acceleration, turn_rate, lookahead, tolerance)
-        return Follower(self._search, path, *limits)
+        limits = {
+            "speed": speed, "acceleration": acceleration, "turn_rate": turn_rate,
+            "lookahead": lookahead, "tolerance": tolerance,
+        }  # fmt: skip
+        return Follower(self._search, path, limits)

@@ -18,11 +18,13 @@ from navbake.runtime.regions import doors_on
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
+lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
+NOWHERE = np.full(2, np.nan)
 MAX_REACH = 1.0  # metres that a place next to an object may be away from it
 
 
@@ -52,13 +54,9 @@ class Path:
     doors: list[str]
 
     def at(self, distance: float) -> Float:
-        """The position at a distance along the path, seen from above.
+        """The position, world x, y, z [m], at a distance from the start along the path, from above.
 
-        Args:
-            distance: from the start [m], limited to 0 and the length of the path.
-
-        Returns:
-            World x, y, z [m], shape (3,), float64.
+        The distance is limited to 0 and the length of the path [m].
         """
         run = run_of(self.positions)
         return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
@@ -172,13 +170,16 @@ def find_path(
     goals = target.free_cells(flat)
     if origin < 0 or not flat.free[origin] or not len(goals):
         return None
-    route = search.route(origin, goals)
-    if route is None:
+    found = search.route(origin, goals)
+    if found is None:
         return None
-    end = None
+    route, cost = found
+    end = NOWHERE
     if target.positions is not None:  # the first that is in the cell
         end = target.positions[int(np.argmax(target.cells == route[-1])), :2]
-    positions, levels = search.lay(route, smooth=smooth, start=p[:2], end=end)
+    positions, levels = lines.lay_route(
+        route, p[:2], end, smooth, search.graph, flat.floors, search.off_center
+    )
     numbers = rooms.number[route]
     entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
     return Path(
@@ -186,7 +187,7 @@ def find_path(
         levels=levels,
         cells=np.stack(flat.split(route), axis=1),
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
-        cost=float((search.lengths(route) * flat.weight[route[1:]]).sum()),
+        cost=cost,
         rooms=[str(rooms.id_of(int(n))) for n in entered if n],
         doors=doors_on(search.doors, route),
     )

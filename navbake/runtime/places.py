@@ -33,16 +33,10 @@ NO_ROOMS = np.empty(0, dtype=np.int32)
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """The nearest point of an obstacle.
+    """The nearest point of an obstacle."""
 
-    Attributes:
-        distance: to it, on the map [m].
-        position: world x, y, z [m] of the point, shape (3,), float64; z is the floor's at the
-            position that was asked about.
-    """
-
-    distance: float
-    position: Float
+    distance: float  #: To it, on the map [m].
+    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the position asked about.
 
 
 class ManyPlaces:
@@ -267,21 +261,17 @@ class PlaceQuestions:
 
         Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
         the position itself, put on the floor. Else it is the centre of a cell: of the one whose
-        centre is the nearest on the map on the position's level, or in space on any level.
+        centre is the nearest on the map on the position's level, or in space on any level. None
+        where there is no such place.
 
         Args:
-            position: world position [m].
             same_level: stay on its level. A position that is on none is snapped to the nearest
                 floor in space.
             same_room: stay in its room; None where it is in none.
-            room: go to this room, by id or name.
-            island: go to this island, by its number.
+            room, island: go there.
             in_sight: nothing may stand between, such as a wall. The position may be in something:
                 then the line has to come out of it without leaving its room.
             max_distance: go no farther [m].
-
-        Returns:
-            World x, y and floor z [m], shape (3,); None where there is no such place.
         """
         if same_room:
             here = self.room_at(position, level=level)
@@ -312,18 +302,7 @@ class PlaceQuestions:
         it also gets along walls that are not parallel to the cells.
 
         A way may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
-        its centre.
-
-        Args:
-            start: world x, y, z [m], where an agent can stand.
-            end: world x, y, z [m]; its z is ignored.
-            slide: whether to slide.
-
-        Returns:
-            World x, y and floor z [m] of where the way ends, shape (3,), float64.
-
-        Raises:
-            QueryError: no agent can stand at the start.
+        its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
         """
         flat = self._search.flat
         p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
@@ -352,12 +331,8 @@ class PlaceQuestions:
         another goes on, as at the top of stairs, that is no obstacle: the other one counts where
         its floor is less than the agent's height, less a step, above or below, and its own isn't.
 
-        Args:
-            position: world position [m], in a cell of the grid.
-            max_distance: farther obstacles are ignored [m], >= 0.
-
-        Returns:
-            None where there is none so near; distance 0 within an occupied cell.
+        None where there is none within `max_distance` [m]; distance 0 within an occupied cell. The
+        position has to be in a cell of the grid.
         """
         flat = self.search.flat
         p = flat.check_one(position, level)
@@ -378,19 +353,10 @@ class PlaceQuestions:
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
         """Draw where on a level an agent can stand, as an array.
 
-        The first row is the largest y, the first column the smallest x, as in the grid's arrays.
-
-        Args:
-            level: which level, 0 is the lowest.
-            metres_per_pixel: [m], > 0; a pixel a cell unless given. A pixel shows the cell that
-                its middle is in.
-
-        Returns:
-            Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``:
-            free, blocked, no floor.
-
-        Raises:
-            QueryError: `metres_per_pixel` is not a number > 0, or the picture would be too large.
+        Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free,
+        blocked, no floor. The first row is the largest y, the first column the smallest x, as in
+        the grid's arrays. A pixel shows the cell that its middle is in; without `metres_per_pixel`,
+        > 0, there is one for each cell. Raises QueryError where the picture would be too large.
         """
         flat = self.search.flat
         if level is None:
@@ -449,23 +415,21 @@ def _snap_in_sight(
     Lines of sight cost more than distances. So cells are looked at from the nearest on, in rounds
     that reach twice as far each.
     """
-    flat, floors = search.flat, search.flat.floors
-    home = int(flat.cells_at(p, level))
-    if home < 0:
+    flat, home = search.flat, int(search.flat.cells_at(p, level))
+    place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)
+    if home < 0 or cell < 0:
         return None
-    on, floor, on_map = int(flat.level_of(home)), flat.positions(home)[2], len(p) == 2
-    if allowed[home] and (level is not None or on_map or p[2] - floor <= MAX_DROP):
-        return np.append(p[:2], floor)
-    p = np.append(p, floors.ground[on]) if on_map else p
-    axes = 2 if on_map or same_level else 3
-    levels = [on] if axes == 2 else list(range(flat.num_levels))
+    if cell == home:
+        return place
+    axes = 2 if same_level or len(p) == 2 else 3
+    levels = [int(flat.level_of(home))] if axes == 2 else list(range(flat.num_levels))
     most = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
     radius = min(FIRST_LOOK, float(max_distance))
     while True:
         discs = [cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels]
         cells = np.concatenate(discs)
         centers = flat.positions(cells)
-        distance = np.linalg.norm((centers - p)[:, :axes], axis=1)
+        distance = np.linalg.norm(centers[:, :axes] - p[:axes], axis=1)
         # stable, so that of equally near cells the lowest id comes first
         order = np.argsort(distance, kind="stable")
         near = order[: np.count_nonzero(distance <= radius)]

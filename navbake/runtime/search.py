@@ -18,7 +18,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.inflation import exact_radius, find_room
 from navbake.runtime.regions import DoorMap, IslandMap, RoomMap, map_doors, map_islands, map_rooms
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
 lines = lazy("navbake.runtime.kernels.lines")
@@ -27,7 +27,6 @@ routes = lazy("navbake.runtime.kernels.routes")
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
 MAX_KEPT = 8  # answers of each kind that are kept
-NOWHERE = np.full(2, np.nan)
 NO_CELLS = np.empty(0, dtype=np.int64)
 Kept = TypeVar("Kept")
 
@@ -202,15 +201,14 @@ class Search:
             raise QueryError(f"island {island} can't be reached: the position is on {home}")
         return home
 
-    def route(self, origin: int, goals: Int) -> Int | None:
-        """Find the cheapest route from a free cell to the cheapest of several, by flat ids.
+    def route(self, origin: int, goals: Int) -> tuple[Int, float] | None:
+        """The cheapest route from a free cell to the cheapest of several, and its cost.
 
-        Returns:
-            Flat ids of the cells from the origin to the goal, shape (m,); None for no route.
+        Flat ids from the origin to the goal, shape (m,); None for no route.
         """
         source = np.array([origin])
         if (goals == origin).any():
-            return source
+            return source, 0.0
         while True:
             # marks of earlier searches stay, as each search has its own number
             self._number += 1
@@ -219,7 +217,7 @@ class Search:
                 self._number = 1
             result, route = routes.find_route(self.graph, source, goals, self._number, self._visits)
             if result == routes.DONE:
-                return route if len(route) else None
+                return (route, float(self._visits.cost[route[-1]])) if len(route) else None
             self._make_room()
 
     def field(self, goals: Int, *, weighted: bool = True) -> Float:
@@ -227,6 +225,28 @@ class Search:
 
         By flat id, float64, inf for no route. Unless weighted, steps count by their length [m].
         """
+        return self._flood(goals, weighted)[0]
+
+    def onward(self, goals: Int) -> tuple[Float, Int]:
+        """The weighted `field`, and where the cheapest route goes on from each cell.
+
+        Flat ids, shape (n,), int64: the cell itself at a goal, -1 where no route is.
+        """
+        flat, links = self.flat, self.flat.links
+        cost, mark = self._flood(goals, True)
+        way, cells = mark & routes.WAY, np.arange(flat.num_cells)
+        width = flat.layout.width[flat.level_of(cells)]
+        # the field grew from the goals, so the way on is that by which it came, backwards
+        steps = np.zeros((2, routes.WAY + 1), dtype=np.int64)
+        steps[:, : len(arrays.ROW_STEP)] = arrays.ROW_STEP, arrays.COL_STEP
+        down, across = steps[:, way]
+        onward = np.where(np.isfinite(cost), cells - down * width - across, -1)
+        by_link = way[links.cell] == routes.LINK
+        onward[links.cell[by_link]] = self._visits.link_from[by_link]
+        return cost, onward
+
+    def _flood(self, goals: Int, weighted: bool) -> tuple[Float, Int32]:
+        """Search backwards from goals: what each cell costs, and its `mark`."""
         flat, graph = self.flat, self.graph
         if not weighted:
             size, longest = flat.layout.cell_size.min(), flat.links.length.max(initial=0)
@@ -238,77 +258,13 @@ class Search:
             mark, cost = np.zeros(flat.num_cells, dtype=np.int32), np.full(flat.num_cells, np.inf)
             visits = self._visits._replace(mark=mark, cost=cost)
             if routes.find_route(graph, goals, NO_CELLS, 1, visits)[0] == routes.DONE:
-                return cost
+                return cost, mark
             self._make_room()
 
     def _make_room(self) -> None:
         cell, following = np.empty((2, 4 * len(self._visits.entry_cell)), dtype=np.int32)
         self._visits = self._visits._replace(entry_cell=cell, entry_next=following)
 
-    def lay(
-        self, route: Int, *, smooth: bool, start: Float | None, end: Float | None
-    ) -> tuple[Float, Int]:
-        """Make a line along a route: world x, y, floor z [m], shape (m, 3), and the level of each.
-
-        It is pulled straight if `smooth`, and begins and ends at `start` and `end`, world x, y [m],
-        where these are given; see `navbake.runtime.kernels.lines.lay_route`.
-        """
-        start, end = (NOWHERE if p is None else p for p in (start, end))
-        positions, levels = lines.lay_route(
-            route, start, end, smooth, self.graph, self.flat.floors, self.off_center
-        )
-        return positions, levels
-
     def can_pass(self, a: Float, b: Float, level: int) -> bool:
         """Whether an agent can move now along a line between two points x, y of a level [m]."""
         return bool(lines.can_pass(a, b, level, self.graph, self.off_center))
-
-    def lengths(self, cells: Int) -> Float:
-        """The lengths of the steps of a route [m], shape (len(cells) - 1,)."""
-        level, row, col = self.flat.split(cells)
-        down, across = np.abs(np.diff(row)), np.abs(np.diff(col))
-        is_diagonal = (down != 0) & (across != 0)
-        size = self.flat.layout.cell_size[level[1:]]
-        length: Float = size * np.where(is_diagonal, math.sqrt(2.0), 1.0)
-        links = self.flat.links
-        if len(links.cell):
-            is_link = (np.diff(level) != 0) | (down > 1) | (across > 1)
-            for i in np.flatnonzero(is_link):
-                slot = np.searchsorted(links.cell, cells[i])
-                of_cell = slice(*links.start[slot : slot + 2])
-                length[i] = links.length[of_cell][links.target[of_cell] == cells[i + 1]][0]
-        return length
-
-    def onward(self, field: Float) -> Int:
-        """Find where the cheapest path to a goal goes on from each cell.
-
-        Of the steps that a cell has, to its neighbours and over links, the one that is the cheapest
-        together with the rest of the way (a weighted `field`); of equal ones the first in the order
-        of moves, then links. Flat ids, shape (n,), int64: the cell itself where the goal is, -1
-        where no path is.
-        """
-        flat, moves = self.flat, self.graph.moves
-        onward = np.where(np.isfinite(field), np.arange(len(field)), -1)
-        best = np.full(len(field), np.inf)
-
-        def take_cheaper(cells: Int, targets: Int, length: Float) -> None:
-            cost = length * flat.weight[targets] + field[targets]
-            cheaper = cost < best[cells]  # each cell is there once
-            best[cells[cheaper]], onward[cells[cheaper]] = cost[cheaper], targets[cheaper]
-
-        walks = np.flatnonzero(np.isfinite(field) & (field > 0))
-        level = flat.level_of(walks)
-        width, size = flat.layout.width[level], flat.layout.cell_size[level]
-        steps = zip(arrays.ROW_STEP, arrays.COL_STEP, strict=True)
-        for way, (down, across) in enumerate(steps):
-            leads = (moves[walks] >> way) & 1 != 0
-            targets = walks[leads] + down * width[leads] + across
-            take_cheaper(walks[leads], targets, size[leads] * (1.0 if way < 4 else math.sqrt(2.0)))
-        sources, targets = flat.link_ends()
-        leads = np.isfinite(field[sources]) & (field[sources] > 0) & np.isfinite(field[targets])
-        sources, targets, length = sources[leads], targets[leads], flat.links.length[leads]
-        # of the links of one cell the cheapest
-        order = np.lexsort((length * flat.weight[targets] + field[targets], sources))
-        chosen = order[np.diff(sources[order], prepend=-1) != 0]
-        take_cheaper(sources[chosen], targets[chosen], length[chosen])
-        return onward

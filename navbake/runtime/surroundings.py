@@ -140,16 +140,11 @@ def _block_by_holes(storeys: Storeys, cells: float, blocked: Bool) -> None:
 def disc(
     radius: float, shape: tuple[int, int], *, of_squares: bool = True
 ) -> tuple[Int, Int, Int32]:
-    """Steps from a cell to those that an open disc round its centre reaches.
+    """Steps from a cell to those whose squares, or centres, an open disc round its centre reaches.
 
-    Args:
-        radius: [cells].
-        shape: (rows, cols) of the cells that it is for; it need not be wider.
-        of_squares: whether it reaches a cell when it meets its square, or covers its centre.
-
-    Returns:
-        Rows and columns, (n, 2) int64, the nearest first; their squares in half cells; and how
-        wide the disc is, row by row, as `dilate` takes it.
+    The radius is in cells; the disc need not be wider than `shape`. Rows and columns, (n, 2) int64,
+    the nearest first; their squares in half cells; and how wide the disc is, row by row, as
+    `dilate` takes it.
     """
     rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
     # squared half cells along an axis to the near side, or to the centre, of squares
@@ -181,12 +176,7 @@ def find_surroundings(
     if len(grid.levels) == 1:
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
     else:
-        ends = np.array(
-            [
-                [row, col, *np.add((row, col), grid.levels[k].shape)]
-                for k, (row, col) in placed.items()
-            ]
-        )
+        ends = np.array([[*at, *np.add(at, grid.levels[k].shape)] for k, at in placed.items()])
         top, left = (max(-reach, int(least)) - 1 for least in ends[:, :2].min(axis=0))
         most = ends[:, 2:].max(axis=0)
         bottom, right = (min(n + reach, int(m)) + 1 for n, m in zip(level.shape, most, strict=True))
@@ -220,20 +210,16 @@ def _find_slopes(
     size = np.array(floor.shape)[:, None]
     inside = ((one >= 0) & (one < size) & (other >= 0) & (other < size)).all(axis=0)
     one, other = one[:, inside], other[:, inside]
-    down, across = (other - one)[1:]
     is_slope = np.abs(floor[tuple(one)] - floor[tuple(other)]) > step
-    is_slope &= np.abs(down) + np.abs(across) == 1
+    is_slope &= np.abs(other - one)[1:].sum(axis=0) == 1
     if not is_slope.any():
         return none
     slopes = np.zeros(floor.shape, dtype=np.uint8)
-    for way, there, back in (
-        (across == 1, arrays.EAST, arrays.WEST),
-        (across == -1, arrays.WEST, arrays.EAST),
-        (down == 1, arrays.SOUTH, arrays.NORTH),
-        (down == -1, arrays.NORTH, arrays.SOUTH),
-    ):
-        np.bitwise_or.at(slopes, tuple(one[:, way & is_slope]), np.uint8(there))
-        np.bitwise_or.at(slopes, tuple(other[:, way & is_slope]), np.uint8(back))
+    toward = np.zeros((3, 3), dtype=np.uint8)  # by step down and across, the middle is none
+    toward[[1, 0, 1, 2], [2, 1, 0, 1]] = arrays.EAST, arrays.NORTH, arrays.WEST, arrays.SOUTH
+    for here, there in ((one, other), (other, one)):
+        here, there = here[:, is_slope], there[:, is_slope]
+        np.bitwise_or.at(slopes, tuple(here), toward[tuple((there - here)[1:] + 1)])
     return slopes
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.islands import clearance
 from navbake.runtime.flat_grid import check_distance
-from navbake.runtime.paths import find_field
+from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
 from navbake.runtime.search import Search
 from navbake.tensors.grid_tensors import GridTensors, Shape, register_pytree
@@ -101,7 +101,6 @@ def make_tensors(
         index=make(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
         same_lattice=all(len({v.lattice for v in grid.levels}) == 1 for grid in several),
-        one_ground=shape.levels == 1,
         num_rooms=num_rooms,
         rooms=rooms,
         goals=tuple(str(goal) for goal in per_grid[0]),
@@ -201,7 +200,8 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
         stand = np.where(np.isnan(z), own, z)
         heights, rank = np.unique(stand, return_inverse=True)
         rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
-        top = np.where(flat.free, highest_standing(stand, max_drop, dtype), -np.inf)
+        # upside down: the lowest number from which the mirrored floor is at most the drop above
+        top = np.where(flat.free, -lowest_reaching(-stand, max_drop, dtype), -np.inf)
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
@@ -234,9 +234,9 @@ def _goal_fields(
         parts = [every[number, k, : v.height, : v.width].ravel() for k, v in levels]
         ids = np.concatenate([*parts, np.array([-1], dtype=np.int32)])
         for k, goal in enumerate(goals[number]):
-            field = find_field(search, goal, None)
+            field, following = search.onward(find_target(search, goal).free_cells(search.flat))
             cost[k, number] = _pad(search, field, shape, np.inf)
-            onward[k, number] = _pad(search, ids[search.onward(field)], shape, -1)
+            onward[k, number] = _pad(search, ids[following], shape, -1)
     return {"cost": cost.ravel(), "onward": onward.ravel()}
 
 
@@ -302,9 +302,3 @@ def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[
     exact = some - max_step
     reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(exact))
     return smallest_true(lambda z: some <= z + max_step, exact - reach, exact + reach, dtype)[where]
-
-
-def highest_standing(floors: Float, max_drop: float, dtype: Floating) -> NDArray[np.floating]:
-    """The highest z of `dtype` that is at most `max_drop` above floors, by floor [m]."""
-    # upside down: the lowest number from which the mirrored floor is at most the drop above
-    return -lowest_reaching(-floors, max_drop, dtype)

@@ -47,7 +47,6 @@ class GridTensors:
     index: Any  # the integer dtype that ids are computed in
     shape: Shape  # padded
     same_lattice: bool  # whether all levels of each scene have their cells at the same x, y
-    one_ground: bool  # whether no scene has a second level, so that no level is to be chosen
     num_rooms: int  # the most rooms that a scene has
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
     goals: tuple[str, ...]  # what `goal` of `distance_to_goal` numbers, as it was given
@@ -90,7 +89,7 @@ class GridTensors:
 
 
 STATIC: tuple[str, ...] = (
-    "xp", "dtype", "index", "shape", "same_lattice", "one_ground", "num_rooms", "rooms", "goals",
+    "xp", "dtype", "index", "shape", "same_lattice", "num_rooms", "rooms", "goals",
 )  # fmt: skip
 ARRAYS = tuple(f.name for f in fields(GridTensors) if f.name not in STATIC)
 
@@ -124,7 +123,7 @@ def locate(
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
     cell, inside = on_level(t, x, y, first)
-    if t.one_ground:
+    if shape.levels == 1:  # none is to be chosen
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
         return xp.where(inside, cell, 0), xp.zeros_like(cell), inside
     best, level = xp.zeros_like(cell), xp.zeros_like(cell)

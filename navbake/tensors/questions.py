@@ -1,7 +1,10 @@
 """Batched questions: what cells hold, what lies round agents, ways to goals, random places.
 
-Each function takes positions of any shape (..., 3) and gives values of shape (...). A position with
-a NaN, an infinite one and one beside the grid give NaN, False, 0 or -1.
+Each function takes the tensors of one or several grids, `t`, and positions, world x, y, z [m], of
+any shape (..., 3) in the tensors' dtype, and gives values of shape (...). Where there are several
+grids, `scene_id` says which one is meant: an integer, or integers of shape (...). A position with a
+NaN, an infinite one and one beside the grid give NaN, False, 0 or -1. QueryError is raised where an
+array has another shape or dtype, or there is no such scene or goal.
 """
 
 from __future__ import annotations
@@ -34,17 +37,7 @@ MODES = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The level that each position is on, int32, as `PathFinder.cell_at` has it; -1 for none.
-
-    Args:
-        t: tensors of one or several grids.
-        positions: world x, y, z [m], shape (..., 3), in the tensors' dtype.
-        scene_id: which grid, where there are several; an integer or integers of shape (...).
-
-    Raises:
-        QueryError: positions have another shape or dtype, or there is no such scene. The same
-            holds of all functions of this package.
-    """
+    """The level that each position is on, int32, as `PathFinder.cell_at` has it; -1 for none."""
 
     def answer(p: Array, scenes: Array) -> Array:
         _, level, inside = locate(t, p, scenes)
@@ -54,7 +47,7 @@ def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = No
 
 
 def floor(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """World z of the floor under each position [m], NaN where there is none; see `level_at`."""
+    """World z of the floor under each position [m], NaN where there is none."""
     return _value(t, t.floor, t.xp.nan, positions, scene_id)
 
 
@@ -93,12 +86,10 @@ def clearance(
     Of each cell that is free, `navbake.navgrid.islands.clearance`: from its centre to the nearest
     centre of another that isn't, less half a cell. Of the others 0.
 
-    Args:
-        t, positions, scene_id: see `level_at`.
-        mode: ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does.
-            ``"bilinear"`` interpolates between the centres of the four cells round the position,
-            on the position's level; at the edge of the grid the outer cells go on. Libraries that
-            differentiate give the gradient by the position.
+    The mode ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does;
+    ``"bilinear"`` interpolates between the centres of the four cells round the position, on the
+    position's level; at the edge of the grid the outer cells go on. Libraries that differentiate
+    give the gradient by the position.
     """
     if mode not in MODES:
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
@@ -174,8 +165,7 @@ def heights(
     on the ground doesn't see the floor above.
 
     Args:
-        t, positions, scene_id: of agents, see `level_at`.
-        yaw: their headings [rad], 0 along x, counted towards y; shape (...).
+        yaw: the agents' headings [rad], 0 along x, counted towards y; shape (...).
         pattern: points in the agents' frames, x ahead, y to the left [m], shape (k, 2).
 
     Returns:
@@ -201,7 +191,7 @@ def patch(
     `level_at` at the agent's z.
 
     Args:
-        t, positions, yaw, scene_id: see `heights`.
+        yaw: see `heights`.
         shape: rows and columns.
         cell: size of a pixel [m], > 0.
         layer: ``free`` (bool), ``floor`` (world z [m]), ``clearance`` ([m]), ``room`` or
@@ -257,14 +247,9 @@ def distance_to_goal(
 ) -> Array:
     """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
 
-    Args:
-        t, positions, scene_id: see `level_at`.
-        goal: the place of the goal among those that the tensors were made with; an integer, or
-            integers that fit the shape (...).
-
-    Returns:
-        Shape (...): metres times weights; inf where no path leads to the goal, NaN beside the
-        grid.
+    `goal` is its place among those that the tensors were made with; an integer, or integers that
+    fit the shape (...). Costs are metres times weights; inf where no path leads to the goal, NaN
+    beside the grid.
     """
 
     def answer(p: Array, first: Array | int, scenes: Array) -> Array:
@@ -283,14 +268,8 @@ def path_step(
     """The direction to go from each position to get to a goal.
 
     It is that from the position to the centre of the next cell of the cheapest path. Whoever
-    follows it stays in the cells of that path, over links to other levels as well.
-
-    Args:
-        t, positions, goal, scene_id: see `distance_to_goal`.
-
-    Returns:
-        World x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is
-        no path.
+    follows it stays in the cells of that path, over links to other levels as well. World x, y of
+    unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is no path.
     """
     xp = t.xp
 
@@ -342,10 +321,9 @@ def sample(
 ) -> Array:
     """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
 
-    The same numbers give the same places.
+    The same numbers give the same places. The cells of a grid's levels are of one size.
 
     Args:
-        t, scene_id: see `level_at`; the cells of a grid's levels are of one size.
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
             it. 0.5 for these is the cell's centre, where the agent's radius fits for certain.
             Shape (..., 1) gives centres.

@@ -11,15 +11,13 @@ from navbake.runtime.search import FIRST_ROOM, Search
 from oracles.ways import make_level, random_grid, stack, step_graph
 
 
-def assert_is_route(route, origin, goals, graph):
+def assert_is_route(found, origin, goals, graph):
+    route, cost = found
     assert route[0] == origin
     assert route[-1] in goals
-    for a, b in pairwise(route):
-        assert graph[a, b] > 0, f"no step from {a} to {b}"
-
-
-def cost_of(route, search):
-    return float((search.lengths(route) * search.flat.weight[route[1:]]).sum())
+    steps = [graph[a, b] for a, b in pairwise(route)]
+    assert 0 not in steps
+    assert cost == pytest.approx(sum(steps), rel=1e-8)
 
 
 @pytest.mark.parametrize("cut_corners", [False, True])
@@ -36,15 +34,20 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
     exact = dijkstra(graph, indices=free)
     for origin in rng.choice(free, 4):
         expected = exact[np.searchsorted(free, origin), goals].min()
-        route = search.route(origin, goals)
+        found = search.route(origin, goals)
         if np.isinf(expected):
-            assert route is None
+            assert found is None
         else:
-            assert_is_route(route, origin, goals, graph)
-            assert cost_of(route, search) == pytest.approx(expected, rel=1e-8, abs=1e-12)
-    field = search.field(goals)
+            assert_is_route(found, origin, goals, graph)
+            assert found[1] == pytest.approx(expected, rel=1e-8, abs=1e-12)
+    field, onward = search.onward(goals)
+    np.testing.assert_array_equal(field, search.field(goals))
     assert np.isinf(field[~search.flat.free]).all()
     np.testing.assert_allclose(field[free], exact[:, goals].min(axis=1), rtol=1e-8, atol=1e-12)
+    assert (onward[goals] == goals).all() and (onward[np.isinf(field)] == -1).all()
+    for cell in np.flatnonzero(np.isfinite(field) & (field > 0)):
+        rest = graph[cell, onward[cell]] + field[onward[cell]]
+        assert field[cell] == pytest.approx(rest, rel=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -70,8 +73,8 @@ def test_weights_far_apart_stay_exact():
     exact = dijkstra(step_graph(grid), indices=np.arange(144))
     np.testing.assert_allclose(search.field(np.array([77])), exact[:, 77], rtol=1e-8)
     for origin in range(0, 144, 13):
-        route = search.route(origin, np.array([77]))
-        assert cost_of(route, search) == pytest.approx(exact[origin, 77], rel=1e-8)
+        _, cost = search.route(origin, np.array([77]))
+        assert cost == pytest.approx(exact[origin, 77], rel=1e-8)
 
 
 def test_a_field_of_more_goals_than_there_is_room_for_at_first():
@@ -92,8 +95,7 @@ def test_a_route_that_opens_more_cells_than_there_is_room_for_at_first():
     weights = 10.0 ** rng.uniform(0, 4, shape)
     search = Search(make_level(np.ones(shape), np.zeros(shape), weights))
     goal = np.array([weights.size - 1])
-    route = search.route(0, goal)
-    assert cost_of(route, search) == pytest.approx(search.field(goal)[0], rel=1e-8)
+    assert search.route(0, goal)[1] == pytest.approx(search.field(goal)[0], rel=1e-8)
 
 
 def test_searches_may_be_counted_from_one_again(monkeypatch):
@@ -101,16 +103,17 @@ def test_searches_may_be_counted_from_one_again(monkeypatch):
     search = Search(grid)
     monkeypatch.setattr("navbake.runtime.search.LAST_SEARCH", 2)
     for _ in range(6):
-        assert search.route(0, np.array([2])).tolist() == [0, 1, 2]
-        assert search.route(2, np.array([0])).tolist() == [2, 1, 0]
+        assert search.route(0, np.array([2]))[0].tolist() == [0, 1, 2]
+        assert search.route(2, np.array([0]))[0].tolist() == [2, 1, 0]
 
 
 def test_a_link_may_be_the_only_way():
     lower, upper = make_level([[1, 1, 0, 1]], np.zeros((1, 4))), make_level([[1]], [[0.0]], col0=2)
     grid = stack([lower, upper], [[0, 1, 1, 0], [0, 3, 1, 0]])
     search = Search(grid)
-    assert search.route(0, np.array([3])).tolist() == [0, 1, 4, 3]
-    assert search.lengths(np.array([0, 1, 4, 3])) == pytest.approx([0.1, 0.1, 0.1])
+    route, cost = search.route(0, np.array([3]))
+    assert route.tolist() == [0, 1, 4, 3]
+    assert cost == pytest.approx(0.3)
 
 
 def test_negative_weights_are_refused():
