@@ -182,9 +182,9 @@ def _verified(
 ) -> SceneGrid2D | MultiLevelGrid:
     """The grid with what a verification by MuJoCo and FCL found, and a warning if it disagrees."""
     # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
-    from navbake.verifier.verify import Options, verify_scene
+    from navbake.verifier.verify import verify_scene
 
-    report = verify_scene(grid, stages.scene, Options(sample=sample), stages.config)
+    report = verify_scene(grid, stages.scene, stages.config, sample=sample)
     found, looked = len(report.findings), {"sample": sample, "cells": report.checked}
     verified = {**looked, "disagreements": found, "digest": report.digest}
     own: Json = {**grid.navbake, "verified": verified}

@@ -75,7 +75,7 @@ class Lines:
         surfaces: list[Surface] = []
         solid: list[tuple[float, float]] = []
         inside: list[tuple[float, int]] = []
-        for number in self.obstacles.over(x, y):
+        for number in self.obstacles.meeting((x, y, -np.inf), (x, y, np.inf)):
             kind = self.obstacles.items[number].kind
             found = self._cross(number, x, y)
             surfaces += found

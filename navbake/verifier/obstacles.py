@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import fcl
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import QhullError
@@ -137,24 +138,14 @@ class Obstacles:
         # MuJoCo makes these arrays anew whenever they are asked for
         self.size, self.pos, self.mat = model.geom_size, self.data.geom_xpos, self.data.geom_xmat
 
-    def probe_geom(self, *, is_round: bool) -> int:
-        """The model's geom for upright boxes, or for upright cylinders."""
-        return len(self.items) + is_round
-
     def name(self, number: int) -> str:
         """The name of the geom that an obstacle belongs to."""
         return self.names[self.items[number].geom]
 
-    def meeting(self, low: Float, high: Float) -> list[int]:
+    def meeting(self, low: ArrayLike, high: ArrayLike) -> list[int]:
         """The obstacles whose boxes meet a box, ascending."""
         meets = (self.low <= high).all(axis=1) & (self.high >= low).all(axis=1)
         found: list[int] = np.flatnonzero(meets).tolist()
-        return found
-
-    def over(self, x: float, y: float) -> list[int]:
-        """The obstacles whose boxes hold a vertical line, ascending."""
-        (x0, y0, _), (x1, y1, _) = self.low.T, self.high.T
-        found: list[int] = np.flatnonzero((x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1)).tolist()
         return found
 
     def support(self, number: int, way: Float) -> float:
@@ -309,15 +300,13 @@ def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
     layers = [np.stack([x, y, z], axis=-1) for z in (heights * size[2], np.full_like(x, -size[3]))]
     index = np.arange(rows * cols).reshape(rows, cols)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    top = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    around = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    top = np.stack(around, axis=-1).reshape(-1, 4)
     rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
-    p, q = rim[:-1], rim[1:]
-    under = rows * cols
-    sides = [np.stack(f, axis=-1) for f in ((p + under, q + under, q), (p + under, q, p))]
-    return np.concatenate(layers).reshape(-1, 3), np.concatenate(
-        [top, top[:, ::-1] + under, *sides]
-    )
+    p, q, under = rim[:-1], rim[1:], rows * cols
+    sides = np.stack([p + under, q + under, q, p], axis=-1)
+    faces = trimesh.geometry.triangulate_quads(np.concatenate([top, top[:, ::-1] + under, sides]))
+    return np.concatenate(layers).reshape(-1, 3), faces
 
 
 def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:

@@ -43,18 +43,21 @@ class OccupancyCheck:
         touching, part, disputed = self._touch(sample, asked, volume, -self._tolerance)
         within = self._inside(sample, asked & (touching < 0), volume[0])
         by = np.where(within >= 0, within, touching)
-        bare = self._find_bare(sample, asked & (by < 0))
-        disputed &= (by < 0) & ~bare
-        counts.disputed += int(disputed.sum())
-        counts.free_touches += int((by >= 0).sum())
-        counts.free_free += int((asked & (by < 0) & ~disputed & ~bare).sum())
+        text = "is free, though it has no floor"
+        bare = np.flatnonzero(sample.free & ~asked).tolist()
+        findings = [sample.finding(NO_FLOOR, cell, text) for cell in bare]
+        is_apart, step = asked & (by < 0), self._agent.step + self._tolerance
         text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
-        missing = (sample.free & ~asked, "is free, though it has no floor"), (bare, text)
-        findings = [
-            sample.finding(NO_FLOOR, cell, text)
-            for mask, text in missing
-            for cell in np.flatnonzero(mask).tolist()
-        ]
+        for cell in np.flatnonzero(is_apart & (not sample.states_floors)).tolist():
+            # a floor is a surface that faces up, also beside a crack or a rim
+            x, y, z = at = sample.place(cell)
+            on_floor = self._lines.at(x, y).faces_up(z - step, z + step)
+            if not on_floor and not self._lines.faces_up_beside(at, step):
+                is_apart[cell] = False
+                findings.append(sample.finding(NO_FLOOR, cell, text))
+        counts.disputed += int((is_apart & disputed).sum())
+        counts.free_touches += int((by >= 0).sum())
+        counts.free_free += int((is_apart & ~disputed).sum())
         for cell in np.flatnonzero(by >= 0).tolist():
             number = int(by[cell])
             name, depth = self._obstacles.name(number), None
@@ -85,7 +88,7 @@ class OccupancyCheck:
             floor = sample.floor[cell]
             apart[cell] = any(abs(s.z - floor) <= self._agent.step for s in places)
             self.num_groundless += not apart[cell]
-        unclear = np.zeros(len(sample), dtype=np.bool_)
+        unclear = np.zeros_like(apart)
         for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
             unclear[cell] |= (leaves + enters) % 2 == 1
         apart &= ~unclear
@@ -101,37 +104,22 @@ class OccupancyCheck:
             text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
         elif not self._is_measured(BLOCKED_APART):
             text = "is blocked, but touches nothing"
+        elif known := list(
+            filter(None, (self._probes.nearest(*part.put_over(sample, cell)) for part in volume))
+        ):
+            gap, number = min(known)
+            name = self._obstacles.name(number)
+            text = (
+                "is blocked, but nothing touches the volume over it: the nearest geom, "
+                f"{name!r}, is {gap:.4f} m off"
+            )
         else:
-            places = [part.put_over(sample, cell) for part in volume]
-            known = [found for place in places if (found := self._probes.nearest(*place))]
             text = f"is blocked, but nothing is within {FARTHEST:g} m"
-            if known:
-                gap, number = min(known)
-                name = self._obstacles.name(number)
-                text = (
-                    "is blocked, but nothing touches the volume over it: the nearest geom, "
-                    f"{name!r}, is {gap:.4f} m off"
-                )
         return sample.finding(BLOCKED_APART, cell, text, name, gap)
 
     def _is_measured(self, kind: str) -> bool:
         self._found[kind] += 1
         return self._found[kind] <= MEASURED
-
-    def _find_bare(self, sample: LevelSample, asked: Bool) -> Bool:
-        """Which cells of a level that states no floors have none within a step of its ground.
-
-        A floor is a surface that faces up, also beside a crack or a rim.
-        """
-        bare = np.zeros(len(sample), dtype=np.bool_)
-        step = self._agent.step + self._tolerance
-        for cell in np.flatnonzero(asked & (not sample.states_floors)).tolist():
-            x, y, z = place = sample.place(cell)
-            bare[cell] = not (
-                self._lines.at(x, y).faces_up(z - step, z + step)
-                or self._lines.faces_up_beside(place, step)
-            )
-        return bare
 
     def _touch(
         self, sample: LevelSample, asked: Bool, volume: list[Part], margin: float
@@ -141,19 +129,14 @@ class OccupancyCheck:
         An obstacle, -1 for none; the part of the volume that it touches; and where the libraries
         contradict each other.
         """
-        by, which = np.full(len(sample), -1), np.zeros(len(sample), np.int64)
-        disputed = np.zeros(len(sample), np.bool_)
+        by, which = np.full(len(asked), -1), np.zeros(len(asked), np.int64)
+        disputed = np.zeros_like(asked)
         for k, part in enumerate(volume):
             asked_here = asked & (part.high > part.low)
             for number, item in enumerate(self._obstacles.items):
                 cells = _near(sample, asked_here & (by < 0), item, part, 2 * abs(margin))
                 for cell in cells.tolist():
-                    column, center = part.put_over(sample, cell)
-                    grown = column.grown(margin)
-                    if grown is None:
-                        continue
-                    self._probes.put(grown, center)
-                    answer = self._probes.touches(number)
+                    answer = self._probes.touches(number, *part.put_over(sample, cell), margin)
                     disputed[cell] |= answer == DISPUTED
                     if answer == TOUCHES:
                         by[cell], which[cell] = number, k
@@ -161,7 +144,7 @@ class OccupancyCheck:
 
     def _inside(self, sample: LevelSample, asked: Bool, part: Part) -> Int:
         """The enclosing obstacle that the middle of a cell's volume lies in, -1 for none."""
-        found, depth = np.full(len(sample), -1), np.zeros(len(sample), dtype=np.int64)
+        found, depth = np.full(len(asked), -1), np.zeros(len(asked), dtype=np.int64)
         for number, cell, leaves, enters in self._crossings(sample, asked, part, ENCLOSING):
             depth[cell] += leaves - enters  # less than 0 in a cavity
             if leaves > enters:

@@ -17,7 +17,7 @@ import numpy as np
 from navbake.types import Float
 from navbake.verifier.obstacles import Obstacles
 
-APART, TOUCHES, DISPUTED = 0, 1, 2
+APART, TOUCHES, DISPUTED = 0, 1, 2  # a dispute counts as a touch where margins are measured
 SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
 FARTHEST = 1.0  # how far from a column the nearest obstacle is looked for [m]
 HALVINGS = 14  # of an interval of at most `FARTHEST`: to a tenth of a millimetre
@@ -31,11 +31,6 @@ class Column(NamedTuple):
     half_z: float
     is_round: bool
     yaw: float = 0.0
-
-    def grown(self, margin: float) -> Column | None:
-        """The same, larger on all sides [m], or smaller; None if nothing is left."""
-        x, y, z = (half + margin for half in self[:3])
-        return Column(x, y, z, *self[3:]) if min(x, y, z) > 0 else None
 
 
 def _make(column: Column) -> tuple[Any, Float]:
@@ -54,22 +49,25 @@ class Probes:
         self.obstacles, self._column = obstacles, Column(0.0, 0.0, 0.0, False)
         self._made = lru_cache(4096)(_make)
 
-    def put(self, column: Column, center: Float) -> None:
-        """Put a column at a place, its centre of shape (3,) [m], for `touches`."""
+    def touches(self, number: int, column: Column, center: Float, margin: float = 0.0) -> int:
+        """APART, TOUCHES or DISPUTED: how a column at a centre, (3,) [m], stands to an obstacle.
+
+        It is larger on all sides by a margin [m], or smaller; where nothing is left, it is apart.
+        """
         obstacles = self.obstacles
+        x, y, z = (half + margin for half in column[:3])
+        if min(x, y, z) <= 0:
+            return APART
+        column = Column(x, y, z, *column[3:])
         if column != self._column:
-            x, y, z, is_round, _ = self._column = column
-            self._object, self._mat = self._made(column)
-            self._geom = geom = obstacles.probe_geom(is_round=is_round)
-            size = np.array([x, z, 0.0] if is_round else [x, y, z])
+            self._column, (self._object, self._mat) = column, self._made(column)
+            self._geom = geom = len(obstacles.items) + column.is_round
+            size = np.array([x, z, 0.0] if column.is_round else [x, y, z])
             obstacles.size[geom], obstacles.mat[geom] = size, self._mat.ravel()
             obstacles.model.geom_rbound[geom] = np.linalg.norm(size) + size.max()
         self._center = obstacles.pos[self._geom] = center
         self._object.setTranslation(center)
-
-    def touches(self, number: int) -> int:
-        """APART, TOUCHES or DISPUTED: how the column stands to an obstacle."""
-        item, obstacles = self.obstacles.items[number], self.obstacles
+        item = obstacles.items[number]
         by_fcl = fcl.collide(self._object, item.shape) > 0
         if not item.same_in_mujoco:
             return TOUCHES if by_fcl else APART
@@ -123,7 +121,7 @@ class Probes:
         reach = np.array(column[:3]) + FARTHEST
         nearest, gap = None, FARTHEST
         for number in self.obstacles.meeting(center - reach, center + reach):
-            if self._touches(column, center, number, gap):
+            if self.touches(number, column, center, gap):
                 nearest, gap = number, self._margin(column, center, number, 0.0, gap)
         return None if nearest is None else (gap, nearest)
 
@@ -131,15 +129,8 @@ class Probes:
         """The margin by which a column has to grow to touch an obstacle, by bisection [m]."""
         for _ in range(HALVINGS):
             middle = (low + high) / 2
-            if self._touches(column, center, number, middle):
+            if self.touches(number, column, center, middle):
                 high = middle
             else:
                 low = middle
         return high
-
-    def _touches(self, column: Column, center: Float, number: int, margin: float) -> bool:
-        grown = column.grown(margin)
-        if grown is None:
-            return False
-        self.put(grown, center)
-        return self.touches(number) != APART

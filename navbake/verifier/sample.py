@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from navbake.auditor.facts import find_wrong_sizes, is_within, read_inflations
 from navbake.errors import FormatError, QueryError, shorten
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.probes import Column
 from navbake.verifier.report import Finding
@@ -35,29 +36,30 @@ class Agent(NamedTuple):
         Raises:
             FormatError: what it states is no size of an agent.
         """
-        wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope")
-        if slope is not None and not is_within(slope, 0, 90):
+        wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope", 45.0)
+        if not is_within(slope, 0, 90):
             wrong.append(
                 f"`maxSlope` is {shorten(repr(slope))}, which is no slope of 0 to 90 degrees"
             )
-        if text := next(iter(wrong), ""):
+        if wrong:
             raise FormatError(
-                f"the grid's metadata: {text}: cells can't be judged for such an agent"
+                f"the grid's metadata: {wrong[0]}: cells can't be judged for such an agent"
             )
-        min_up = float(np.cos(np.radians(45.0 if slope is None else slope)))
+        min_up = float(np.cos(np.radians(slope)))
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
 
 
 class Inflation(NamedTuple):
-    """What was done to a grid for a larger agent."""
+    """A grid as it is verified, and what was done to it for a larger agent."""
 
+    grid: Any
     radius: float | None  # of the cylinder on free cells [m]; None for the baked footprint
     reach: float  # how far from a closed cell's centre the reason may be [m]
     by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
 
 
-def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[str]]:
-    """The grid for a radius [m], or as it is if None; what was done to it; and notes.
+def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflation:
+    """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
 
     A grid that was inflated for a smaller radius is inflated further: that gives what one
     inflation for the larger radius gives.
@@ -65,7 +67,7 @@ def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[s
     Raises:
         QueryError: the grid was inflated for a larger radius, or in the mode ``minos``.
     """
-    (done, broken), notes = read_inflations(grid), []
+    done, broken = read_inflations(grid)
     if broken is not None:
         notes.append(
             "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch "
@@ -73,25 +75,25 @@ def inflate_for(grid: Any, radius: float | None) -> tuple[Any, Inflation, list[s
         )
     largest = max((one.radius for one in done), default=0.0)
     if any(one.mode == "minos" for one in done):
-        notes.append(
-            "inflated in the mode minos, which measures from the centres of cells: free cells are "
-            "judged by the baked footprint"
-        )
         if radius is not None:
             raise QueryError(
                 "the grid was inflated in the mode minos, whose cells promise nothing for a "
                 "radius: leave the radius out, or give the grid as it was before"
             )
-        return grid, Inflation(None, largest, by_centres=True), notes
+        notes.append(
+            "inflated in the mode minos, which measures from the centres of cells: free cells are "
+            "judged by the baked footprint"
+        )
+        return Inflation(grid, None, largest, by_centres=True)
     if radius is None:
-        return grid, Inflation(largest if done else None, largest), notes
+        return Inflation(grid, largest if done else None, largest)
     if radius < largest:
         raise QueryError(
             f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
             f"expected a radius of at least {largest:g} m, or the grid as it was before"
         )
     inflated = grid if done and radius == largest else grid.inflate(radius)
-    return inflated, Inflation(radius, radius), notes
+    return Inflation(inflated, radius, radius)
 
 
 @dataclass(frozen=True)
@@ -108,13 +110,6 @@ class LevelSample:
     occupied: Bool  # as the layer says; an inflation leaves it as baked
     states_floors: bool  # whether the grid states floors of cells; else all are at the ground
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def cell(self, k: int) -> tuple[int, int]:
-        """Row and column of a cell of the sample."""
-        return int(self.rows[k]), int(self.cols[k])
-
     def place(self, k: int) -> Vector3:
         """The centre of a cell, at its floor, or at the level's ground if it has none [m]."""
         (x, y), z = self.xy[k].tolist(), float(self.floor[k])
@@ -124,7 +119,8 @@ class LevelSample:
         self, kind: str, k: int, text: str, geom: str | None = None, size: float | None = None
     ) -> Finding:
         """A finding about one of the cells."""
-        return Finding(kind, self.number, self.cell(k), self.place(k), text, geom, size)
+        cell = int(self.rows[k]), int(self.cols[k])
+        return Finding(kind, self.number, cell, self.place(k), text, geom, size)
 
 
 def states_floors(level: SceneGrid2D) -> bool:
@@ -160,6 +156,12 @@ def take_sample(
     return samples
 
 
+def shift_between(one: Lattice, two: Lattice) -> tuple[int, int]:
+    """What to add to row and column of a cell on one lattice to have those on another."""
+    down, right = two.y_max - one.y_max, one.x_min - two.x_min
+    return round(down / one.cell_size), round(right / one.cell_size)
+
+
 class Surroundings:
     """The floors of all levels, each by row and column of any other's lattice.
 
@@ -167,7 +169,7 @@ class Surroundings:
     """
 
     def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
-        self._step, self._levels = step, grid.levels
+        self._step, self._lattices = step, [level.lattice for level in grid.levels]
         self._floors = [level.floor for level in grid.levels]
         # what is a reason has to be blocked itself, so that it is judged in its turn
         self._occupied = [
@@ -183,12 +185,10 @@ class Surroundings:
         Of all levels, what is within a step of the disc's own floor counts.
         """
         low, high = floor.copy(), floor.copy()
-        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
-            for other in range(len(self._levels)):
-                there, *_ = self.look(number, other, rows + row, cols + col)
-                near = np.abs(there - floor) <= self._step + SLACK
-                low = np.where(near, np.fmin(low, there), low)
-                high = np.where(near, np.fmax(high, there), high)
+        for _, there, *_ in self._around(number, rows, cols, radius):
+            near = np.abs(there - floor) <= self._step + SLACK
+            low = np.where(near, np.fmin(low, there), low)
+            high = np.where(near, np.fmax(high, there), high)
         return low, high
 
     def has_reason(self, number: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
@@ -198,41 +198,39 @@ class Surroundings:
         nothing was baked, and nothing closes them.
         """
         found = np.zeros(len(rows), dtype=np.bool_)
-        is_single = len(self._levels) == 1
-        for row, col in _offsets(radius / self._levels[number].lattice.cell_size):
-            for other in range(len(self._levels)):
-                there, occupied, inside = self.look(number, other, rows + row, cols + col)
-                if other == number:
-                    is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
-                    found |= (occupied | is_ledge) & (inside | (not is_single))
-                else:
-                    found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
+        is_single = len(self._lattices) == 1
+        for other, there, occupied, inside in self._around(number, rows, cols, radius):
+            if other == number:
+                is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
+                found |= (occupied | is_ledge) & (inside | (not is_single))
+            else:
+                found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
         return found
+
+    def _around(
+        self, number: int, rows: Int, cols: Int, radius: float
+    ) -> Iterator[tuple[int, Float, Bool, Bool]]:
+        """What open discs round cells' centres meet, cell by cell: each level, and its `look`."""
+        cell_size = self._lattices[number].cell_size
+        reach = int(radius / cell_size + 0.5) + 1
+        beyond = np.maximum(np.abs(np.arange(-reach, reach + 1)) - 0.5, 0.0) * cell_size
+        is_met = np.hypot(beyond[:, None], beyond) < radius * (1 - TINY)
+        for row, col in (np.argwhere(is_met) - reach).tolist():
+            for other in range(len(self._lattices)):
+                yield other, *self.look(number, other, rows + row, cols + col)
 
     def look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
         """Floor and occupancy of another level at cells of one, and whether it has them.
 
         Where it has none, the floor is NaN, and they aren't occupied.
         """
-        one, two = self._levels[number].lattice, self._levels[other].lattice
-        r = rows + round((two.y_max - one.y_max) / one.cell_size)
-        c = cols + round((one.x_min - two.x_min) / one.cell_size)
+        two = self._lattices[other]
+        down, right = shift_between(self._lattices[number], two)
+        r, c = rows + down, cols + right
         inside = (r >= 0) & (c >= 0) & (r < two.height) & (c < two.width)
         r, c = np.where(inside, r, 0), np.where(inside, c, 0)
         floor = np.where(inside, self._floors[other][r, c], np.nan)
         return floor, inside & self._occupied[other][r, c], inside
-
-
-def _offsets(radius: float) -> list[tuple[int, int]]:
-    """The cells whose squares an open disc round a cell's centre meets; radius in cells."""
-    reach = int(radius + 0.5) + 1
-    span = range(-reach, reach + 1)
-    return [
-        (row, col)
-        for row in span
-        for col in span
-        if np.hypot(max(abs(row) - 0.5, 0), max(abs(col) - 0.5, 0)) < radius * (1 - TINY)
-    ]
 
 
 class Part(NamedTuple):
@@ -243,14 +241,11 @@ class Part(NamedTuple):
     low: Float  # the heights between which nothing may touch [m]
     high: Float
 
-    def put_over(self, sample: LevelSample, cell: int) -> tuple[Column, Float]:
-        """Its column over a cell, and the centre of that [m].
-
-        Heights are those to the micrometre, so that few columns differ.
-        """
-        low, high = self.low[cell], self.high[cell]
+    def put_over(self, sample: LevelSample, k: int) -> tuple[Column, Float]:
+        """Its column over a cell, to the micrometre, so that few differ; and its centre [m]."""
+        low, high = self.low[k], self.high[k]
         column = Column(self.half, self.half, round(float(high - low) / 2, 6), self.is_round)
-        return column, np.array([*sample.xy[cell], (low + high) / 2])
+        return column, np.array([*sample.xy[k], (low + high) / 2])
 
 
 def volume_over(

@@ -15,11 +15,11 @@ import numpy as np
 from navbake.baker.scene.model import is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.config.keywords import memory_config
 from navbake.config.settings import (
     YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    memory_path,
     parse_config,
     settings_digest,
 )
@@ -40,8 +40,7 @@ class Source(NamedTuple):
     """The scene that a grid is compared with."""
 
     scene: Scene
-    config: BakeConfig  # that it was loaded with
-    are_known: bool  # whether they are those of the bake, as far as the grid tells
+    config: BakeConfig | None  # the settings of the bake; None where the grid was baked with others
     notes: list[str]  # what the user should know of them
 
 
@@ -65,39 +64,47 @@ def find_source(
             model.
     """
     stated = grid.navbake.get("settings")
-    stated = dict(stated) if isinstance(stated, dict) else {}
+    stated = stated if isinstance(stated, dict) else {}
     own = stated.get("scene")
-    own = dict(own) if isinstance(own, dict) else {}
+    own = own if isinstance(own, dict) else {}
     if given is None:
         given = _find_file(grid, own.get("path"), grid_path)
-    opened, has_settings = None, False
-    if is_in_memory(given):
-        if data is not None:  # which is the pose
-            own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
-        try:
-            config = memory_config(name_of(given), {**stated, "scene": own})
-        except ConfigError:
-            config = memory_config(name_of(given), {})
-        opened = open_memory(given, data, config.scene)
-    elif data is not None:
-        raise ConfigError("expected a data with a mujoco.MjModel or MjSpec: give the model, too")
-    elif isinstance(given, str | PathLike) and Path(given).suffix.lower() not in YAML_SUFFIXES:
-        path = Path(given)
-        if not os.path.exists(path):
+    is_file = isinstance(given, str | PathLike) and Path(given).suffix.lower() not in YAML_SUFFIXES
+    opened, in_memory = None, is_in_memory(given)
+    if data is not None:
+        if not in_memory:
+            raise ConfigError(
+                "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
+            )
+        own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
+    if in_memory or is_file:
+        path = memory_path(name_of(given)) if in_memory else Path(str(given))
+        if is_file and not path.exists():
             raise QueryError(f"no scene at {path}: it may have moved; give its path")
         try:
-            config = parse_config({**stated, "scene": {**own, "path": str(path)}})
-        except ConfigError:
-            config = parse_config({"scene": {"path": str(path)}}, str(path))
+            config = parse_config({**stated, "scene": {**own, "path": path}})
+        except ConfigError:  # of another version
+            config = parse_config({"scene": {"path": path}}, str(path))
+        opened = open_memory(given, data, config.scene) if in_memory else None
     else:
-        config, has_settings = as_config(given), True
+        config = as_config(given)
     scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-    notes = _compare_scenes(grid, scene, config, force=force)
+    notes = []
+    digest, version = grid.navbake.get("sceneDigest"), grid.navbake.get("mujoco", "another version")
+    if digest is None:
+        notes.append("the grid has no digest of its scene, so nothing says that it is this one")
+    elif digest != scene.digest:
+        notes.append(
+            f"{config.scene.path} isn't the scene that the grid was baked from, or stands in "
+            f"another pose (their digests differ; the bake's MuJoCo was {version})"
+        )
+        if not force:
+            raise QueryError(f"{notes[0]}: --force, or force=True, compares them anyway")
     are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
-    are_known = bool(grid.navbake) and (are_known or (bool(stated) and not has_settings))
+    are_known |= bool(stated) and (in_memory or is_file)
     if grid.navbake and not are_known:
         notes.append("the settings are others than those of the bake (their digests differ)")
-    return Source(scene, config, are_known, notes)
+    return Source(scene, config if grid.navbake and are_known else None, notes)
 
 
 def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
@@ -121,22 +128,6 @@ def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
         f"{' or '.join(names)}, nor in {SCENES!r} there: give its path, or the settings of its "
         "bake (--scene)"
     )
-
-
-def _compare_scenes(grid: GridBase, scene: Scene, config: BakeConfig, *, force: bool) -> list[str]:
-    digest = grid.navbake.get("sceneDigest")
-    if digest is None:
-        return ["the grid has no digest of its scene, so nothing says that it is this one"]
-    if digest == scene.digest:
-        return []
-    version = grid.navbake.get("mujoco", "another version")
-    text = (
-        f"{config.scene.path} isn't the scene that the grid was baked from, or stands in another "
-        f"pose (their digests differ; the bake's MuJoCo was {version})"
-    )
-    if not force:
-        raise QueryError(f"{text}: --force, or force=True, compares them anyway")
-    return [text]
 
 
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)

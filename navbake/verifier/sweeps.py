@@ -31,84 +31,76 @@ class Piece(NamedTuple):
     level: int
 
 
-def sweep_paths(
-    grid: NavGrid, probes: Probes, agent: Agent, radius: float, options: tuple[int, int, float]
-) -> tuple[SweepCounts, list[Finding]]:
-    """Plan paths on an inflated grid between random places, and sweep a cylinder along each.
+class Sweep:
+    """Sweeps a cylinder along paths on a grid that is inflated for it.
 
-    The cylinder is as high as the agent, less a step at its lower end. It has to touch nothing
-    between the heights that all floors under it leave free. What it meets lower or higher than
-    that, up to a step, is counted by itself: a cell is judged from its own floor. The options are
-    the number of paths, seed, and tolerance [m].
+    It is as high as the agent, less a step at its lower end. It has to touch nothing between the
+    heights that all floors under it leave free. What it meets lower or higher than that, up to a
+    step, is counted by itself: a cell is judged from its own floor.
     """
-    number, seed, tolerance = options
-    counts, findings = SweepCounts(radius), list[Finding]()
-    finder, rng = PathFinder(grid), np.random.default_rng(seed)
-    sweep = _Sweep(grid, probes, agent, radius, tolerance)
-    for _ in range(number * MOST_TRIES):
-        if counts.paths == number:
-            break
-        start = finder.random_point(rng)
-        if start is None:
-            break
-        goal = finder.random_point(rng, reachable_from=start)
-        path = None if goal is None else finder.find_path(start, goal)
-        if path is None or path.length == 0.0:
-            continue
-        counts.paths += 1
-        counts.length += path.length
-        found, beside = sweep.along(path.positions, path.levels)
-        counts.beside += beside
-        if found is not None:
-            counts.touching += 1
-            findings.append(found)
-    counts.length = round(counts.length, 6)
-    return counts, findings
 
-
-class _Sweep:
-    """Sweeps one cylinder along paths."""
-
-    def __init__(self, grid: NavGrid, probes: Probes, agent: Agent, radius: float, tol: float):
-        self._levels, self._probes, self._agent = grid.levels, probes, agent
-        self._radius, self._tolerance = radius, tol
+    def __init__(
+        self, grid: NavGrid, probes: Probes, agent: Agent, radius: float, tolerance: float
+    ) -> None:
+        self._grid, self._probes, self._agent = grid, probes, agent
+        self._radius, self._tolerance = radius, tolerance
         self._around = Surroundings(grid, agent.step)
 
-    def along(self, positions: Float, levels: Int) -> tuple[Finding | None, bool]:
+    def run(self, number: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
+        """Plan so many paths between random places, and sweep along each."""
+        counts, findings = SweepCounts(self._radius), list[Finding]()
+        finder, rng = PathFinder(self._grid), np.random.default_rng(seed)
+        for _ in range(number * MOST_TRIES):
+            start = finder.random_point(rng) if counts.paths < number else None
+            if start is None:
+                break
+            goal = finder.random_point(rng, reachable_from=start)
+            path = None if goal is None else finder.find_path(start, goal)
+            if path is None or path.length == 0.0:
+                continue
+            counts.paths += 1
+            counts.length += path.length
+            found, beside = self._along(path.positions, path.levels)
+            counts.beside += beside
+            counts.touching += len(found)
+            findings += found
+        counts.length = round(counts.length, 6)
+        return counts, findings
+
+    def _along(self, positions: Float, levels: Int) -> tuple[list[Finding], bool]:
         """The first touch along a path, and whether it meets anything within a step of its ends."""
         beside, step, height = False, self._agent.step, self._agent.height
         for piece in self._pieces(positions, levels):
             sure = piece.high + step, piece.low + height
             whole = piece.floor + step, piece.floor + height
-            touched = self._touch(piece, sure)
-            if touched is not None:
-                number, depth = touched
-                name, depth = self._probes.obstacles.name(number), depth + self._tolerance
+            if touched := self._touch(piece, sure):
+                name, depth = self._probes.obstacles.name(touched[0]), touched[1] + self._tolerance
                 x, y = ((piece.a + piece.b) / 2).tolist()
-                row, col = (int(v) for v in self._levels[piece.level].lattice.rows_cols([x, y]))
+                lattice = self._grid.levels[piece.level].lattice
+                row, col = (int(v) for v in lattice.rows_cols([x, y]))
                 text = (
                     f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into {name!r}, "
                     f"between {sure[0]:.3f} and {sure[1]:.3f} m"
                 )
                 cell, place = (piece.level, (row, col)), (x, y, piece.floor)
-                return Finding(PATH_TOUCHES, *cell, place, text, name, depth), beside
-            if sure != whole and not beside:
-                beside = self._touch(piece, whole) is not None
-        return None, beside
+                return [Finding(PATH_TOUCHES, *cell, place, text, name, depth)], beside
+            beside = beside or (sure != whole and self._touch(piece, whole) is not None)
+        return [], beside
 
     def _pieces(self, positions: Float, levels: Int) -> list[Piece]:
         """A path cut where it goes from cell to cell, pieces of one floor put together."""
         pieces: list[Piece] = []
+        lattices = [level.lattice for level in self._grid.levels]
         for k, (a, b) in enumerate(pairwise(positions)):
             if np.hypot(*(b - a)[:2]) < CORNER:
                 continue  # a step up or down between the floors on both sides
-            lattice = self._levels[int(levels[k])].lattice
+            lattice = lattices[int(levels[k])]
             times = _cuts(lattice, a, b)
             points = a[:2] + np.outer(times, b[:2] - a[:2])
             middles, between = (points[1:] + points[:-1]) / 2, (times[1:] + times[:-1]) / 2
             between = a[2] + between * (b[2] - a[2])
             on = sorted({int(levels[k]), int(levels[k + 1])})
-            cells = [(number, *self._levels[number].lattice.rows_cols(middles)) for number in on]
+            cells = [(number, *lattices[number].rows_cols(middles)) for number in on]
             # where it goes from one level to another, the nearer of their floors counts
             found = np.stack([self._around.look(cell[0], *cell)[0] for cell in cells])
             gaps = np.nan_to_num(np.abs(found - between), nan=np.inf)
@@ -131,35 +123,29 @@ class _Sweep:
         """The first obstacle that the cylinder touches on a piece, and how deep [m]."""
         half_z = (band[1] - band[0]) / 2 - self._tolerance
         radius, z = self._radius - self._tolerance, (band[0] + band[1]) / 2
-        if half_z <= 0 or radius <= 0:
+        if half_z <= 0:
             return None
         way, middle = piece.b - piece.a, (piece.a + piece.b) / 2
-        length, disc = float(np.hypot(*way)), Column(radius, radius, half_z, True)
-        columns = [(disc, piece.a), (disc, piece.b)]
-        if length > 1e-9:
-            yaw = float(np.arctan2(way[1], way[0]))
-            columns.append((Column(length / 2, radius, half_z, False, yaw), middle))
+        disc, yaw = Column(radius, radius, half_z, True), float(np.arctan2(way[1], way[0]))
+        between = Column(float(np.hypot(*way)) / 2, radius, half_z, False, yaw)
         low, high = np.minimum(piece.a, piece.b) - radius, np.maximum(piece.a, piece.b) + radius
         box_low, box_high = np.array([*low, z - half_z]), np.array([*high, z + half_z])
         for number in self._probes.obstacles.meeting(box_low, box_high):
-            for column, at in columns:
+            for column, at in ((disc, piece.a), (disc, piece.b), (between, middle)):
                 center = np.array([*at, z])
-                self._probes.put(column, center)
-                if self._probes.touches(number) == TOUCHES:
+                if self._probes.touches(number, column, center) == TOUCHES:
                     return number, self._probes.depth(column, center, number)
         return None
 
 
 def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
     """Where a line goes from cell to cell, as shares of its length from 0 to 1."""
-    found = [np.empty(0)]
+    times = np.array([0.0, 1.0])
     corner = np.array([lattice.x_min, lattice.y_max])
     for first, last in zip(*((p[:2] - corner) / lattice.cell_size for p in (a, b)), strict=True):
-        if abs(last - first) > 1e-12:
-            edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
-            found.append((edges - first) / (last - first))
+        edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
+        times = np.append(times, (edges - first) / (last - first or 1.0))
     # a line through a corner of cells is in none of those beside
-    least = CORNER / max(float(np.hypot(*(b - a)[:2])), CORNER)
-    times = np.sort(np.concatenate(found))
-    times = times[(np.diff(times, prepend=0.0) > least) & (times < 1.0 - least)]
-    return np.concatenate([[0.0], times, [1.0]])
+    times = np.unique(times)
+    kept: Float = times[np.diff(times, append=2.0) > CORNER / np.hypot(*(b - a)[:2])]
+    return kept

@@ -49,8 +49,7 @@ def test_touches_what_exact_geometry_touches(tmp_path, kind, is_round):
         prisms = Prisms(at[:, 0], at[:, 1], at[:, 2] - half_z, at[:, 2] + half_z, half, is_round)
         exact = body_meets_prisms(part_of(thing), prisms)
         for center, state in zip(at, exact, strict=True):
-            probes.put(column, center)
-            answer = probes.touches(number)
+            answer = probes.touches(number, column, center)
             seen.add(answer)
             assert answer != DISPUTED
             assert state != FREE or answer == APART
@@ -62,14 +61,13 @@ def test_a_plane_that_separates_settles_what_the_libraries_dispute(tmp_path, mon
     """MuJoCo's distance is made to be wrong, as it is in rare poses of capsules."""
     thing = Thing("capsule", (0.1, 0.4), (0.0, 0.0, 1.0))
     probes = Probes(obstacles := obstacles_of(tmp_path, scene_xml([thing])))
-    column = Column(0.1, 0.1, 0.4, False)
-    probes.put(column, np.array([0.3, 0.0, 1.0]))
-    assert probes.touches(0) == APART
+    column, near = Column(0.1, 0.1, 0.4, False), np.array([0.3, 0.0, 1.0])
+    assert probes.touches(0, column, near) == APART
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: -0.01)
-    assert probes.touches(0) == APART  # proved
-    probes.put(column, np.array([0.1, 0.0, 1.0]))
+    assert probes.touches(0, column, near) == APART  # proved
     monkeypatch.setattr(mujoco, "mj_geomDistance", lambda *_: 0.01)
-    assert probes.touches(0) == TOUCHES  # nothing separates them
+    # nothing separates them
+    assert probes.touches(0, column, np.array([0.1, 0.0, 1.0])) == TOUCHES
     way = np.array([1.0, 0.0, 0.0])
     assert obstacles.support(0, way) == pytest.approx(0.1)
 
@@ -109,8 +107,8 @@ def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
     assert lines.at(6.2, 0.2).is_inside(1.3) and not lines.at(6.2, 0.2).is_inside(1.7)
     probes = Probes(obstacles)
     for z, expected in ((0.39, TOUCHES), (0.41, APART)):
-        probes.put(Column(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z]))
-        assert probes.touches(0) == expected
+        column, at = Column(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z])
+        assert probes.touches(0, column, at) == expected
 
 
 # ---------------------------------------------------------------- meshes

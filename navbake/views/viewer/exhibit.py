@@ -284,9 +284,9 @@ class Exhibit:
         if self.scene is None:
             raise QueryError("there is no scene to compare the grid with")
         # loads MuJoCo and FCL
-        from navbake.verifier.verify import Options, verify_scene
+        from navbake.verifier.verify import verify_scene
 
-        self.report = verify_scene(self.grid, self.scene, Options(sample=SAMPLE), self.config)
+        self.report = verify_scene(self.grid, self.scene, self.config, sample=SAMPLE)
         self.kept.clear()
 
 

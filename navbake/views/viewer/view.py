@@ -381,8 +381,7 @@ def make_exhibit(
             raise
         return Exhibit(content, note=f"Without its scene: {error}")
     notes = source.notes if content.navbake else []
-    config = source.config if source.are_known else None
-    return Exhibit(content, source.scene, config, note="; ".join(notes))
+    return Exhibit(content, source.scene, source.config, note="; ".join(notes))
 
 
 def watch_grid(
