@@ -20,7 +20,7 @@ from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room
-from navbake.runtime.regions import map_rooms
+from navbake.runtime.flat_grid import map_rooms
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Vector3
 

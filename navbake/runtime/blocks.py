@@ -33,6 +33,9 @@ def block(
     meets, or the disc of `margin` round whose centre. A grid that is derived from this one
     keeps what is blocked when it is made.
 
+    Call `free` of what is returned, or use it as a context manager, to free the cells. Raises
+    QueryError where not one of cells, disc and box is given, or it is none.
+
     Args:
         cells: level, row and column, as `cell_at` and `cells_at` give them; they alone.
         disc: centre and radius [m]; it stands at the centre's z, on all levels that it
@@ -42,12 +45,6 @@ def block(
         height: of the disc [m]; the agent's if None.
         margin: radius of the agent [m]; that of the grid's inflation, or else of its bake, if
             None.
-
-    Returns:
-        What frees the cells: call its `free`, or use it as a context manager.
-
-    Raises:
-        QueryError: not one of cells, disc and box is given, or it is none.
     """
     if sum(thing is not None for thing in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")

@@ -35,18 +35,11 @@ HALVINGS = 10  # of a blocked line, to find how far it is free
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What a base should do now.
+    """What a base should do now."""
 
-    Attributes:
-        forward: speed along its heading [m/s], >= 0.
-        turn: rate of its heading, counter-clockwise [rad/s].
-        waypoint: where it heads for, world x, y, z [m], shape (3,), float64: of use for a base
-            that drives to positions.
-    """
-
-    forward: float
-    turn: float
-    waypoint: Float
+    forward: float  #: Speed along its heading [m/s], >= 0.
+    turn: float  #: Rate of its heading, counter-clockwise [rad/s].
+    waypoint: Float  #: Where it heads for, world x, y, z [m], shape (3,), as `Follower.waypoint`.
 
 
 class Follower:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import FlatGrid, text_of
+from navbake.runtime.flat_grid import FlatGrid, doors_on, map_islands, text_of
 from navbake.runtime.inflation import (
     LEDGES,
     MAX_RADIUS,
@@ -27,7 +27,6 @@ from navbake.runtime.inflation import (
 )
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
-from navbake.runtime.regions import doors_on, map_islands
 from navbake.runtime.search import Search
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int
@@ -35,7 +34,6 @@ from navbake.types import Bool, Float, Int
 spatial = lazy("scipy.spatial")  # few need it
 
 NARROW = 1000.0  # weight of a cell that a larger agent loses: a way goes round it if it can
-MAX_STOPS = 200  # cells that are looked at for the narrowest one of a gap
 MAX_NAMES = 4  # of what blocks, listed in a sentence
 RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
 BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises
@@ -43,28 +41,19 @@ BESIDE = 3  # cells along a route, before and after what blocks it, that show wh
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """The widest agent that gets from one place to another.
+    """The widest agent that gets from one place to another."""
 
-    Attributes:
-        radius: of the agent [m]; inf where no radius is too large.
-        position: world x, y and floor z [m] of the bottleneck, where the agent only just fits,
-            shape (3,), float64: the centre of a cell that any larger agent loses. Where there are
-            several bottlenecks in a row, the first. None where no radius is too large.
-    """
-
-    radius: float
+    radius: float  #: Of the agent [m]; inf where no radius is too large.
     position: Float | None
+    """World x, y and floor z [m] of the bottleneck, where the agent only just fits, shape (3,): the
+    centre of a cell that any larger agent loses. Where there are several bottlenecks in a row, the
+    first. None where no radius is too large."""
 
 
 def find_passage(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, ledges: str
 ) -> Passage | None:
-    """`PathFinder.max_radius`.
-
-    The way of the widest agent goes round the cells that a larger agent loses wherever it can. The
-    first row of such cells that is left on it is the bottleneck, and the middle one of the row is
-    its place.
-    """
+    """`PathFinder.max_radius`."""
     check_word(ledges, LEDGES, "ledges")
     grid, flat, corners = deflated(search.grid), search.flat, search.cut_corners
     standable = free_for(grid, 0.0, ledges)
@@ -91,16 +80,8 @@ def find_passage(
     radius, free, for_larger = widest
     if math.isinf(radius):
         return Passage(math.inf, None)
-    lost = free & ~for_larger
-    weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
-    route = find_route(with_weights(grid, weights), origin, goals, corners)
-    assert route is not None  # the islands say that there is one
-    stops = np.flatnonzero(lost[route])
-    if len(stops):
-        row = np.split(stops, np.flatnonzero(np.diff(stops) > 1) + 1)[0]
-        return Passage(radius, flat.positions(int(route[row[(len(row) - 1) // 2]])))
-    beside = flanks(flat, route)  # it squeezes through diagonally
-    return Passage(radius, flat.positions(int(beside[lost[beside]][0])))
+    cell = find_bottleneck(grid, flat, origin, goals, free, free & ~for_larger, corners=corners)
+    return Passage(radius, flat.positions(cell))
 
 
 def find_widest(
@@ -182,13 +163,34 @@ def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) ->
     return None if found is None else found[0]
 
 
-def flanks(flat: FlatGrid, route: Int) -> Int:
-    """The cells beside the diagonal steps of a route, which no step may cut, by flat id."""
+def find_bottleneck(
+    grid: NavGrid,
+    flat: FlatGrid,
+    origin: int,
+    goals: Int,
+    free: Bool,
+    lost: Bool,
+    *,
+    corners: bool = False,
+) -> int:
+    """The cell, of those that a larger agent loses, at which the widest agent only just fits.
+
+    Its way goes round such cells wherever it can. The first row of them that is left on it is the
+    bottleneck, and the middle one of the row is its place.
+    """
+    weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
+    route = find_route(with_weights(grid, weights), origin, goals, corners)
+    assert route is not None  # the islands say that there is one
+    stops = np.flatnonzero(lost[route])
+    if len(stops):
+        row = np.split(stops, np.flatnonzero(np.diff(stops) > 1) + 1)[0]
+        return int(route[row[(len(row) - 1) // 2]])
+    # it squeezes through diagonally, between cells that no step may cut
     level, row, col = flat.split(route)
-    steps = np.abs(np.diff([level, row, col]))
-    one = np.flatnonzero((steps.T == (0, 1, 1)).all(axis=1))
+    one = np.flatnonzero((np.abs(np.diff([level, row, col])).T == (0, 1, 1)).all(axis=1))
     across = col[one + 1] - col[one]
-    return np.concatenate([route[one] + across, route[one + 1] - across])
+    beside = np.concatenate([route[one] + across, route[one + 1] - across])
+    return int(beside[lost[beside]][0])
 
 
 def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> str | None:
@@ -345,38 +347,26 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     if widest is None or math.isinf(widest[0]):
         return None
     radius, free, for_larger = widest
-    route = find_route(with_weights(plain, np.where(free, 1.0, np.inf)), origin, goals)
-    if route is None:
-        return None
-    # of the widest way, the cells that a slightly larger agent loses: the gap is one of them
-    taken = np.concatenate([route, flanks(flat, route)])
-    stops = taken[~for_larger[taken]]
-    if not len(stops):
-        return None
-    # the narrowest of them, and the width from what is nearest there to the other side
-    best, width, narrowest = np.inf, 2 * radius, int(stops[0])
-    for stop in stops[:MAX_STOPS].tolist():
-        # the occupied squares round it
-        number, row, col = flat.cell(stop)
-        level, size = plain.levels[number], flat.layout.cell_size[number]
-        span = int(4 * radius / size) + 2
-        row0, col0 = max(row - span, 0), max(col - span, 0)
-        rows, cols = np.nonzero(level.solid[row0 : row + span + 1, col0 : col + span + 1])
-        centers = level.lattice.positions(rows + row0, cols + col0)
-        here, low, high = level.lattice.positions(row, col), centers - size / 2, centers + size / 2
-        nearest = np.clip(here, low, high) - here
-        distance = np.linalg.norm(nearest, axis=1)
-        if not len(distance) or distance.min() >= best:
-            continue
+    cell = find_bottleneck(plain, flat, origin, goals, free, free & ~for_larger)
+    # the occupied squares round it
+    number, row, col = flat.cell(cell)
+    level, size, width = plain.levels[number], flat.layout.cell_size[number], 2 * radius
+    span = int(4 * radius / size) + 2
+    row0, col0 = max(row - span, 0), max(col - span, 0)
+    rows, cols = np.nonzero(level.solid[row0 : row + span + 1, col0 : col + span + 1])
+    centers = level.lattice.positions(rows + row0, cols + col0)
+    here, low, high = level.lattice.positions(row, col), centers - size / 2, centers + size / 2
+    nearest = np.clip(here, low, high) - here
+    distance = np.linalg.norm(nearest, axis=1)
+    if len(distance):
+        # from what is nearest to the other side, within 60 degrees of the opposite direction
         k = int(np.argmin(distance))
-        best, narrowest, width = float(distance[k]), stop, 2 * radius
-        # the other side: what lies within 60 degrees of the opposite direction
         opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
         if opposite.any():
             side = here + nearest[k]
-            across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)[opposite]
-            width = float(across.min())
-    where = _text(flat.positions(narrowest))
+            across = np.linalg.norm(np.clip(side, low, high) - side, axis=1)
+            width = float(across[opposite].min())
+    where = _text(flat.positions(cell))
     return f"the gap between, at {where}, is {width:.2f} m wide, the agent {2 * agent:.2f} m"
 
 

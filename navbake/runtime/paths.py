@@ -13,8 +13,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.user_data import NAMES, names_in
-from navbake.runtime.flat_grid import FlatGrid
-from navbake.runtime.regions import doors_on
+from navbake.runtime.flat_grid import FlatGrid, doors_on
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
@@ -30,28 +29,18 @@ MAX_REACH = 1.0  # metres that a place next to an object may be away from it
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A path on the floor.
-
-    Attributes:
-        positions: world x, y, z [m], shape (n, 3), float64, n >= 1; z is the floor's height.
-            Between two of them the path is straight.
-        levels: level of each position, shape (n,), int64.
-        cells: level, row and column of each cell of the route, shape (m, 3), int64. A smooth
-            path leaves the route's cells where that is shorter and costs no more.
-        length: of the path, seen from above [m].
-        cost: of the route over cells: the length of each step [m] times the weight of the cell
-            that it leads to.
-        rooms: ids of the rooms on the way, in order; a room that is entered again is there again.
-        doors: ids of the doors on the way, in order.
-    """
+    """A path on the floor."""
 
     positions: Float = field(repr=False)
-    levels: Int = field(repr=False)
+    """World x, y, z [m], shape (n, 3), n >= 1; z is the floor's height. Straight in between."""
+    levels: Int = field(repr=False)  #: Level of each position, shape (n,), int64.
     cells: Int = field(repr=False)
-    length: float
-    cost: float
-    rooms: list[str]
-    doors: list[str]
+    """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path leaves
+    the route's cells where that is shorter and costs no more."""
+    length: float  #: Of the path, seen from above [m].
+    cost: float  #: Of the route: of each step [m] times the weight of the cell that it leads to.
+    rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
+    doors: list[str]  #: Ids of the doors on the way, in order.
 
     def at(self, distance: float) -> Float:
         """The position, world x, y, z [m], at a distance from the start along the path, from above.

@@ -29,25 +29,15 @@ LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
 
 @dataclass(frozen=True)
 class Place:
-    """What a grid holds in one cell.
+    """What a grid holds in one cell."""
 
-    Attributes:
-        cell: level, row and column.
-        floor: world z of the floor [m], None where there is none.
-        free: an agent can stand here.
-        occupied: something stands in the agent's way.
-        weight: cost of the cell, infinite where it isn't free.
-        room: id of the room in the grid's `rooms`, None for none.
-        grid: what was asked.
-    """
-
-    cell: Cell
-    floor: float | None
-    free: bool
-    occupied: bool
-    weight: float
-    room: str | None
-    grid: NavGrid = field(repr=False, compare=False)
+    cell: Cell  #: Level, row and column.
+    floor: float | None  #: World z of the floor [m], None where there is none.
+    free: bool  #: An agent can stand here.
+    occupied: bool  #: Something stands in the agent's way.
+    weight: float  #: Cost of the cell, infinite where it isn't free.
+    room: str | None  #: Id of the room in the grid's `rooms`, None for none.
+    grid: NavGrid = field(repr=False, compare=False)  #: What was asked.
 
     @property
     def island(self) -> int | None:
@@ -90,21 +80,13 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
 def values_at(
     grid: NavGrid, layer: str, positions: ArrayLike, level: int | None = None
 ) -> NDArray[Any]:
-    """Look up one layer at many positions.
+    """Look up one layer at positions as `navbake.navgrid.cells.cells_at` takes them.
 
-    Args:
-        layer: ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8),
-            ``weight`` (float64), ``room`` (its number on its level, uint16), ``island`` (int32),
-            ``clearance`` ([m], float32, as `navbake.navgrid.islands.clearance`), or an attribute by
-            the name it has in the file, as it stands there.
-        positions, level: as `navbake.navgrid.cells.cells_at` takes them.
-
-    Returns:
-        Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or
-        0, as its dtype has it.
-
-    Raises:
-        QueryError: there is no such layer or level, or a position is not valid.
+    Layers are ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8), ``weight``
+    (float64), ``room`` (its number on its level, uint16), ``island`` (int32), ``clearance`` ([m],
+    float32, as `navbake.navgrid.islands.clearance`), or an attribute by the name it has in the
+    file, as it stands there. Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of
+    an attribute NaN or 0, as its dtype has it. Raises QueryError where there is no such layer.
     """
     cells = cells_at(grid, positions, level)
     find, outside = LAYERS.get(layer, (None, None))

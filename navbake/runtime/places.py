@@ -15,9 +15,16 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import REAL, FlatGrid, as_points, check_distance, text_of
+from navbake.runtime.flat_grid import (
+    REAL,
+    FlatGrid,
+    IslandMap,
+    RoomMap,
+    as_points,
+    check_distance,
+    text_of,
+)
 from navbake.runtime.paths import Goal, Path, cells_named, find_path
-from navbake.runtime.regions import IslandMap, RoomMap
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 

@@ -15,9 +15,16 @@ from navbake.lazy import lazy
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.runtime.flat_grid import flatten
+from navbake.runtime.flat_grid import (
+    DoorMap,
+    IslandMap,
+    RoomMap,
+    flatten,
+    map_doors,
+    map_islands,
+    map_rooms,
+)
 from navbake.runtime.inflation import exact_radius, find_room
-from navbake.runtime.regions import DoorMap, IslandMap, RoomMap, map_doors, map_islands, map_rooms
 from navbake.types import Bool, Float, Int, Int32
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
@@ -37,17 +44,11 @@ class Search:
     What is written into the grid's arrays later is not seen; what `grid.block` blocks is, at each
     `update`. Not to be shared by threads.
 
-    Attributes:
-        grid: what is searched.
-        flat: the cells; those that are blocked are not free.
-        graph: the steps between them and what they cost, a
-            `navbake.runtime.kernels.arrays.Graph`.
-        cut_corners: whether a diagonal step needs nothing but its target.
-        free_diagonally: by flat id, bool: free cells with room for a diagonal step, see
-            `navbake.runtime.inflation.find_room`.
-        off_center: where else an agent may be, and a line may run, beside the centres, a
-            `navbake.runtime.kernels.arrays.OffCenter`.
-        version: grows with each change that `update` finds.
+    `flat` are the cells, of which those that are blocked are not free; `graph` the steps between
+    them and what they cost, a `navbake.runtime.kernels.arrays.Graph`; `free_diagonally`, by flat
+    id, the free cells with room for a diagonal step, see `navbake.runtime.inflation.find_room`;
+    `off_center` where else an agent may be, and a line may run, beside the centres, a
+    `navbake.runtime.kernels.arrays.OffCenter`. `version` grows with each change that is found.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -157,17 +158,14 @@ class Search:
 
     @property
     def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id, shape (n,), bool.
+        """Where something stands now or there is no floor, by flat id; see `SceneGrid2D.solid`.
 
-        Something stands in a cell where it meets the cell's square, see `SceneGrid2D.solid`.
-        In a file without ``occupancy``, where weights are infinite. What a larger radius takes
-        from an agent is not occupied.
+        What a larger radius takes from an agent is not occupied.
         """
-
-        def find() -> Bool:
-            return np.concatenate([level.solid.ravel() != 0 for level in self.grid.levels])
-
-        return self.keep("occupied", None, find, 1)
+        levels = self.grid.levels
+        return self.keep(
+            "occupied", None, lambda: np.concatenate([v.solid.ravel() != 0 for v in levels]), 1
+        )
 
     @property
     def sight(self) -> tuple[Any, ...]:
@@ -206,19 +204,10 @@ class Search:
 
         Flat ids from the origin to the goal, shape (m,); None for no route.
         """
-        source = np.array([origin])
         if (goals == origin).any():
-            return source, 0.0
-        while True:
-            # marks of earlier searches stay, as each search has its own number
-            self._number += 1
-            if self._number > LAST_SEARCH:
-                self._visits.mark[:] = 0
-                self._number = 1
-            result, route = routes.find_route(self.graph, source, goals, self._number, self._visits)
-            if result == routes.DONE:
-                return (route, float(self._visits.cost[route[-1]])) if len(route) else None
-            self._make_room()
+            return np.array([origin]), 0.0
+        route = self._find(self.graph, np.array([origin]), goals)
+        return (route, float(self._visits.cost[route[-1]])) if len(route) else None
 
     def field(self, goals: Int, *, weighted: bool = True) -> Float:
         """Find the cost of the cheapest route from every cell to any of several free cells.
@@ -233,20 +222,20 @@ class Search:
         Flat ids, shape (n,), int64: the cell itself at a goal, -1 where no route is.
         """
         flat, links = self.flat, self.flat.links
-        cost, mark = self._flood(goals, True)
-        way, cells = mark & routes.WAY, np.arange(flat.num_cells)
-        width = flat.layout.width[flat.level_of(cells)]
+        cost, way = self._flood(goals, True)
+        cells = np.arange(flat.num_cells)
         # the field grew from the goals, so the way on is that by which it came, backwards
         steps = np.zeros((2, routes.WAY + 1), dtype=np.int64)
         steps[:, : len(arrays.ROW_STEP)] = arrays.ROW_STEP, arrays.COL_STEP
         down, across = steps[:, way]
+        width = flat.layout.width[flat.level_of(cells)]
         onward = np.where(np.isfinite(cost), cells - down * width - across, -1)
-        by_link = way[links.cell] == routes.LINK
+        by_link = (way[links.cell] == routes.LINK) & (onward[links.cell] >= 0)
         onward[links.cell[by_link]] = self._visits.link_from[by_link]
         return cost, onward
 
     def _flood(self, goals: Int, weighted: bool) -> tuple[Float, Int32]:
-        """Search backwards from goals: what each cell costs, and its `mark`."""
+        """Search backwards from goals: what each cell costs, and the way that it was reached by."""
         flat, graph = self.flat, self.graph
         if not weighted:
             size, longest = flat.layout.cell_size.min(), flat.links.length.max(initial=0)
@@ -254,16 +243,23 @@ class Search:
             graph = graph._replace(
                 same_weight=1.0, least_weight=1.0, bucket=bucket, num_buckets=num
             )
-        while True:
-            mark, cost = np.zeros(flat.num_cells, dtype=np.int32), np.full(flat.num_cells, np.inf)
-            visits = self._visits._replace(mark=mark, cost=cost)
-            if routes.find_route(graph, goals, NO_CELLS, 1, visits)[0] == routes.DONE:
-                return cost, mark
-            self._make_room()
+        self._find(graph, goals, NO_CELLS)
+        mark, cost = self._visits.mark, self._visits.cost
+        return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
 
-    def _make_room(self) -> None:
-        cell, following = np.empty((2, 4 * len(self._visits.entry_cell)), dtype=np.int32)
-        self._visits = self._visits._replace(entry_cell=cell, entry_next=following)
+    def _find(self, graph: Any, sources: Int, goals: Int) -> Int:
+        """`navbake.runtime.kernels.routes.find_route`, with as much room as it needs."""
+        while True:
+            # marks of earlier searches stay, as each search has its own number
+            self._number += 1
+            if self._number > LAST_SEARCH:
+                self._visits.mark[:] = 0
+                self._number = 1
+            result, route = routes.find_route(graph, sources, goals, self._number, self._visits)
+            if result == routes.DONE:
+                return np.asarray(route)
+            cell, following = np.empty((2, 4 * len(self._visits.entry_cell)), dtype=np.int32)
+            self._visits = self._visits._replace(entry_cell=cell, entry_next=following)
 
     def can_pass(self, a: Float, b: Float, level: int) -> bool:
         """Whether an agent can move now along a line between two points x, y of a level [m]."""

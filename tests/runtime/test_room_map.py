@@ -7,7 +7,7 @@ import pytest
 
 from navbake.errors import QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.runtime.regions import map_rooms
+from navbake.runtime.flat_grid import map_rooms
 
 
 def make_level(index):

@@ -22,7 +22,6 @@ MAX_DROP = 0.5  # metres that a position may be above the floor of an agent that
 # What is measured: on the map to a cell's centre; in space to the centre, on the floor; on the map
 # to the square, except of cells over or under which another level goes on at the point's height.
 TO_CENTER, IN_SPACE, TO_OBSTACLE = 0, 1, 2
-FAR_OFF = 64.0  # cells: farther from a level than this, all its rows are scanned, not rings
 
 
 @kernel
@@ -164,24 +163,16 @@ def nearest_cell(layout, mask, floor, measure, height, level, point, farthest):
     """
     rows, cols, size = layout.height[level], layout.width[level], layout.cell_size[level]
     u, v = in_cells(layout, level, point[0], point[1])
-    u, v = np.floor(u), np.floor(v)
-    best = (farthest * farthest, np.int64(-1))
-    beside = max(0.0, -v, v - rows + 1, -u, u - cols + 1)
-    if beside > FAR_OFF:
-        for row in range(rows):
-            span = (row, 0, cols - 1, 1)
-            best = _look(layout, mask, floor, measure, height, level, point, span, best)
-        return best[1], math.sqrt(best[0])
-    row0, col0, ring = int(v), int(u), int(beside)
+    # in rings round the level's cell that is nearest to the point
+    row0, col0 = int(min(max(v, 0.0), rows - 1.0)), int(min(max(u, 0.0), cols - 1.0))
+    beside = max(0.0, -u, u - cols) ** 2 + max(0.0, -v, v - rows) ** 2
+    best, ring = (farthest * farthest, np.int64(-1)), 0
     last = max(row0, rows - 1 - row0, col0, cols - 1 - col0)
     # the point is up to half a cell nearer to a ring's centres than its own cell's centre is, and
     # a whole cell nearer to the squares
     inside = 1.0 if measure == TO_OBSTACLE else 0.5
-    while ring <= last and (max(0.0, ring - inside) * size) ** 2 <= best[0]:
-        first, step = max(0, row0 - ring), 1
-        if col0 - ring < 0 and col0 + ring >= cols:  # only its top and bottom rows are left
-            first, step = row0 - ring if row0 >= ring else row0 + ring, max(1, 2 * ring)
-        for row in range(first, min(rows - 1, row0 + ring) + 1, step):
+    while ring <= last and (max(0.0, ring - inside) ** 2 + beside) * size * size <= best[0]:
+        for row in range(max(0, row0 - ring), min(rows - 1, row0 + ring) + 1):
             left, right, stride = col0 - ring, col0 + ring, 2 * ring
             if abs(row - row0) == ring:  # the top or the bottom row of the ring: all of it
                 left, stride = max(0, left), 1
