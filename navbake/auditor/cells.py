@@ -15,11 +15,12 @@ from scipy.sparse.csgraph import connected_components
 from navbake.auditor.facts import DOWN, RIGHT, Facts, read_inflations
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.navgrid.grid_base import GridBase
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Int
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free
 FEW = 0.01  # share of a level's cells under which hardly any are free
 LARGE = 1e-3  # metres that a clearance may be off
+MOST_STORED = 65_535  # the number of the islands that the layer's type has no other for
 FARTHEST = 10_000.0  # floors beyond are a wrong unit [m]
 MIN_AREA = 1.0  # of a floor that no step leads to, unless the settings of a bake say another [m²]
 MOST_ROUND = 0.75  # share of a patch's outline that is nearly all of it: a corner may touch a wall
@@ -126,30 +127,15 @@ def check_layers(facts: Facts) -> Iterator[Found]:
     for number, level in enumerate(facts.levels):
         stored = level.attributes.get("island")
         if stored is not None:
-            wrong = _otherwise_parted(stored, facts.islands[number])
+            wrong = stored != np.minimum(facts.islands[number], MOST_STORED)
             text = "a number in the layer `island` that isn't what is connected"
             yield from facts.on_cells(number, wrong, text)
         stored = level.attributes.get("clearance")
         if stored is not None:
-            open_ = np.pad(level.free_for_point, 1)
-            away = (distance_transform_edt(open_)[1:-1, 1:-1] - 0.5) * level.lattice.cell_size
-            away = np.where(level.free, away, 0.0)
+            away = distance_transform_edt(np.pad(level.free_for_point, 1))[1:-1, 1:-1] - 0.5
+            away = np.where(level.free, away * level.lattice.cell_size, 0.0)
             wrong = np.abs(stored * level.unit - away) > LARGE
             yield from facts.on_cells(number, wrong, "a wrong `clearance`")
-
-
-def _otherwise_parted(stored: NDArray[Any], own: Int32) -> Bool:
-    """The cells by which two arrays of numbers part a level differently.
-
-    A part of one is the part of the other that most of its cells are in, if that holds both ways.
-    """
-    pairs, pair, count = np.unique(
-        np.stack([stored.ravel(), own.ravel()]), axis=1, return_inverse=True, return_counts=True
-    )
-    order, is_same = np.argsort(-count, kind="stable"), np.ones(len(count), dtype=np.bool_)
-    for side in pairs:
-        is_same &= np.isin(range(len(count)), order[np.unique(side[order], return_index=True)[1]])
-    return ~is_same[pair].reshape(own.shape)
 
 
 def check_floors(facts: Facts) -> Iterator[Found]:

@@ -195,8 +195,6 @@ class Facts:
     @cached_property
     def open_islands(self) -> list[Int32]:
         """The same, if no door blocked anything."""
-        if not self.doors:
-            return self.islands
         return number_islands(self.passable, self.floors, self.step_limit, self.links)
 
     def place(self, number: int, row: int, col: int) -> Vector3:

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import mean
 
 from navbake.auditor.cells import pairs_across
 from navbake.auditor.facts import Facts, find_wrong_sizes
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.types import Bool, Int, Vector3
+from navbake.types import Bool, Vector3
 
 ALIGNED = 1e-3  # share of a cell that lattices may be off
 BOX_SLACK = 1e-4  # metres that a cell may lie beside its level's box
@@ -157,39 +156,38 @@ def check_room_table(facts: Facts) -> Iterator[Found]:
         return
     known = {(room.level, room.index) for room in stated}
     for number, level in enumerate(facts.levels):
-        count = np.bincount(level.room_index.ravel())
-        middles, cell_size = find_middles(level), level.lattice.cell_size
-        for index in np.flatnonzero(count).tolist():
-            if index and (number, index) not in known:
+        count, middles = np.bincount(level.room_index.ravel()), find_middles(level)
+        for index in middles:
+            if (number, index) not in known:
                 text = f"{count[index]} cells are in room {index}, which no entry describes"
                 yield ERROR, number, facts.first(number, level.room_index == index), text
         for room in (room for room in stated if room.level == number):
-            name = repr(room.name or room.id)
-            cells = int(count[room.index]) if room.index < len(count) else 0
-            if not cells:
+            name, middle = repr(room.name or room.id), middles.get(room.index)
+            if middle is None:
                 yield ERROR, number, room.centroid, f"room {name} has no cells"
                 continue
-            area, middle = cells * cell_size**2, middles[room.index]
+            area = count[room.index] * level.lattice.cell_size**2
             axes = 3 if level.uses_cell_floors else 2  # else its z isn't that of the floors
             off = math.dist(middle[:axes], room.centroid[:axes])
             if abs(area - room.area) > AREA_OFF * max(area, room.area):
                 text = f"room {name} has {area:.2f} m², not {room.area:.2f}"
                 yield ERROR, number, room.centroid, text
-            elif off > PLACE_OFF * cell_size:
+            elif off > PLACE_OFF * level.lattice.cell_size:
                 text = f"room {name} lies {off:.2f} m from where its entry says"
                 yield ERROR, number, middle, text
 
 
 def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
     """The mean of the cells of each room, by its index; to a micrometre, as the table states it."""
-    index, floor = level.room_index, level.floor
-    rooms = np.flatnonzero(np.bincount(index.ravel())[1:]) + 1
-    x = np.broadcast_to(level.lattice.center_x(), index.shape)
-    y = np.broadcast_to(level.lattice.center_y()[:, None], index.shape)
-    z = np.where(np.isnan(floor), level.ground, floor)
-    means = np.stack([np.asarray(mean(values, index, rooms)) for values in (x, y, z)], axis=1)
-    middles = (np.round(means, 6) + 0.0).tolist()  # no -0.0
-    return {room: (x, y, z) for room, (x, y, z) in zip(rooms.tolist(), middles, strict=True)}
+    index = level.room_index
+    rooms, which, count = np.unique(index, return_inverse=True, return_counts=True)
+    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    z = np.where(np.isnan(level.floor), level.ground, level.floor)
+    means = [np.bincount(which.ravel(), values.ravel()) / count for values in (x, y, z)]
+    middles = (np.round(means, 6) + 0.0).T.tolist()  # no -0.0
+    return {
+        room: (x, y, z) for room, (x, y, z) in zip(rooms.tolist(), middles, strict=True) if room
+    }
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
@@ -227,7 +225,11 @@ def check_doors(facts: Facts) -> Iterator[Found]:
     standing = facts.cells_of([(door, door.state) for door in doors])
     for door in doors:
         states = {state: door.cells_in(state, len(facts.levels)) for state in door.cells}
-        level, place = _place_of(facts, list(states.values()))
+        level, place = None, None
+        for number, own in (pair for levels in states.values() for pair in enumerate(levels)):
+            if len(own) and level is None:  # the middle of the first cells
+                row, col = divmod(int(own[len(own) // 2]), facts.levels[number].width)
+                level, place = number, facts.place(number, row, col)
         pair = [room for room in door.rooms if room is not None]
         if len(pair) == 2 and pair[0] == pair[1]:
             yield REMARK, level, place, f"door {door.id!r} joins room {pair[0]!r} to itself"
@@ -252,12 +254,3 @@ def check_doors(facts: Facts) -> Iterator[Found]:
             cells = f"{count_of(num_full, 'cell')} {'is' if num_full == 1 else 'are'} occupied"
             text = f"door {door.id!r} {state}, but {cells} that it blocks in other states only"
             yield ERROR, level, place, text
-
-
-def _place_of(facts: Facts, states: list[list[Int]]) -> tuple[int | None, Vector3 | None]:
-    """The level and the middle of the first cells of a door."""
-    for number, cells in (pair for levels in states for pair in enumerate(levels)):
-        if len(cells):
-            row, col = divmod(int(cells[len(cells) // 2]), facts.levels[number].width)
-            return number, facts.place(number, row, col)
-    return None, None

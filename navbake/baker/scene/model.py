@@ -59,11 +59,11 @@ class OpenScene(NamedTuple):
 
 
 def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
-    """Open a scene file: its compiled model, the exact meshes of a mesh scene, and its ground.
+    """Open a scene file.
 
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
-    other geoms and bodies keep their ids; its geom is None without. Where MuJoCo fails, `warnings`,
-    which `catch_warnings` collects, are a part of the reason.
+    other geoms and bodies keep their ids. Where MuJoCo fails, `warnings`, which `catch_warnings`
+    collects, are a part of the reason.
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
@@ -136,8 +136,22 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
 def model_of_parts(
     parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
 ) -> tuple[Any, dict[int, MeshPart]]:
-    """The model of a mesh scene's parts, and the parts by geom id."""
-    model = compile_model(path, warnings, lambda: _build_model(parts, ground, warnings))
+    """A model of mesh parts' names, and the parts by geom id.
+
+    Each is a static body with one geom, which can't collide and has a tetrahedron in place of its
+    triangles, which MuJoCo would compile for many seconds.
+    """
+
+    def build() -> Any:
+        spec = mujoco.MjSpec()
+        for part in parts:
+            _fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
+            body = spec.worldbody.add_body(name=part.name)
+            geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
+            geom.meshname, geom.contype, geom.conaffinity = part.name, 0, 0
+        return _compile_geometry(spec, ground, warnings)
+
+    model = compile_model(path, warnings, build)
     return model, {int(model.geom(part.name).id): part for part in parts}
 
 
@@ -180,20 +194,6 @@ def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
     return model
 
 
-def _build_model(parts: list[MeshPart], ground: float | None, warnings: list[str]) -> Any:
-    """A model of mesh parts' names: one static body and geom a part, which can't collide.
-
-    Each has a tetrahedron in place of its triangles, which MuJoCo would compile for many seconds.
-    """
-    spec = mujoco.MjSpec()
-    for part in parts:
-        _fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
-        body = spec.worldbody.add_body(name=part.name)
-        geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name)
-        geom.contype = geom.conaffinity = 0
-    return _compile_geometry(spec, ground, warnings)
-
-
 def _build_urdf(
     text: str, files: dict[str, Path], ground: float | None, warnings: list[str]
 ) -> Any:
@@ -231,12 +231,8 @@ def read_urdf(
     Unless the file's own ``<mujoco><compiler/>`` says otherwise, visuals are kept and links that
     hang on a fixed joint keep their bodies and names, both against MuJoCo's defaults.
 
-    Where a mesh is looked for: `navbake.formats.scene_files.mesh_places`. A visual whose mesh is
-    missing is left out, with a warning, where visuals don't count: the file discards them, or it
-    has collision geometry and `scene.geoms` counts that.
-
-    Raises:
-        SceneError: the file is no XML, or a mesh is missing that counts.
+    A visual whose mesh is missing is left out, with a warning, where visuals don't count: the file
+    discards them, or it has collision geometry and `scene.geoms` counts that.
     """
 
     @cache
@@ -244,9 +240,7 @@ def read_urdf(
         return next((place for place in mesh_places(path, name) if place.is_file()), None)
 
     def missing(thing: ElementTree.Element) -> list[str]:
-        return [
-            m.get("filename", "") for m in thing.iter("mesh") if not find(m.get("filename", ""))
-        ]
+        return [name for m in thing.iter("mesh") if not find(name := m.get("filename", ""))]
 
     try:
         root = ElementTree.parse(path).getroot()
@@ -259,11 +253,11 @@ def read_urdf(
         compiler.attrib.pop("assetdir", None)
         counts = geoms in ("visual", "all") or root.find("link/collision/geometry") is None
         if compiler.get("discardvisual") == "true" or not counts:
-            lost = [(link, v) for link in root.iter("link") for v in link.findall("visual")]
-            lost = [(link, visual) for link, visual in lost if missing(visual)]
-            left_out = [name for _, visual in lost for name in missing(visual)]
-            for link, visual in lost:
-                link.remove(visual)
+            visuals = [(link, v) for link in root.iter("link") for v in link.findall("visual")]
+            left_out = [name for _, visual in visuals for name in missing(visual)]
+            for link, visual in visuals:
+                if missing(visual):
+                    link.remove(visual)
             if left_out and warnings is not None:
                 more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
                 warnings.append(
@@ -322,23 +316,17 @@ def is_in_memory(scene: Any) -> bool:
 
 def name_of(scene: Any) -> str:
     """The name of a scene in memory: its model's own, else ``scene``."""
-    if isinstance(scene, mujoco.MjSpec):
-        name = str(scene.modelname)
-    else:
-        name = name_at(scene, 0) if isinstance(scene, mujoco.MjModel) else ""
+    name = name_at(scene, 0) if isinstance(scene, mujoco.MjModel) else ""
+    name = str(getattr(scene, "modelname", name))  # of a spec
     return "scene" if name in ("", NO_NAME) else name
 
 
 def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     """The model of a scene in memory, in the pose of a data; neither is changed.
 
-    A spec is compiled as a copy. MuJoCo warned of a model when that was compiled, so these warnings
-    are known of specs alone. Of the data, joint positions and mocap bodies are the pose; without,
-    the settings say it. Errors name the settings' path.
-
-    Raises:
-        SceneError: a spec does not compile, or a mesh is broken.
-        ConfigError: the data is of another model, or goes with other settings of the pose.
+    MuJoCo warned of a model when that was compiled, so warnings are known of specs alone. Of the
+    data, joint positions and mocap bodies are the pose; without, the settings say it. Errors name
+    the settings' path.
     """
     path, ground = settings.path, settings.ground
     parts: dict[int, MeshPart] = {}

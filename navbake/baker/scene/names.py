@@ -20,20 +20,15 @@ class GeomNames(NamedTuple):
 
 
 def name_at(model: Any, address: int) -> str:
-    """A name out of the model's store, such as ``name_at(model, model.name_bodyadr[3])``.
-
-    MuJoCo's own accessors fail on names that aren't UTF-8; here their odd bytes are replaced.
-    """
+    """A name out of the model's store, such as ``name_at(model, model.name_bodyadr[3])``."""
     return names_at(model, [address])[0]
 
 
 def names_at(model: Any, addresses: Iterable[int]) -> list[str]:
-    """Some names out of the model's store, as `name_at` reads them."""
+    """Some names out of the model's store; bytes that aren't UTF-8, as MuJoCo's, are replaced."""
     store: bytes = model.names  # a copy of all names
-    return [
-        store[first : store.find(b"\0", first)].decode("utf-8", errors="replace")
-        for first in addresses
-    ]
+    ends = ((first, store.find(b"\0", first)) for first in addresses)
+    return [store[first:end].decode("utf-8", errors="replace") for first, end in ends]
 
 
 class ModelNames(NamedTuple):
@@ -58,14 +53,12 @@ def all_names(model: Any) -> ModelNames:
         for kind in ("body", "geom", "mesh", "site")
     )
     bodies = [name or f"body {body}" for body, name in enumerate(bodies)]
-    of_mesh = np.isin(model.geom_type, (MESH, SDF)) & (model.geom_dataid >= 0)
     mesh_of = [*meshes, ""]  # the last one for what is no mesh
-    shapes = np.where(of_mesh, model.geom_dataid, -1).tolist()
+    of_mesh = np.where(np.isin(model.geom_type, (MESH, SDF)), model.geom_dataid, -1).tolist()
+    columns = zip(geoms, of_mesh, model.geom_bodyid.tolist(), strict=True)
     named = [
         GeomNames(name or f"geom {geom}", mesh_of[shape], bodies[body])
-        for geom, (name, shape, body) in enumerate(
-            zip(geoms, shapes, model.geom_bodyid.tolist(), strict=True)
-        )
+        for geom, (name, shape, body) in enumerate(columns)
     ]
     _names[model] = ModelNames(named, bodies, tuple(geoms), tuple(sites))
     return _names[model]
@@ -99,11 +92,7 @@ def warn_unmatched(setting: str, pattern: str, known: Iterable[str], found: str 
 
 
 def find_subtree_ends(model: Any) -> Int:
-    """Find the end of each body's subtree in the list of bodies, shape (nbody,), int64.
-
-    Bodies are numbered depth first, so a body and all that hangs on it, directly or not, have
-    the ids from its own to the one before its end.
-    """
+    """The end of each body's subtree, (nbody,): bodies are numbered depth first."""
     end = list(range(1, model.nbody + 1))
     parent = model.body_parentid.tolist()
     for body in range(model.nbody - 1, 0, -1):  # children come after their parents
@@ -118,10 +107,7 @@ def geoms_of_bodies(model: Any, first: int, end: int) -> Int:
 
 
 def find_free_bodies(model: Any) -> Int:
-    """Find the body with a free joint that each geom hangs on, shape (ngeom,); -1 for none.
-
-    MuJoCo gives free joints to children of the world alone, so there is at most one.
-    """
+    """The body with a free joint, a child of the world, that each geom hangs on; -1 for none."""
     root = np.full(model.nbody, -1, dtype=np.int64)
     end = find_subtree_ends(model)
     for body in model.jnt_bodyid[model.jnt_type == FREE].tolist():

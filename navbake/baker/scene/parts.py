@@ -16,7 +16,6 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
-MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
 class MeshParts(NamedTuple):
@@ -42,10 +41,9 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
 
     Parts are what hangs together over edges; vertices at one place count as one. A part encloses
     a volume when each of its edges is met as often in one direction as in the other, and it faces
-    out: the volume that its triangles sum up to is positive. One that faces in is a cavity, and
-    counts, where it lies inside of one that faces out; by itself it is a room drawn from inside.
-    Stray triangles that hang on a closed part by less than all of their edges open nothing, and
-    membranes across its inside hollow nothing.
+    out. One that faces in is a cavity, and counts, where it lies inside of one that faces out; by
+    itself it is a room drawn from inside. Stray triangles that hang on a closed part by less than
+    all of their edges open nothing, and membranes across its inside hollow nothing.
 
     Triangles that face to the other side than most of the area that they hang together with, over
     edges at which two triangles meet, are taken as turned; in a closed part they are.
@@ -102,44 +100,22 @@ def _find_enclosing(
     if not len(some) or not len(inner := inner[inner > 0]):
         return encloses
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
+    # it lies inside of a part of which more triangles over one of its points face up than down
     origin = vertices[faces[0, 0]]
-    point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)
-    outer, k = _find_around(vertices[of_part] - origin, part[some], point)
-    holds = (box[outer, :3] <= box[inner[k], :3]) & (box[outer, 3:] >= box[inner[k], 3:])
-    encloses[inner[k[holds.all(axis=1)]]] = True
+    corners, point = vertices[of_part] - origin, vertices[faces[largest[inner]]] - origin
+    west, east = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
+    for number, at in zip(inner.tolist(), point.mean(axis=1), strict=True):
+        over = np.flatnonzero(((west <= at[:2]) & (at[:2] <= east)).all(axis=1))
+        turns = np.bincount(part[some[over]], _winding_above(corners[over], at[None]), num + 1)
+        holds = (box[:, :3] <= box[number, :3]).all(axis=1) & (turns > 0)
+        encloses[number] = (holds & (box[:, 3:] >= box[number, 3:]).all(axis=1)).any()
     return encloses
 
 
-def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
-    """Find the parts that lie round points: of their triangles over one, more face up than down.
-
-    Each triangle on the vertical line over a point counts by how it winds round that line (Sunday,
-    Inclusion of a point in a polygon, 2001). Returns pairs of a part and the number of a point.
-    """
-    order = np.argsort(point[:, 0])
-    west, east = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
-    first = np.searchsorted(point[order, 0], west)
-    count = np.searchsorted(point[order, 0], east, side="right") - first
-    ends = np.cumsum(count)
-    key, turns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    cuts = np.searchsorted(ends, np.arange(MOST_PAIRS, count.sum(), MOST_PAIRS))
-    for chosen in np.split(np.arange(len(count)), cuts):
-        num = count[chosen]
-        triangle = np.repeat(chosen, num)
-        k = order[np.arange(len(triangle)) - np.repeat(np.cumsum(num) - num - first[chosen], num)]
-        wound = _winding_above(corners[triangle], point[k])
-        key.append((part[triangle].astype(np.int64) * len(point) + k)[wound != 0])
-        turns.append(wound[wound != 0])
-    pairs, pair = np.unique(np.concatenate(key), return_inverse=True)
-    total = np.bincount(pair, np.concatenate(turns), len(pairs))
-    outer, k = np.divmod(pairs[total > 0], len(point))
-    return outer, k
-
-
 def _winding_above(corners: Float, point: Float) -> Int:
-    """How triangles that are above points, seen from there, wind round them, (n,).
+    """How triangles above points wind round the vertical line there: 1, 0, or -1, (n,).
 
-    1, 0, or -1 for one that faces down.
+    Source: Sunday, Inclusion of a point in a polygon, 2001; -1 is for one that faces down.
     """
     x, y = point[:, :1], point[:, 1:2]
     ax, ay = corners[:, :, 0], corners[:, :, 1]

@@ -16,7 +16,6 @@ from navbake.types import Int32
 
 # How far beyond its range a joint may be told to go, for angles that someone rounded [rad or m]
 RANGE_SLACK = 1e-4
-UNITS = {SLIDE: "m", HINGE: "rad"}
 EXPECTED = {
     FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
     BALL: "4 numbers (quaternion w, x, y, z)",
@@ -27,7 +26,19 @@ EXPECTED = {
 
 def pose_model(model: Any, settings: SceneSettings) -> Any:
     """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
-    data = mujoco.MjData(model)
+
+    def id_of(name: str, kind: str, setting: str, code: int, addresses: Int32) -> int:
+        """The id of a keyframe or joint; raises a ConfigError that lists those that there are."""
+        named = [known for known in names_at(model, addresses.tolist()) if known]
+        if name in named:
+            return int(mujoco.mj_name2id(model, code, name))
+        listed = ", ".join(named[:20]) + (f" and {len(named) - 20} more" if named[20:] else "")
+        raise ConfigError(
+            f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has "
+            f"{listed or 'none with a name'}"
+        )
+
+    data, kinds = mujoco.MjData(model), mujoco.mjtObj
     with _errors_of(f"pose {settings.path}"):
         key = settings.keyframe
         if isinstance(key, int) and key >= model.nkey:
@@ -36,11 +47,21 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
                 "them, counted from 0"
             )
         if isinstance(key, str):
-            key = _id_of(model, key, settings, "keyframe", model.name_keyadr)
+            key = id_of(key, "keyframe", "keyframe", kinds.mjOBJ_KEY, model.name_keyadr)
         if key is not None:
             mujoco.mj_resetDataKeyframe(model, data, key)
         for name, value in settings.joints.items():
-            _set_joint(model, data, settings, name, value)
+            joint = id_of(name, "joint", "joints", kinds.mjOBJ_JOINT, model.name_jntadr)
+            expected = EXPECTED[int(model.jnt_type[joint])]
+            values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+            if len(values) != int(expected[0]):
+                raise ConfigError(
+                    f"expected {expected} at `scene.joints.{name}`, got {len(values)}"
+                )
+            if len(values) >= 4 and not values[-4:].any():
+                raise ConfigError(f"expected a quaternion that is not 0 at `scene.joints.{name}`")
+            address = int(model.jnt_qposadr[joint])
+            data.qpos[address : address + len(values)] = values
         mujoco.mj_kinematics(model, data)
     return data
 
@@ -55,47 +76,19 @@ def _errors_of(what: str) -> Iterator[None]:
         raise SceneError(f"MuJoCo cannot {what}: {reason}") from error
 
 
-def _id_of(model: Any, name: str, settings: SceneSettings, kind: str, addresses: Int32) -> int:
-    """The id of a keyframe or joint; raises a ConfigError that lists those that there are."""
-    named = [known for known in names_at(model, addresses.tolist()) if known]
-    if name in named:
-        code = mujoco.mjtObj.mjOBJ_KEY if kind == "keyframe" else mujoco.mjtObj.mjOBJ_JOINT
-        return int(mujoco.mj_name2id(model, code, name))
-    listed = ", ".join(named[:20]) + (f" and {len(named) - 20} more" if len(named) > 20 else "")
-    setting = "keyframe" if kind == "keyframe" else "joints"
-    raise ConfigError(
-        f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has "
-        f"{listed or 'none with a name'}"
-    )
-
-
-def _set_joint(
-    model: Any, data: Any, settings: SceneSettings, name: str, value: float | list[float]
-) -> None:
-    joint = _id_of(model, name, settings, "joint", model.name_jntadr)
-    expected = EXPECTED[int(model.jnt_type[joint])]
-    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if len(values) != int(expected[0]):
-        raise ConfigError(f"expected {expected} at `scene.joints.{name}`, got {len(values)}")
-    if len(values) >= 4 and not values[-4:].any():
-        raise ConfigError(f"expected a quaternion that is not 0 at `scene.joints.{name}`")
-    address = int(model.jnt_qposadr[joint])
-    data.qpos[address : address + len(values)] = values
-
-
 def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
     """Warn of joints that the settings move out of their range."""
     notes = []
     for name, value in settings.joints.items():
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-        unit = UNITS.get(int(model.jnt_type[joint]))
         low, high = (float(v) for v in model.jnt_range[joint])
-        position = float(np.ravel(value)[0])
+        position, unit = float(np.ravel(value)[0]), {SLIDE: "m", HINGE: "rad"}
         is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
-        if unit is not None and model.jnt_limited[joint] and not is_within:
+        kind = int(model.jnt_type[joint])
+        if kind in unit and model.jnt_limited[joint] and not is_within:
             notes.append(
-                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit}, got {position:.6g} "
-                f"at `scene.joints.{name}`: it is posed there anyway"
+                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit[kind]}, got "
+                f"{position:.6g} at `scene.joints.{name}`: it is posed there anyway"
             )
     return notes
 
