@@ -46,10 +46,7 @@ ROUNDING = 1e-9
 
 
 class CloseCall(NamedTuple):
-    """A gap that hardly parts two spaces, or nearly does: row and column of its middle; its width.
-
-    `parts` says whether it does.
-    """
+    """A gap that hardly parts two spaces, or nearly: row and column of its middle, width [m]."""
 
     cell: tuple[float, float]
     width: float
@@ -60,24 +57,13 @@ Found = tuple[Direction, Scan, Gaps]
 """The gaps of a direction, and the lattice as they are measured in it."""
 
 
-def part_at_gaps(
-    open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
-) -> tuple[Int32, list[CloseCall]]:
-    """Label the spaces that gaps part; the cells of gaps have none yet.
-
-    Holes have no floor, but no wall either. Also lists the gaps that hardly part two spaces, and
-    those that nearly do. A gap wider than `door_width` [m] parts none.
-    """
-    found, label, cells = find_gaps(open_cells, holes, cell_size, door_width)
-    spaces = Spaces(found, cells, cell_size, door_width)
-    spaces.join_all()
-    return spaces.whole[label], spaces.close_calls()
-
-
 def find_gaps(
     open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
 ) -> tuple[list[Found], Int32, Int]:
-    """The gaps of each direction, the spaces that all of them part, and how many cells each has."""
+    """The gaps of each direction, the spaces that all of them part, and how many cells each has.
+
+    Holes have no floor, but no wall either. A gap wider than `door_width` [m] parts no spaces.
+    """
     space = open_cells | holes
     directions = find_directions(space, cell_size)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
@@ -109,9 +95,9 @@ def _mark_gaps(
 ) -> tuple[list[Marks], Bool]:
     """Mark the cells of the gaps of each direction, as it is scanned; and of all of them.
 
-    Gaps with steps on both sides, such as doorways, come first. They are walls to what is found
-    then: so a line across a corridor does not lead through a door into a room, and a wall that
-    ends in the middle of a wide opening goes on up to the line of that opening.
+    Gaps with steps on both sides, such as doorways, come first, and are walls to the others: so a
+    line across a corridor does not lead through a door, and a wall that ends in the middle of a
+    wide opening goes on up to the line of that opening.
     """
     marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
     marked = np.zeros_like(space)
@@ -130,10 +116,9 @@ def _mark_gaps(
 
 
 def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
-    """The gaps of a direction: where columns of marked cells lead from one space to another.
+    """The gaps of a direction: neighbouring columns of marked cells between the same two spaces.
 
     Columns cross at most `thickness` marked cells, one of them a gap of this direction's `own`.
-    Those of neighbouring columns between the same spaces are one gap.
     """
     label, shift = scan.label, scan.shift
     col, top, end, _ = list_runs(marked.T)
@@ -169,14 +154,10 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
 
 
 class Spaces:
-    """The spaces between gaps, and which of them have been joined.
+    """The spaces between gaps, and the one, `whole`, that each is part of now.
 
-    Spaces are joined one pair at a time, at the widest gap of all. What a gap's shares depend on
-    is near it: they are measured again only where one of the two spaces is joined to one that the
-    gap's lines met.
-
-    Attributes:
-        whole: the space that each one is part of now.
+    They are joined a pair at a time, at the widest gap of all. A gap's shares are measured again
+    only where one of its two spaces is joined to one that the gap's lines met.
     """
 
     def __init__(
@@ -206,8 +187,7 @@ class Spaces:
     def join_all(self) -> None:
         """Join spaces that a gap leaves as wide as both of them are, then as the narrower is.
 
-        A line across a room that is drawn at a doorway's edge goes before the doorway. Long
-        passages are not joined to what is wider, see `_decide`.
+        A line across a room that is drawn at a doorway's edge goes before the doorway.
         """
 
         def as_both(gap: int) -> tuple[bool, float] | None:
@@ -295,5 +275,4 @@ class Spaces:
             gaps[to], gaps[gone] = large, set()
         apart = self.list_apart(sorted(changed))
         self.measure(apart)
-        again: list[int] = apart.tolist()
-        return again
+        return [int(k) for k in apart]

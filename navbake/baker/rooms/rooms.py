@@ -20,7 +20,7 @@ from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.segmentation import (
     find_outdoors,
     give_covered,
-    labels_in_order,
+    renumber,
     segment_by_gaps,
     share_rest,
 )
@@ -35,9 +35,6 @@ RoomIndex = NDArray[np.uint16]
 """The room of each cell of a level, shape (height, width) of the whole lattice, 0 for none."""
 RoomKey = tuple[int, int]
 """A room's level and index."""
-ClosedDoor = tuple[frozenset[RoomKey], Sequence[Int]]
-"""The rooms that a door joins, fewer than two where it leads out of all of them or joins none; and
-the cells that it blocks on each level when it is closed."""
 RoomIds = tuple[str | None, str | None]
 """The rooms on the two sides of a door, None for the outside."""
 
@@ -70,12 +67,10 @@ class Rooms:
     """The rooms of a scene.
 
     Attributes:
-        index: the room of each cell by level, shape (height, width) of the whole lattice,
-            uint16, 0 for none.
-        table: the rooms by level and index; doors between neighbours are not named until
-            `with_doors`.
+        index: by level.
+        table: the rooms by level and index; see `with_doors`.
         openings: where rooms of a level meet.
-        links: pairs of rooms of two levels between which a step leads.
+        links: pairs of rooms of two levels between which a step leads, sorted.
         lattice: the cells.
         open_cells: the cells by level that may be in a room: with a floor, and no wall or window.
         warnings: what the user should know, one line each.
@@ -98,18 +93,30 @@ class Rooms:
         return {(room.level, room.index): room.id for room in self.table}
 
     def with_doors(self, doors: Mapping[str, tuple[RoomIds, Sequence[Int]]]) -> Rooms:
-        """The same rooms, with the doors between neighbours in the table; see `match_doors`.
+        """Name in the table what each room opens to: freely, by a link, or by a door.
 
-        Of each door, that takes the ids of the rooms that it joins, and by level the cells that it
-        blocks when it is closed.
+        `doors` has by id the rooms that a door joins, and by level the cells that it blocks when it
+        is closed; see `match_doors`.
         """
-        keys = {room: key for key, room in self._ids.items()}
-        closed = {
-            door: (frozenset(keys[room] for room in rooms if room is not None), cells)
-            for door, (rooms, cells) in doors.items()
+        named = match_doors(self.openings, doors, self._ids, self.lattice)
+        ways = [(a, b, "link", "") for a, b in self.links]
+        for number, opening in enumerate(self.openings):
+            a, b = ((opening.level, room) for room in opening.rooms)
+            ways += [(a, b, "door" if door else "open", door) for door in named.get(number, [""])]
+        found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in self._ids}
+        for a, b, kind, door in ways:
+            found[a].add((b, kind, door))
+            found[b].add((a, kind, door))
+        neighbours = {
+            room: tuple(
+                Neighbour(self._ids[to], way, door or None) for to, way, door in sorted(own)
+            )
+            for room, own in found.items()
         }
-        named = match_doors(self.openings, closed, self.lattice)
-        return replace(self, table=name_neighbours(self.table, self.openings, self.links, named))
+        table = [
+            replace(room, neighbours=neighbours[room.level, room.index]) for room in self.table
+        ]
+        return replace(self, table=table)
 
 
 class NamedRoom(NamedTuple):
@@ -138,14 +145,26 @@ def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Roo
             assignment.segment()
         else:
             assignment.add(flags.marks[source], source)
-    index, named = assignment.number()
-    floors = [level.floor for level in flags.levels]
-    openings = find_openings(index, floors, flags.links, max_step)
-    links = find_room_links(index, flags.links)
+    index, named = list[RoomIndex](), list[list[NamedRoom]]()
+    for level, owner in enumerate(assignment.owner):
+        number, order = renumber(owner)
+        if len(order) > MAX_ROOMS:
+            raise SceneError(
+                f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "
+                f"{level}: raise `rooms.min_area`"
+            )
+        index.append(number.astype(np.uint16))
+        named.append([assignment.rooms[k - 1] for k in order])
+    floors, open_cells = ([getattr(k, name) for k in flags.levels] for name in ("floor", "open"))
     table = describe_rooms(index, named, floors, flags.lattice)
-    table = name_neighbours(table, openings, links, {})
-    open_cells = [level.open for level in flags.levels]
-    return Rooms(index, table, openings, links, flags.lattice, open_cells, assignment.warnings)
+    openings = find_openings(index, floors, flags.links, max_step)
+    ends = (
+        sorted((k, int(index[k].flat[cell])) for k, cell in ((level_a, a), (level_b, b)))
+        for level_a, a, level_b, b in flags.links[flags.links[:, 0] != flags.links[:, 2]].tolist()
+    )
+    links = sorted({(a, b) for a, b in ends if a[1] and b[1]})
+    found = table, openings, links, flags.lattice, open_cells, assignment.warnings
+    return Rooms(index, *found).with_doors({})
 
 
 class _Assignment:
@@ -154,10 +173,10 @@ class _Assignment:
     def __init__(self, flags: RoomFlags, settings: RoomSettings) -> None:
         self._flags, self._settings = flags, settings
         shape = flags.lattice.shape
-        self._owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
+        self.owner = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
         # whose floor lies under the cell's own, for cells without an owner
         self._under = [np.zeros(shape, dtype=np.int32) for _ in flags.levels]
-        self._rooms: list[NamedRoom] = []  # owners count from 1
+        self.rooms: list[NamedRoom] = []  # owners count from 1
         self.warnings: list[str] = []
 
     def add(self, marked: MarkedRooms, source: str) -> None:
@@ -166,14 +185,14 @@ class _Assignment:
         if not marked.names:
             return
         covered = marked.covered or marked.labels
-        of_levels = self._flags.levels, self._owner, self._under, marked.labels, covered
+        of_levels = self._flags.levels, self.owner, self._under, marked.labels, covered
         for flags, owner, under, label, cover in zip(*of_levels, strict=True):
             fresh = np.where(flags.open & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
             used = np.bincount(fresh.ravel(), minlength=len(number))
             for k in np.flatnonzero(used[1:]).tolist():
-                self._rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
-                number[k + 1] = len(self._rooms)
+                self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
+                number[k + 1] = len(self.rooms)
             owner += number[fresh]
             if source != "auto":
                 np.copyto(under, number[cover], where=under == 0)
@@ -187,36 +206,19 @@ class _Assignment:
         given = self._settings.door_width
         door_width = None if given == "auto" else given
         labels, count, outdoors = list[Int32](), 0, set[int]()
-        for number, (floor, open_cells, hole, edge, *_) in enumerate(self._flags.levels):
-            asked = open_cells, lattice.cell_size, least, floor, hole, edge, door_width
-            segment, close = segment_by_gaps(*asked)
+        for number, level in enumerate(self._flags.levels):
+            segment, close = segment_by_gaps(level, lattice.cell_size, least, door_width)
             if close and door_width is None:
                 self.warnings.append(_describe_close(close, number, lattice))
-            owner = self._owner[number]
+            owner = self.owner[number]
             if owner.any():
-                owner = give_covered(owner, self._under[number] * open_cells, segment)
-                self._owner[number], segment = share_rest(owner, segment, lattice.cell_size, least)
+                owner = give_covered(owner, self._under[number] * level.open, segment)
+                self.owner[number], segment = share_rest(owner, segment, lattice.cell_size, least)
             segment, outside = find_outdoors(segment, self._flags, number)
             outdoors.update(room + count for room in outside)
             labels.append(np.where(segment > 0, segment + count, 0) if count else segment)
             count += int(segment.max(initial=0))
         self.add(MarkedRooms([None] * count, labels, outdoors=outdoors), "auto")
-
-    def number(self) -> tuple[list[RoomIndex], list[list[NamedRoom]]]:
-        """Number the rooms of each level from 1, by their first cells; also list them so."""
-        index, rooms = list[RoomIndex](), list[list[NamedRoom]]()
-        for level, owner in enumerate(self._owner):
-            order = labels_in_order(owner)
-            if len(order) > MAX_ROOMS:
-                raise SceneError(
-                    f"expected at most {MAX_ROOMS} rooms on a level, got {len(order)} on level "
-                    f"{level}: raise `rooms.min_area`"
-                )
-            number = np.zeros(len(self._rooms) + 1, dtype=np.uint16)
-            number[order] = np.arange(1, len(order) + 1)
-            index.append(number[owner])
-            rooms.append([self._rooms[k - 1] for k in order])
-        return index, rooms
 
 
 def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
@@ -239,10 +241,10 @@ def describe_rooms(
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room but for its neighbours; `rooms` has those of each level, from index 1 on.
+    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``.
 
-    A room's id is its name where no other room has that, else ``<level>:<index>``. Its centre is
-    a mean of whole numbers, of rows, columns and micrometres, so that no order of cells matters.
+    Its centre is a mean of whole numbers, of rows, columns and micrometres, so that no order of
+    cells matters.
     """
     names = Counter(room.name for level in rooms for room in level)
     table = []
@@ -262,8 +264,7 @@ def describe_rooms(
             is_unique = names[name] == 1 and not ID_LIKE.fullmatch(name or "")
             area = round(float(count[k]) * lattice.cell_size**2, 6)
             room_id = name if name is not None and is_unique else f"{level}:{k}"
-            place = center[k][0], center[k][1], center[k][2]
-            table.append(Room(k, room_id, name, level, area, place, source, (), outdoors))
+            table.append(Room(k, room_id, name, level, area, (*center[k],), source, (), outdoors))
     return table
 
 
@@ -294,63 +295,30 @@ def find_openings(
     return openings
 
 
-def find_room_links(index: Sequence[RoomIndex], links: Int) -> list[tuple[RoomKey, RoomKey]]:
-    """Find the pairs of rooms on two levels between which a step leads, each once."""
-    flat = [rooms.ravel() for rooms in index]
-    pairs = set()
-    for level_a, cell_a, level_b, cell_b in links[links[:, 0] != links[:, 2]].tolist():
-        a, b = sorted((k, int(flat[k][cell])) for k, cell in ((level_a, cell_a), (level_b, cell_b)))
-        if a[1] and b[1]:
-            pairs.add((a, b))
-    return sorted(pairs)
-
-
 def match_doors(
-    openings: Sequence[Opening], doors: Mapping[str, ClosedDoor], lattice: Lattice
+    openings: Sequence[Opening],
+    doors: Mapping[str, tuple[RoomIds, Sequence[Int]]],
+    ids: Mapping[RoomKey, str],
+    lattice: Lattice,
 ) -> dict[int, list[str]]:
-    """Find the opening that each door is in; `doors` are by id.
+    """Find the opening that each door is in; `doors` as for `Rooms.with_doors`, `ids` of rooms.
 
     That is, of the openings between the two rooms that the door joins, the one of whose cells most
     are within 0.4 m of cells that the closed door blocks; of two as good, the nearer. A door in no
-    opening is left out; an opening may have several. The result has the sorted ids of each
-    opening's doors, by its number.
+    opening is left out. Returns the sorted ids of each opening's doors, by its number.
     """
     reach = DOOR_REACH / lattice.cell_size + SLACK
     found: dict[int, list[str]] = {}
     for door, (rooms, levels) in sorted(doors.items()):
         scores: list[tuple[int, float, int]] = []
         for number, opening in enumerate(openings):
-            if not len(levels[opening.level]):
-                continue
-            if {(opening.level, room) for room in opening.rooms} == rooms:
+            closed = levels[opening.level]
+            if len(closed) and {ids[opening.level, room] for room in opening.rooms} == set(rooms):
                 row, col = np.divmod(opening.cells[:, None], lattice.width)
-                to_row, to_col = np.divmod(levels[opening.level], lattice.width)
+                to_row, to_col = np.divmod(closed, lattice.width)
                 distance = np.hypot(row - to_row, col - to_col).min(axis=1)
                 within = int(np.count_nonzero(distance <= reach))
                 scores.append((within, -float(distance.mean()), -number))
         if scores and max(scores)[0]:
             found.setdefault(-max(scores)[2], []).append(door)
     return found
-
-
-def name_neighbours(
-    table: Sequence[Room],
-    openings: Sequence[Opening],
-    links: Sequence[tuple[RoomKey, RoomKey]],
-    doors: Mapping[int, Sequence[str]],
-) -> list[Room]:
-    """Add to each room those that it opens to: freely, by a link, or by a door of `match_doors`."""
-    ids = {(room.level, room.index): room.id for room in table}
-    ways = [(a, b, "link", "") for a, b in links]
-    for number, opening in enumerate(openings):
-        a, b = ((opening.level, room) for room in opening.rooms)
-        ways += [(a, b, "door" if door else "open", door) for door in doors.get(number, [""])]
-    found: dict[RoomKey, set[tuple[RoomKey, str, str]]] = {room: set() for room in ids}
-    for a, b, kind, door in ways:
-        found[a].add((b, kind, door))
-        found[b].add((a, kind, door))
-    neighbours = {
-        room: tuple(Neighbour(ids[to], kind, door or None) for to, kind, door in sorted(ways))
-        for room, ways in found.items()
-    }
-    return [replace(room, neighbours=neighbours[room.level, room.index]) for room in table]

@@ -9,8 +9,8 @@ import numpy as np
 
 from navbake.baker.connect import connect, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
-from navbake.baker.rooms.flags import RoomFlags, edge_cells
-from navbake.baker.rooms.gaps import WIDEST, CloseCall, part_at_gaps
+from navbake.baker.rooms.flags import LevelFlags, RoomFlags, edge_cells
+from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import squared_distances, wall_nodes
 from navbake.types import Bool, Float, Int, Int32
 
@@ -33,25 +33,19 @@ OPEN_SHARE = 0.5
 
 
 def segment_by_gaps(
-    open_cells: Bool,
-    cell_size: float,
-    min_area: float,
-    floor: Float | None = None,
-    holes: Bool | None = None,
-    edge: Bool | None = None,
-    door_width: float | None = None,
+    level: LevelFlags, cell_size: float, min_area: float, door_width: float | None = None
 ) -> tuple[Int32, list[CloseCall]]:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
     A gap is where walls come near to each other at once: a line in the direction of a wall that is
     closed at both ends after at most 2.5 m, and beside which the space is wider at once. All gaps
-    part spaces at first. Then spaces are joined, the widest gaps first, as in region merging:
+    part spaces at first. Then spaces are joined, the widest gaps first:
 
     - where a gap is as wide as both spaces are along its line: parts of one corridor, of an
       L-shaped room;
     - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
       passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
-    - with a `door_width`, where it is wider than that, in place of the two widths above.
+    - with a `door_width` [m], where it is wider than that, in place of the two widths above.
 
     How wide a space is along a gap is measured close behind it. Other gaps in the same line
     between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
@@ -59,31 +53,27 @@ def segment_by_gaps(
     What is smaller than `min_area` [m²] joins the room that it opens to the widest; if it opens to
     none, it is no room.
 
-    Args:
-        open_cells: shape (height, width): cells with a floor that no wall stands in.
-        floor: heights of the floor [m]; None for one without stairs.
-        holes: cells without a floor that one sees through, as in a stairwell: they narrow no space.
-        edge: cells at the edge of the grid, see `LevelFlags`.
-        door_width: the widest gap that parts two rooms [m], > 0.
-
-    Returns:
-        The room of each cell from 1, in reading order, 0 for none; and close calls.
+    Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
 
     Source:
         Region merging as in Bormann et al., "Room segmentation: survey, implementation, and
         analysis" (ICRA 2016), on regions between the "virtual walls" that continue walls, in
         place of those of a Voronoi graph.
     """
-    rooms = np.zeros(open_cells.shape, dtype=np.int32)
-    if not open_cells.any():
+    rooms = np.zeros(level.open.shape, dtype=np.int32)
+    if not level.open.any():
         return rooms, []
     # with the walls round it: their directions count, the edge of the grid is none
-    around = [slice(max(part.start - 1, 0), part.stop + 1) for part in bounding_window(open_cells)]
-    window, none = tuple(around), np.zeros(open_cells.shape, dtype=np.bool_)
-    floor = (np.zeros(none.shape) if floor is None else floor)[window]
-    edge, seen = ((none if mask is None else mask)[window] for mask in (edge, holes))
-    open_cells = np.ascontiguousarray(open_cells[window])
-    label, close = part_at_gaps(open_cells, seen, cell_size, door_width)
+    window = bounding_window(level.open)
+    row, col = top_left = [max(part.start - 1, 0) for part in window]
+    around = tuple(slice(k, part.stop + 1) for k, part in zip(top_left, window, strict=True))
+    floor, edge = level.floor[around], level.edge[around]
+    open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
+    spaces = Spaces(found, cells, cell_size, door_width)
+    spaces.join_all()
+    close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
+    label = spaces.whole[label]
     spread(label, open_cells)
     least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
     cells = np.bincount(label.ravel(), minlength=count)
@@ -99,17 +89,16 @@ def segment_by_gaps(
         at_edge = np.bincount(label[edge], minlength=count)
         regions.join_small(least, at_edge, WIDEST / cell_size)
         label = regions.wholes(least)[label]
-    rooms[window] = renumber(label)
-    row, col = (part.start for part in around)
-    return rooms, [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in close]
+    rooms[around] = renumber(label)[0]
+    return rooms, close
 
 
 def spread(label: Int32, open_cells: Bool) -> None:
     """Give the open cells without a label one from beside them, wave by wave across edges.
 
-    A cell that several labels reach in one wave goes to the one whose own cell, from which it
-    spread, is the nearest, measured straight; of two as near, to the lowest label, and of one
-    label's to the one further clockwise, because that turns with the map.
+    Of several that reach a cell in one wave, the one whose own cell is the nearest, measured
+    straight, has it; of two as near the lower label, and of one label's cells the one further
+    clockwise, because that turns with the map.
     """
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
@@ -125,10 +114,9 @@ def spread(label: Int32, open_cells: Bool) -> None:
             same = (there < own) | (there == own) & (col * down - row * right > 0)
             better = (found < 0) | (square < nearest) | (square == nearest) & same
             better &= there > 0
-            for kept, new in zip(
-                (found, nearest, own, row, col), (origin, square, there, down, right), strict=True
-            ):
-                np.copyto(kept, new, where=better)
+            new = origin, square, there, down, right
+            for kept, array in zip((found, nearest, own, row, col), new, strict=True):
+                np.copyto(kept, array, where=better)
         reached = found >= 0
         if not reached.any():
             break
@@ -138,10 +126,9 @@ def spread(label: Int32, open_cells: Bool) -> None:
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
-    """Mark the cells with a label that are as steep as a stair.
+    """Mark the cells with a label over which the floor rises like a stair, both axes together.
 
-    That is where the floor rises so much from one side of the cell to the other, in the two
-    directions together. What isn't there, or has no label, is taken for level.
+    What isn't there, or has no label, is taken for level.
     """
     steps = max(1, round(SLOPE_REACH / cell_size))
     rise = STEEPNESS * 2 * steps * cell_size
@@ -158,11 +145,10 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
 
 
 class _Regions:
-    """Regions that touch, as a graph whose edges are the passes between them.
+    """Regions that touch, as a region adjacency graph, whose nodes are contracted (Haris, 1998).
 
-    Two regions that are one room are contracted to one node, as in region merging by the region
-    adjacency graph (Haris et al., 1998). `label` is the region of each cell from 1, 0 for none,
-    `cells` how many each has, and `distance` of each node squared, see `wall_nodes` [half cells].
+    `label` is the region of each cell from 1, 0 for none, `cells` how many each has, and `distance`
+    that of each node squared, see `wall_nodes` [half cells].
     """
 
     def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
@@ -192,25 +178,21 @@ class _Regions:
         return dict(zip(to.tolist(), measured, strict=True))
 
     def join_stairs(self, is_stair: Bool, height: Float) -> None:
-        """Join a stair to the region that it opens to over its full width; of several, the lowest.
-
-        Regions have a mean `height` [m].
-        """
+        """Join stairs to the lowest region, by mean `height`, that they open to in full width."""
         for region in np.flatnonzero(is_stair).tolist():
             if self._whole[region] != region:
                 continue
-            as_wide = self._peak[region] - ROUGHNESS - ROUNDING
-            mouths = [to for to, (saddle, _) in self._passes(region).items() if saddle >= as_wide]
+            least = self._peak[region] - ROUGHNESS - ROUNDING
+            mouths = [to for to, (saddle, _) in self._passes(region).items() if saddle >= least]
             if mouths:
                 self._join(min(mouths, key=lambda to: (height[to], to)), region)
 
     def join_small(self, least: float, at_edge: Int, widest: float) -> None:
         """Join regions of fewer cells, the smallest first, to the one they open to the widest.
 
-        What is at the edge of the grid goes on along it: a ledge round a house goes on round its
-        corners and not in at the door. So a region that is there joins the one that has most cells
-        there, if it touches any; all that have `widest` are as good. One with more only joins one
-        with more, because it is outside of the walls. Regions have so many cells `at_edge`.
+        What has cells `at_edge` of the grid goes on along it: a ledge round a house goes on round
+        its corners and not in at the door. So it joins the one with most cells there; all that have
+        `widest` are as good, and one with more, outside of the walls, only joins one with as many.
         """
         is_small = (self._whole == np.arange(len(self._cells))) & (self._cells < least)
         queue = [(int(self._cells[k]), k) for k in np.flatnonzero(is_small).tolist() if k]
@@ -237,7 +219,6 @@ class _Regions:
         return np.where(self._cells[self._whole] >= least, self._whole, np.int32(0))
 
     def _join(self, to: int, gone: int) -> None:
-        """Contract two regions to one."""
         self._whole[self._whole == gone] = to
         self._pairs[self._pairs == gone] = to
         apart = self._pairs[:, 0] != self._pairs[:, 1]
@@ -270,16 +251,12 @@ def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
 def share_rest(
     owner: Int32, segment: Int32, cell_size: float, min_area: float
 ) -> tuple[Int32, Int32]:
-    """Make rooms of what marked rooms leave of segments.
+    """Make rooms of what marked rooms, `owner`, leave of segments: owners, and new rooms.
 
-    A segment without a mark is a room as it is. The rest of one with marks is made of connected
-    parts. Each is a room by itself, whatever share of the segment is marked: a mark says where its
-    room ends. Only a part that is too small for a room goes to the marked room that it touches
-    most: one smaller than `min_area` [m²], or nowhere half a metre wide though its segment is (the
-    gap between a drawn floor and its wall, the depth of a doorway).
-
-    `owner` and `segment` are the marked room and the segment of each cell, 0 for none. Returns
-    owners with what they take over, and new rooms in what is left.
+    A segment without a mark is a room as it is. In one with marks, each connected part of the rest
+    is a room by itself, as a mark says where its room ends. Only a part that is too small goes to
+    the marked room that it touches most: one smaller than `min_area` [m²], or nowhere half a metre
+    wide though its segment is (the gap between a drawn floor and its wall, a doorway's depth).
     """
     least = min_area / cell_size**2 - ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
@@ -296,15 +273,12 @@ def share_rest(
     touched = _most_touched(part, owner, len(cells))
     taken = np.where(is_room[part], 0, touched[part])
     kept = np.where(has_marks[rest], 0, rest + np.int32(len(cells)) * (rest > 0))
-    new = renumber(np.where(is_room[part], part, kept).astype(np.int32))
+    new, _ = renumber(np.where(is_room[part], part, kept).astype(np.int32))
     return np.where(owner > 0, owner, taken).astype(np.int32), new
 
 
 def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
-    """How many cells each label has, and whether its part is somewhere half a metre wide.
-
-    Other labels are as good as walls; 0 has no cells.
-    """
+    """How many cells each label has, none for 0, and whether it is somewhere half a metre wide."""
     reach = int(SLIVER / cell_size) + 2
     around = wall_nodes(label > 0)
     height, width = label.shape
@@ -331,19 +305,14 @@ def _most_touched(part: Int32, owner: Int32, count: int) -> Int32:
     return touched
 
 
-def renumber(label: Int32) -> Int32:
-    """Renumber labels from 1 by the first cell of each in reading order; 0 stays."""
-    order = labels_in_order(label)
-    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
-    number[order] = np.arange(1, len(order) + 1)
-    return number[label]
-
-
-def labels_in_order(label: Int32) -> Int:
-    """The labels that are used, but 0, by their first cells in reading order."""
+def renumber(label: Int32) -> tuple[Int32, Int]:
+    """Renumber labels from 1 by the first cell of each in reading order; also those so ordered."""
     *_, value = list_runs(label)
     used, first = np.unique(value, return_index=True)
-    return used[np.argsort(first)]
+    order = used[np.argsort(first)]
+    number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
+    number[order] = np.arange(1, len(order) + 1)
+    return number[label], order
 
 
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
@@ -351,12 +320,8 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
     They reach the edge of the grid in one piece that is wider than any door; and at least half of
     their cells have nothing above an agent's head, or lie under eaves, 1.2 m from where the scene
-    ends at most. What walls enclose is a room, with a ceiling or without one: a gap parts it from
-    what is outdoors, and doors at the edge are too narrow. Walls part two pieces of outdoors, too;
-    a ditch does not, nor what stands on endless ground, because one walks round it.
-
-    Returns the segments of the level, of which those that are outdoors and touch have the least
-    number of all; and the numbers of those that are outdoors.
+    ends at most. Walls part two pieces of outdoors; a ditch does not, nor what stands on endless
+    ground, because one walks round it. Returns the segments and the numbers of those outdoors.
     """
     own, cell_size = flags.levels[level], flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
@@ -381,10 +346,7 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
 
 def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
-    """By segment, the least number of the chosen ones that it touches, or its own.
-
-    Those touch, too, that steep ground lies between.
-    """
+    """By segment, the least chosen one that it touches, steep ground between or not, or itself."""
     part, count = label_parts(steep)
     node = np.where(steep, part + len(chosen) - 1, segment)
     joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])

@@ -101,10 +101,9 @@ def _mark_by_geoms(
 
     Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
     floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
-    room's floor, and a floor may be only drawn and not count in the bake. Meshes are taken as
-    their triangles. Furniture may be named like a room: so a geom counts as a floor only if
-    half of its upper side is floor, or lies up to a step under one (a carpet, a podium). What
-    lies so over a room's floor is `covered`.
+    room's floor, and a floor may be only drawn. Furniture may be named like a room: so a geom
+    counts only if half of its upper side is floor, or lies up to a step under one (a carpet, a
+    podium), which then is `covered`.
     """
     num = scene.model.ngeom
     names = all_names(scene.model).own_geoms
@@ -144,19 +143,17 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room in whose site's volume an agent in it stands.
+    """Give each cell the room in whose site's volume, the first one, an agent in it stands.
 
-    Of volumes that overlap the first counts. A site that marks less than `rooms.min_area` of
-    floor, on all levels together, is no room.
+    A site that marks less than `rooms.min_area` of floor, on all levels together, is no room.
     """
-    least = settings.min_area
     names = all_names(scene.model).sites
     chosen, warnings = _match(names, tuple(settings.sites), "sites")
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     kept, small = list[str | None](), list[str]()
     for site in chosen:
         masks = _stand_in(site, scene, lattice, levels, agent)
-        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < least:
+        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
             small.append(names[site])
             continue
         kept.append(names[site])
@@ -164,8 +161,8 @@ def _mark_by_sites(
             label[mask & (label == 0)] = len(kept)
     if small:
         listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
-        told = f"sites that hold less than {least:g} m² of floor (`rooms.min_area`) are no rooms"
-        warnings = [*warnings, f"{told}: {listed}"]
+        told = f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`)"
+        warnings = [*warnings, f"{told} are no rooms: {listed}"]
     return MarkedRooms(kept, labels, warnings)
 
 
@@ -174,11 +171,10 @@ def _stand_in(
 ) -> list[Bool]:
     """The cells of each level whose agent stands in a site's volume.
 
-    Counted is the vertical line through the cell's centre, from 5 cm below its floor to the
-    agent's height over it. At least half of what the volume has of the line, or half of the
-    agent, has to be between the two. So a marker that lies on the floor, a box from floor to
-    ceiling and a sphere round the middle of a room are each as large as they look from above,
-    and none reaches into the next storey.
+    From 5 cm below a cell's floor to the agent's height over it has to be at least half of what
+    the volume has of the vertical line through the cell's centre, or half of the agent. So a marker
+    on the floor, a box up to the ceiling and a sphere round the middle of a room are as large as
+    they look from above, and none reaches into the next storey.
     """
     model, data = scene.model, scene.data
     kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
@@ -191,11 +187,10 @@ def _stand_in(
     nothing = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
     cut = lattice.cut(*window)
     surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
-    low, high = np.full((2, cut.width * cut.height), np.nan)
-    hit = np.diff(surfaces.start) > 1
-    low[hit] = surfaces.z[surfaces.start[:-1][hit]]
-    high[hit] = surfaces.z[surfaces.start[1:][hit] - 1]
-    low, high = low.reshape(cut.shape), high.reshape(cut.shape)
+    low, high = np.full((2, *cut.shape), np.nan)
+    hit = np.diff(surfaces.start).reshape(cut.shape) > 1
+    low[hit] = surfaces.z[surfaces.start[:-1][hit.ravel()]]
+    high[hit] = surfaces.z[surfaces.start[1:][hit.ravel()] - 1]
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window]
         inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - OFF_FLOOR)

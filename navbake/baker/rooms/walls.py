@@ -40,12 +40,10 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 
 
 def wall_nodes(open_cells: Bool) -> Bool:
-    """Mark the nodes of a lattice half as wide that lie on a cell that isn't open.
+    """Mark the nodes of a lattice half as wide that lie on a cell that isn't open, or beyond all.
 
     Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
-    corners. The nearest point of a closed cell is as far from a node as the nearest marked node.
-    So gaps can be measured to half a cell. Beyond the lattice nothing is open. The result has
-    the shape (2 height + 1, 2 width + 1).
+    corners, so that gaps can be measured to half a cell. Shape (2 height + 1, 2 width + 1).
     """
     closed = np.pad(~open_cells, 1, constant_values=True)
     rows = closed.repeat(2, axis=0)[1:-1]
@@ -55,15 +53,12 @@ def wall_nodes(open_cells: Bool) -> Bool:
 
 
 class Direction(NamedTuple):
-    """A direction that walls run in: whether rows and columns are swapped to scan it, the row of a
-    line in each column less that in the first, the rows that it goes down with each column, and
-    the length of a step along it [cells].
-    """
+    """A direction that walls run in."""
 
-    swapped: bool
-    shift: Int
-    slope: float
-    stretch: float
+    swapped: bool  # rows and columns, to scan it
+    shift: Int  # the row of a line in each column less that in the first
+    slope: float  # the rows that it goes down with each column
+    stretch: float  # the length of a step along it [cells]
 
 
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
@@ -104,12 +99,10 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
 
 
 def _align(foot: Float, around: float) -> float:
-    """The angle within 1.5 bins at which points on walls gather on the fewest lines [degrees].
+    """The angle within 1.5 bins at which points on walls, (2, n), are on the fewest lines [°].
 
-    A Radon transform of the points, whose sharpest projection is that along the walls. The slopes
-    alone are off by some degrees, because a lattice has walls at an angle in steps. It is an axis
-    of the lattice where that is about as sharp. `foot` are rows and columns of points on the
-    walls, shape (2, n).
+    A Radon transform of the points, whose sharpest projection is that along the walls; an axis of
+    the lattice where that is about as sharp. Slopes alone are off by some degrees.
     """
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
     angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
@@ -145,22 +138,19 @@ def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
 def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     """Mark the cells of sills and parapets that continue a wall.
 
-    Where walls, floors and furniture are one mesh, only heights tell what is wall: that reaches
-    above heads. A window's sill doesn't. But along the direction of a wall it goes from one piece
-    of wall to the next without a break, to a cell on either side of a line, and it is as thin as
-    a wall. A table or a bed ends somewhere, and a counter along a wall has no wall at its ends, or
-    fills a niche that is deeper than a wall is thick.
-
-    `low` are the cells that the building blocks at an agent's height, but not above heads; `wall`
-    those that it blocks there, too.
+    Where walls, floors and furniture are one mesh, `low` are the cells that it blocks at an agent's
+    height, but not above heads; `wall` those that it blocks there, too. Along the direction of a
+    wall a sill goes from one piece of wall to the next without a break, and is as thin as a wall.
+    A table or a bed ends somewhere, and a counter along a wall has no wall at its ends, or fills a
+    niche that is deeper than a wall is thick.
     """
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():
         return found
     for direction in find_directions(~wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
-        bridge = np.zeros(turned(low, direction).shape, dtype=np.bool_)
         scanned = turned(low, direction), turned(wall, direction)
+        bridge = np.zeros_like(scanned[0])
         kernels.mark_bridges(*scanned, direction.shift, bridge)
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
         for col, top, end, _ in zip(*list_runs(bridge.T), strict=True):

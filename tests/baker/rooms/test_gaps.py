@@ -9,8 +9,8 @@ import pytest
 from scipy import ndimage
 
 from navbake.baker.rooms import segmentation
-from navbake.baker.rooms.gaps import part_at_gaps
-from navbake.baker.rooms.segmentation import segment_by_gaps
+from navbake.baker.rooms.flags import LevelFlags
+from navbake.baker.rooms.gaps import Spaces, find_gaps
 from navbake.baker.rooms.walls import find_directions, find_windows
 from offices import make_plan
 from offices_truth import bake_plan, count_leaks, overlaps
@@ -26,12 +26,20 @@ def hall(rows, cols):
     return is_open
 
 
+def segment_by_gaps(is_open, cell_size=CELL, min_area=1.0, floor=None, holes=None, width=None):
+    """The rooms of open cells, under a roof and away from the edge of the grid; and close calls."""
+    none = np.zeros_like(is_open)
+    floor = np.zeros(none.shape) if floor is None else floor
+    level = LevelFlags(floor, is_open, none if holes is None else holes, none, none, none)
+    return segmentation.segment_by_gaps(level, cell_size, min_area, width)
+
+
 def count(is_open, holes=None):
-    rooms = segment_by_gaps(is_open, CELL, 1.0, holes=holes)[0]
+    rooms = segment_by_gaps(is_open, holes=holes)[0]
     assert (rooms[~is_open] == 0).all()
     for quarters in (1, 2, 3):
         there = None if holes is None else np.rot90(holes, quarters)
-        turned = segment_by_gaps(np.rot90(is_open, quarters), CELL, 1.0, holes=there)[0]
+        turned = segment_by_gaps(np.rot90(is_open, quarters), holes=there)[0]
         assert turned.max() == rooms.max()
     return rooms.max()
 
@@ -68,13 +76,13 @@ def test_a_gap_wider_than_a_given_door_parts_nothing(cell_size, door_width):
     widest = int(door_width / cell_size + 1e-9)
     for more, rooms in ((-1, 2), (0, 2), (1, 1), (2, 1)):
         is_open = two_rooms(widest + more, 2, max(60, 2 * widest))
-        found = segment_by_gaps(is_open, cell_size, 1.0, door_width=door_width)[0]
+        found = segment_by_gaps(is_open, cell_size, 1.0, width=door_width)[0]
         assert found.max() == rooms
 
 
 def test_a_gap_as_wide_as_the_space_parts_nothing_however_narrow():
     is_open = two_rooms(9, 2, 10)
-    assert segment_by_gaps(is_open, CELL, 0.5, door_width=1.0)[0].max() == 1
+    assert segment_by_gaps(is_open, CELL, 0.5, width=1.0)[0].max() == 1
 
 
 @pytest.mark.parametrize("cell_size", [0.05, 0.1])
@@ -87,7 +95,7 @@ def test_doors_in_walls_off_the_lattice(cell_size):
             across = (edges + cell_size > wall) & (edges < wall + 0.12)
             along = (edges + cell_size > jamb + gap) | (edges < jamb)
             is_open = ~(across[None] & along[:, None])
-            assert segment_by_gaps(is_open, cell_size, 1.0, door_width=1.0)[0].max() == rooms
+            assert segment_by_gaps(is_open, cell_size, 1.0, width=1.0)[0].max() == rooms
 
 
 def test_a_niche_an_l_and_pillars_part_nothing():
@@ -137,7 +145,7 @@ def test_stairs_belong_to_where_they_begin():
     is_open[1:15, 45:85] = is_open[27:, 45:85] = False
     rise = np.tile(np.interp(np.arange(132), [45, 85], [0.0, 2.4]), (42, 1))
     for floor in (rise, 2.4 - rise):
-        rooms = segment_by_gaps(is_open, CELL, 1.0, floor)[0]
+        rooms = segment_by_gaps(is_open, floor=floor)[0]
         assert rooms.max() == 2
         assert rooms[20, 65] == rooms[20, 20 if floor is rise else 110]
     assert count(is_open) == 3
@@ -191,8 +199,8 @@ def test_steep_cells():
 def test_numbers_follow_the_first_cells():
     label = np.array([[0, 7, 7], [2, 0, 7], [2, 9, 0]], dtype=np.int32)
     expected = [[0, 1, 1], [2, 0, 1], [2, 3, 0]]
-    np.testing.assert_array_equal(segmentation.renumber(label), expected)
-    assert not segmentation.renumber(np.zeros((2, 2), dtype=np.int32)).any()
+    np.testing.assert_array_equal(segmentation.renumber(label)[0], expected)
+    assert not segmentation.renumber(np.zeros((2, 2), dtype=np.int32))[0].any()
 
 
 def test_holes_narrow_no_space():
@@ -205,8 +213,8 @@ def test_holes_narrow_no_space():
 
 
 def test_nothing_open_and_no_walls():
-    assert not segment_by_gaps(np.zeros((4, 5), dtype=np.bool_), CELL, 1.0)[0].any()
-    assert segment_by_gaps(np.ones((40, 50), dtype=np.bool_), CELL, 1.0)[0].min() == 1
+    assert not segment_by_gaps(np.zeros((4, 5), dtype=np.bool_))[0].any()
+    assert segment_by_gaps(np.ones((40, 50), dtype=np.bool_))[0].min() == 1
 
 
 @pytest.mark.parametrize("angle", [0.0, 12.0, 33.0, 45.0, 78.0])
@@ -217,9 +225,13 @@ def test_walls_at_an_angle(angle):
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     is_open = (np.abs(u) < 4.5) & (np.abs(v) < 2.5) & ((np.abs(u) > 0.15) | (np.abs(v) < 0.8))
     assert len(find_directions(is_open, CELL)) == 2
-    spaces, _ = part_at_gaps(is_open, np.zeros_like(is_open), CELL, None)
-    assert len(np.unique(spaces)) == 3  # 0 is for gaps; no cells between their lines are a space
-    rooms = segment_by_gaps(is_open, CELL, 1.0)[0]
+    found, label, cells = find_gaps(is_open, np.zeros_like(is_open), CELL, None)
+    spaces = Spaces(found, cells, CELL, None)
+    spaces.join_all()
+    assert (
+        len(np.unique(spaces.whole[label])) == 3
+    )  # 0 is for gaps; no cells between their lines are a space
+    rooms = segment_by_gaps(is_open)[0]
     assert rooms.max() == 2
     left, right = rooms[is_open & (u < -0.4)], rooms[is_open & (u > 0.4)]
     assert len(np.unique(left)) == len(np.unique(right)) == 1
@@ -230,11 +242,11 @@ def test_close_calls_are_told():
     is_open = hall(25, 90)
     is_open[:, 45:47] = False
     is_open[1:20, 45:47] = True
-    (call,) = segment_by_gaps(is_open, CELL, 1.0)[1]
+    (call,) = segment_by_gaps(is_open)[1]
     assert call.width == pytest.approx(1.9)
     assert 44 <= call.cell[1] <= 47
     is_open[1:10, 45:47] = False
-    assert segment_by_gaps(is_open, CELL, 1.0)[1] == []
+    assert segment_by_gaps(is_open)[1] == []
 
 
 def test_sills_go_from_wall_to_wall():

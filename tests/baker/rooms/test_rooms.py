@@ -326,18 +326,19 @@ def test_doors_go_to_the_opening_they_are_in():
         Opening(0, (1, 2), np.array([5010, 5011])),
         Opening(1, (1, 3), np.array([5010, 5011])),
     ]
-    none, rooms = np.empty(0, dtype=np.int64), frozenset({(0, 1), (0, 2)})
+    ids = {(level, room): f"{level}:{room}" for level in (0, 1) for room in (1, 2, 3)}
+    none, rooms = np.empty(0, dtype=np.int64), ("0:1", "0:2")
     doors = {
         "first": (rooms, [np.array([1109, 1110]), none]),  # a row further
         "second": (rooms, [np.array([5010]), none]),
-        "upper": (frozenset({(1, 1), (1, 3)}), [none, np.array([5011, 5012])]),
+        "upper": (("1:1", "1:3"), [none, np.array([5011, 5012])]),
         "double": (rooms, [np.array([5011]), none]),
         "cupboard": (rooms, [np.array([9000]), none]),
         # beside an opening that is none between its own rooms
-        "front": (frozenset({(0, 1)}), [np.array([1010]), none]),
-        "third": (frozenset({(0, 1), (0, 3)}), [np.array([1010]), none]),
+        "front": (("0:1", None), [np.array([1010]), none]),
+        "third": (("0:1", "0:3"), [np.array([1010]), none]),
     }
-    assert match_doors(openings, doors, lattice) == {
+    assert match_doors(openings, doors, ids, lattice) == {
         0: ["first"],
         1: ["double", "second"],
         2: ["upper"],

@@ -1,14 +1,11 @@
 """Kernels of rooms: gaps between walls, sills between walls, and distances to walls.
 
 A direction is scanned along digital lines, which shear the lattice: cell (row, col) lies on line
-``row - shift[col]``, so that the cells of a line are connected over edges and corners, every cell
-is on one line, and the cell above or below is on the next one. Directions are at most 45° from
-the rows; steeper ones scan the lattice with its axes swapped.
+``row - shift[col]``, so that the cells of a line are connected over edges and corners. Directions
+are at most 45° from the rows; steeper ones scan the lattice with its axes swapped.
 
-Squared Euclidean distances are found in two passes, along the columns and then across them, as
-the lower envelope of parabolas separates by axis (Saito and Toriwaki, 1994; Felzenszwalb and
-Huttenlocher, 2012). Only distances up to a reach matter, so the second pass takes the lowest of
-all parabolas within it, which vectorizes.
+Squared Euclidean distances are found in two passes, as they separate by axis (Saito and Toriwaki,
+1994). Only those up to a reach matter: the lowest of all parabolas within it, which vectorizes.
 """
 
 from typing import NamedTuple
@@ -32,36 +29,25 @@ COLUMN_FLAGS = EMPTY, HOLE, BANK, SKY, TALL = 1, 2, 4, 8, 16
 
 
 class Gaps(NamedTuple):
-    """The gaps of a direction: their columns, and the first and last marked row in the first and
-    the last of them, (n, 2); the labels of the regions on both sides; and whether the space widens
-    on both sides.
-    """
+    """The gaps of a direction."""
 
-    first: Int
+    first: Int  # column
     last: Int
-    top: Int
-    bottom: Int
-    above: Int
+    top: Int  # the first marked row in these two columns, (n, 2)
+    bottom: Int  # the last one
+    above: Int  # the labels of the regions on both sides
     below: Int
-    is_doorway: Bool
+    is_doorway: Bool  # the space widens on both sides
 
 
 class Scan(NamedTuple):
-    """A lattice as it is scanned in a direction.
+    """A lattice as it is scanned in a direction, shape (rows, cols)."""
 
-    Attributes:
-        label: the region of each cell, (rows, cols), 0 for none.
-        is_open: (rows, cols).
-        shift: the line's row in each column less that in the first, (cols,).
-        depths: how far behind gaps to measure [rows].
-        leans: how many columns a line at right angles goes along on the way up so far.
-    """
-
-    label: Int32
+    label: Int32  # the region of each cell, 0 for none
     is_open: Bool
-    shift: Int
-    depths: Int
-    leans: Int
+    shift: Int  # the line's row in each column less that in the first, (cols,)
+    depths: Int  # how far behind gaps to measure [rows]
+    leans: Int  # how many columns a line at right angles goes along on the way up so far
 
 
 @kernel(nogil=True)
@@ -126,9 +112,8 @@ def mark_gaps(is_open, shift, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs along lines of at most `widest` cells next to much longer ones.
 
     A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
-    at most `thickness` lines apart, as in a doorway, all lines are marked; else the last one,
-    unless only gaps with steps on `both` sides are wanted. `is_open` is (rows, cols) bool, `shift`
-    (cols,) int64. Marks go into `gap`, uint8: 2 for a gap with steps on both sides, 1 for others.
+    at most `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8; else
+    the last one is marked 1, unless only gaps with steps on `both` sides are wanted.
     """
     run = measure_runs(is_open, shift)
     rows, cols = run.shape
@@ -158,12 +143,11 @@ def mark_gaps(is_open, shift, widest, growth, rise, thickness, both, gap):
 
 @kernel
 def mark_bridges(low, wall, shift, bridge):
-    """Mark the `low` cells of ways along a line, which begin and end at a wall.
+    """Mark in `bridge` the `low` cells of ways along a line, which begin and end at a wall.
 
     A way follows its line exactly; or it keeps within a cell of it where no wall is beside it, and
     the line itself meets the walls at its ends. So thin sills are followed that meet now the one
-    line of cells and now the next, and furniture along a wall is not. All are (rows, cols) bool;
-    marks are added to `bridge`.
+    line of cells and now the next, and furniture along a wall is not.
     """
     rows, cols = low.shape
     # column by column, so that what is read one after the other lies so in memory
@@ -217,13 +201,11 @@ def measure_gaps(scan, gaps, chosen, whole):
     Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
     side no further than the gap is wide, times `REACH`. Of that length, the gap is a share,
     together with other openings in its line to the same region, which also count as its width.
-    The line begins straight behind the gap's ends, at right angles to it. A region that ends before
-    the first depth is measured where it ends.
+    A region that ends before the first depth is measured where it ends.
 
-    `chosen` are the gaps to measure, `whole` the region that each label is part of by now. Returns
-    the least share over all depths, from above and from below, (n, 2), 1 where both sides are one
-    region; and which other regions a gap's lines met, as pairs of both, not each once. Only when
-    one of these is joined to a side of the gap will its shares change.
+    `whole` is the region that each label is part of by now. Returns the least share over all
+    depths, from above and from below, (n, 2), 1 where both sides are one region; and pairs of gaps
+    and other regions that their lines met: shares change only when one of these is joined.
     """
     shares = np.ones((len(chosen), 2))
     met = [(np.int64(-1), np.int64(-1))]
@@ -304,10 +286,7 @@ def _measure_line(scan, gaps, k, line, whole, met):
 
 @kernel(nogil=True)
 def sweep_columns(target, far, along, col0, end):
-    """Distances to the nearest target within columns ``range(col0, end)``, at most `far`.
-
-    `target` is (rows, cols) bool, and `along`, int16, receives the distances.
-    """
+    """Put into `along` the distances to a target within columns ``range(col0, end)``, up to `far`."""
     target, along = target[:, col0:end], along[:, col0:end]  # loops from 0 vectorize
     rows, cols = target.shape
     for col in range(cols):
@@ -323,10 +302,9 @@ def sweep_columns(target, far, along, col0, end):
 
 @kernel(nogil=True)
 def sweep_rows(along, reach, answer, row0, end):
-    """Squared distances in rows ``range(row0, end)``, from those within columns.
+    """Put into `answer` squared distances in rows ``range(row0, end)``, from those within columns.
 
-    `along` is what `sweep_columns` found; `answer`, of its shape, int32, receives
-    ``(reach + 1) ** 2`` where there is no target within reach.
+    That is ``(reach + 1) ** 2`` where there is no target within reach.
     """
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)
