@@ -30,12 +30,7 @@ def list_differing(values: NDArray[Any]) -> Int:
 
 
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
-    """Lay one lattice over the scene, or over the bounds of the settings.
-
-    Raises:
-        ConfigError: the scene is endless and no bounds are set, or there are too many cells.
-        SceneError: the scene's box isn't finite.
-    """
+    """Lay one lattice over the scene, or over the bounds of the settings."""
     settings = config.grid
     if settings.bounds is not None:
         bounds = tuple(settings.bounds)
@@ -61,16 +56,10 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
 
 
 def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[Lattice, Window]:
-    """Lay a lattice over a whole scene, of which a given lattice is a window.
+    """Lay a lattice over a whole scene, of which a given lattice is a window; returns both.
 
-    It goes on beyond the window by whole cells, up to the scene's sides. Where that would be more
-    than a number of cells, it goes on as far to all sides as it can.
-
-    Args:
-        bounds: the box round the scene, shape (2, 3) [m]; None if it is endless.
-
-    Returns:
-        The lattice, and the window's rows and columns on it.
+    It goes on beyond the window by whole cells, up to the scene's `bounds`, (2, 3) [m], None if it
+    is endless. Where that would be too many cells, it goes on as far to all sides as it can.
     """
     if bounds is None:
         return lattice, (slice(0, lattice.height), slice(0, lattice.width))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
-from navbake.types import Int, Json
+from navbake.types import Bool, Int, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
@@ -41,23 +41,16 @@ LOG.addHandler(logging.NullHandler())
 
 @dataclass
 class BakeResult:
-    """What a bake yields.
-
-    Attributes:
-        grid: the grid; a MultiLevelGrid where there are several levels.
-        geoms: what became of each geom.
-        warnings: what the user should know, one line each.
-        timings: seconds of each stage, in their order.
-        by_ray: how many cells a ray alone proved occupied.
-        by_fcl: how many had no proof either way, so that FCL decided.
-    """
+    """What a bake yields: a grid, what became of each geom, and the seconds of each stage."""
 
     grid: SceneGrid2D | MultiLevelGrid
     geoms: list[GeomReport]
-    warnings: list[str]
     timings: dict[str, float] = field(default_factory=dict)
-    by_ray: int = 0
-    by_fcl: int = 0
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the user should know, one line each."""
+        return list(self.grid.warnings)
 
 
 def bake(
@@ -140,20 +133,9 @@ def run_bake(
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> BakeResult:
-    """Bake a scene into a navigation grid.
+    """Bake a scene, `opened` where its model is in memory, into a navigation grid.
 
-    Args:
-        threads: how many to use, >= 1; all cores if None. It never changes the result.
-        progress: called with each stage's name, and 0 when it begins or 1 when it ends.
-        limits: MuJoCo compiles the scene in a child process, within these; here if None.
-        opened: the scene's model, where it is in memory; see `take_input`.
-
-    Returns:
-        The grid, and what is worth knowing about how it came about.
-
-    Raises:
-        SceneError: the scene can't be read, or has nothing to bake.
-        ConfigError: settings don't fit the scene.
+    With `limits`, MuJoCo compiles the scene in a child process, within these.
     """
     clock = StageClock(progress)
     with limit_threads(threads):
@@ -167,14 +149,7 @@ def run_bake(
     grid.timings = clock.to_json()
     for warning in grid.warnings:
         LOG.warning("%s: %s", stages.scene.id, warning)
-    return BakeResult(
-        grid=grid,
-        geoms=stages.scene.geoms,
-        warnings=list(grid.warnings),
-        timings=clock.seconds,
-        by_ray=stages.occupancy.by_ray,
-        by_fcl=stages.occupancy.by_fcl,
-    )
+    return BakeResult(grid, stages.scene.geoms, clock.seconds)
 
 
 def _verified(
@@ -185,15 +160,18 @@ def _verified(
     from navbake.verifier.verify import verify_scene
 
     report = verify_scene(grid, stages.scene, stages.config, sample=sample)
-    found, looked = len(report.findings), {"sample": sample, "cells": report.checked}
-    verified = {**looked, "disagreements": found, "digest": report.digest}
+    found, cells = len(report.findings), report.checked
+    verified = {"sample": sample, "cells": cells, "disagreements": found, "digest": report.digest}
     own: Json = {**grid.navbake, "verified": verified}
     if found:
-        places = f"{found} place{'s' if found > 1 else ''}, with {report.checked} cells looked at"
-        text = f"verify: MuJoCo and FCL disagree with the grid at {places}"
-        own["warnings"] = [*grid.warnings, f"{text}; navbake verify lists them"]
-    metadata = {**grid.metadata, "navbake": own}
-    checked: SceneGrid2D | MultiLevelGrid = grid.with_levels(grid.levels, metadata)
+        places = "1 place" if found == 1 else f"{found} places"
+        own["warnings"] = [
+            *grid.warnings,
+            f"verify: MuJoCo and FCL disagree with the grid at {places}, with {cells} cells looked "
+            "at; navbake verify lists them",
+        ]
+    checked: SceneGrid2D | MultiLevelGrid
+    checked = grid.with_levels(grid.levels, {**grid.metadata, "navbake": own})
     return checked
 
 
@@ -217,19 +195,21 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
     """One level's grid, blocked by the doors in their states."""
     window, num_levels = stages.boxes.windows[number], len(stages.floors.levels)
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
-    occupied = stages.occupancy.levels[number][window].copy()
-    for door in doors:
-        occupied.ravel()[door.cells_in(door.state, num_levels)[number]] = True
+
+    def with_doors(layers: list[Bool], cells_in: Callable[..., list[Int]]) -> Bool:
+        layer = layers[number][window].copy()
+        for door in doors:
+            layer.ravel()[cells_in(door, door.state, num_levels)[number]] = True
+        return layer
+
+    occupied = with_doors(stages.occupancy.levels, Door.cells_in)
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.view(np.uint8),
     }
     if stages.occupancy.solid is not None:
-        solid = stages.occupancy.solid[number][window].copy()
-        for door in doors:
-            solid.ravel()[door.solid_in(door.state, num_levels)[number]] = True
-        attributes["solid"] = solid.view(np.uint8)
+        attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
     user_data = UserData()
     if stages.contents is not None and stages.config.names.enabled:  # read on first use
         named = stages.contents.user_data(number, window)
@@ -286,30 +266,33 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
 
 def _door_entry(door: Door) -> Json:
     """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
-
-    def by_state(cells: Mapping[str, Mapping[int, Runs]]) -> Json:
-        return {state: list(map(list, runs.items())) for state, runs in cells.items()}
-
-    stated = {"id": door.id, "joint": door.joint, "rooms": list(door.rooms), "state": door.state}
-    solid = {"solid": by_state(door.solid)} if door.solid else {}
-    return {**stated, "cells": by_state(door.cells), **solid}
+    entry: Json = {
+        "id": door.id,
+        "joint": door.joint,
+        "rooms": list(door.rooms),
+        "state": door.state,
+    }
+    for name, by_state in (("cells", door.cells), ("solid", door.solid)):
+        if by_state or name == "cells":
+            entry[name] = {
+                state: [[*runs] for runs in of.items()] for state, of in by_state.items()
+            }
+    return entry
 
 
 def _cut_doors(stages: Stages) -> list[Door]:
     """The doors in the wanted state, with cells counted on each level's own rectangle."""
 
-    def to_file(by_state: Mapping[str, list[Int]]) -> dict[str, dict[int, list[int]]]:
-        cut: dict[str, dict[int, list[int]]] = {}
-        for state, levels in by_state.items():
-            pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
-            inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in pairs)
-            cut[state] = {number: to_runs(cells) for number, cells in inside if len(cells)}
-        return cut
+    def cut(levels: list[Int]) -> dict[int, Runs]:
+        pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
+        inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in pairs)
+        return {number: to_runs(cells) for number, cells in inside if len(cells)}
 
-    wanted, doors = stages.config.doors.state, list[Door]()
+    doors = list[Door]()
     for door in stages.doors.placed:
-        cells, solid = to_file(door.cells), to_file(door.solid)
-        doors.append(Door(door.id, door.joint, door.rooms, door.state(wanted), cells, solid))
+        cells, solid = ({s: cut(c) for s, c in of.items()} for of in (door.cells, door.solid))
+        state, known = door.state(stages.config.doors.state), door.candidate
+        doors.append(Door(known.id, known.joint, door.rooms, state, cells, solid))
     return doors
 
 

@@ -5,8 +5,7 @@ scene → columns → floors → occupancy → contents → rooms → doors; `bu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -57,16 +56,8 @@ def bake_stages(
     A stage runs when it is first asked for, so that one can look at the columns of a scene
     whose floors cannot be found. All of them run at once where bodies look like doors, because
     only the rooms on both sides tell doors from other leaves; `doors.find: false` avoids that.
-
-    Args:
-        scene: the path of a YAML or of a scene file, settings, or a scene in memory.
-        data: the pose of a scene in memory.
-        progress: called with each stage's name, and 0 when it begins or 1 when it ends.
-        settings: sections of settings, in place of those above; for all, see `navbake.bake`.
-
-    Raises:
-        ConfigError: a setting is wrong.
-        SceneError: the scene cannot be read, or holds nothing to bake.
+    For the arguments, see `navbake.bake`; `progress` is called with each stage's name, and 0 when
+    it begins or 1 when it ends.
     """
     config, opened = take_input(scene, data, settings)
     stages = take_first_look(config, StageClock(progress), opened=opened)
@@ -81,9 +72,7 @@ def take_first_look(
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> Stages:
-    """Load a scene, `opened` where it is in memory; the stages of a bake that takes every candidate
-    for a door.
-    """
+    """Load a scene, if it isn't `opened`; the stages that take every candidate for a door."""
     with clock.stage("scene"):
         scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)
@@ -96,9 +85,7 @@ def settle_doors(stages: Stages) -> Stages:
 
     A candidate that joins no two rooms, such as the leaf of a cupboard, is a part of the scene:
     it may carry a floor, occupy cells and be a wall. So all stages run again with it. That may
-    change the rooms, and so whether another candidate joins two of them, which makes this a
-    loop. Each pass rejects a candidate, so there is at most one pass more than candidates; where
-    all candidates are doors, there is one.
+    change the rooms, and so whether another candidate joins two of them: each pass rejects one.
     """
     while rejected := stages.doors.rejected:
         kept = [candidate for candidate in stages.candidates if candidate not in rejected]
@@ -112,22 +99,13 @@ class Stages:
 
     A stage runs when it is first asked for, after those that it builds on, and its value is kept.
     A value that is known already, as of a scene in which little moved, may be written instead.
-
-    Attributes:
-        config: all settings.
-        scene: the scene, doors included.
-        lattice: the cells.
-        candidates: the bodies that are taken for doors. Columns, floors, occupancy, contents
-            and rooms are found without them.
-        unmatched: a warning for each door pattern that names no door.
-        clock: times the stages.
     """
 
     config: BakeConfig
-    scene: Scene
+    scene: Scene  # doors included
     lattice: Lattice
-    candidates: list[DoorCandidate]
-    unmatched: list[str] = field(default_factory=list)
+    candidates: list[DoorCandidate]  # what all stages but that of doors do without
+    unmatched: list[str] = field(default_factory=list)  # warnings of patterns that name no door
     clock: StageClock = field(default_factory=StageClock, repr=False)
 
     @cached_property
@@ -194,19 +172,19 @@ class Stages:
         """Find `floors`, and what keeps those of the whole scene up to date."""
         config, columns = self.config, self.judged_columns
         given = None if config.levels == "auto" else list(config.levels)
-        with self.clock.stage("floors"), self._errors_say_where():
-            is_occupied = self.occupancy_test(columns)
-            asked = config.agent, config.floors, given, is_occupied
-            floors, finder = find_floors(columns, self.doorless.shapes, *asked)
+        asked = config.agent, config.floors, given, self.occupancy_test(columns)
+        with self.clock.stage("floors"):
+            try:
+                floors, finder = find_floors(columns, self.doorless.shapes, *asked)
+            except SceneError as error:
+                path = config.scene.path
+                raise SceneError(f"{path}: {error}{_describe_extent(self.doorless)}") from error
             if columns.lattice != self.lattice:
                 floors = crop_floors(floors, self.judged[1])
             return floors, finder
 
     def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
-        """Tells which cells of the lattice on which floors are judged are occupied.
-
-        How a sheet ends does not depend on how wide the agent is.
-        """
+        """Tells which cells are occupied by what is as narrow as a point, and ends a sheet."""
         point = self.config.agent.model_copy(update={"radius": 0.0})
         narrow = Footprint.of(point, self.lattice.cell_size)
 
@@ -220,29 +198,19 @@ class Stages:
     @cached_property
     def occupancy(self) -> Occupancy:
         """The cells of each storey that are occupied."""
-        return self.finder.occupancy
+        return self.cells[0].occupancy
 
     @cached_property
     def contents(self) -> Contents | None:
         """What stands in the cells; None where neither names nor rooms need it."""
-        finder = self.finder
+        finder, _ = self.cells
         with self.clock.stage("contents"):
             return finder.found(self.config.names)
-
-    @property
-    def finder(self) -> CellFinder:
-        """What finds the occupancy and the contents of cells."""
-        return self._cells[0]
-
-    @cached_property
-    def of_columns(self) -> ColumnFlags:
-        """What rooms read of columns."""
-        return self._cells[1]
 
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        floors, contents, bits = self.floors, self.contents, self.of_columns.bits
+        floors, contents, bits = self.floors, self.contents, self.cells[1].bits
         none = np.zeros(self.lattice.shape, dtype=np.bool_)
         blocked = [(none, none) for _ in floors.levels]
         if contents is not None:
@@ -260,8 +228,11 @@ class Stages:
             return find_rooms(self.room_flags, self.config.rooms, max_step)
 
     @cached_property
-    def _cells(self) -> tuple[CellFinder, ColumnFlags]:
-        """What is found in the cells once their floors are known, in one pass over the columns."""
+    def cells(self) -> tuple[CellFinder, ColumnFlags]:
+        """What finds the occupancy and contents of cells, and what rooms read of their columns.
+
+        Once the floors are known, one pass over the columns finds both.
+        """
         floors, columns, agent = self.floors, self._blocks, self.config.agent
         with self.clock.stage("occupancy"):
             finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
@@ -303,7 +274,8 @@ class Stages:
     @cached_property
     def room_table(self) -> list[Json]:
         """The table of rooms as a file states it, with the doors between them."""
-        closed = {door.id: (door.rooms, door.closed_cells) for door in self.doors.placed}
+        placed = self.doors.placed
+        closed = {door.candidate.id: (door.rooms, door.closed_cells) for door in placed}
         return [room.to_json() for room in self.rooms.with_doors(closed).table]
 
     @cached_property
@@ -317,28 +289,20 @@ class Stages:
         return tile_shapes(self.doorless.shapes, lattice, reach)
 
     def free_geometry(self) -> None:
-        """Give back the memory of the columns and of the listed geometry.
-
-        They are the largest of all values, and nothing needs them once the doors are settled. One
-        that is asked for again is found again.
-        """
-        names = "tiled", "judged_shapes", "judged_columns", "columns", "_extents", "_cells"
-        for name in (*names, "room_flags", "of_columns"):
+        """Give back the memory of columns and of listed geometry: the settled doors need none."""
+        geometry = "tiled", "judged_shapes", "judged_columns", "columns"
+        for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)
 
-    @contextmanager
-    def _errors_say_where(self) -> Iterator[None]:
-        """Add the scene's file and extent to a SceneError: often the unit or bounds are wrong."""
-        path, scene = self.config.scene.path, self.doorless
-        try:
-            yield
-        except SceneError as error:
-            if scene.bounds is None:
-                raise SceneError(f"{path}: {error}") from error
-            sides = zip("xyz", *scene.bounds.tolist(), strict=True)
-            spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
-            endless = scene.shapes.planes.geom
-            if len(endless):
-                spans += f" without {scene.geoms[endless[0]].name!r}, which is endless"
-                spans += ": `grid.margin` or `grid.bounds` shows more of it"
-            raise SceneError(f"{path}: {error}; the scene spans, in m, {spans}") from error
+
+def _describe_extent(scene: Scene) -> str:
+    """What is added to an error: often the scene's unit or the bounds are wrong."""
+    if scene.bounds is None:
+        return ""
+    sides = zip("xyz", *scene.bounds.tolist(), strict=True)
+    spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
+    endless = scene.shapes.planes.geom
+    if len(endless):
+        spans += f" without {scene.geoms[endless[0]].name!r}, which is endless"
+        spans += ": `grid.margin` or `grid.bounds` shows more of it"
+    return f"; the scene spans, in m, {spans}"

@@ -412,10 +412,14 @@ def with_nan(model):
         (
             lambda m: (m,),
             {"exclude": {"body": "base"}},
-            "unknown key `body`.*did you mean 'bodies'",
+            "unknown key `body`, the nearest known one is `bodies`, in `exclude`",
         ),
         (lambda m: (m,), {"exclude": ["base"]}, "expected `exclude` as .* got list"),
-        (lambda m: (m,), {"exclude": {"movable": "yes"}}, "true or false as `exclude.movable`"),
+        (
+            lambda m: (m,),
+            {"exclude": {"movable": "yes"}},
+            'true or false, got "yes" at `movable` in `exclude`',
+        ),
         (lambda m: (m, mujoco.MjData(m)), {"scene": {"keyframe": 0}}, "by a data, got both"),
         (lambda m: (m,), {"scene": {"ground": 0.0}}, "`scene.ground` can't be added to <scene>"),
         (lambda m: (m,), {"isolate": True}, "`isolate` is for scene files"),

@@ -91,7 +91,6 @@ def test_a_bake_is_its_stages(name):
     result, stages = run_bake(config), bake_stages(CONFIGS / f"{name}.yaml")
     assert list(result.timings) == STAGES
     assert list(result.grid.timings) == ["createMillis", *(f"{stage}Millis" for stage in STAGES)]
-    assert (result.by_ray, result.by_fcl) == (stages.occupancy.by_ray, stages.occupancy.by_fcl)
     assert [level.ground for level in result.grid.levels] == [
         written_ground(level) for level in stages.floors.levels
     ]
@@ -113,7 +112,7 @@ def test_geometry_is_given_back_before_the_grid_is_made(tmp_path, monkeypatch):
     run_bake(stages.config)
     assert "floors" in kept
     # the grid needs none of them
-    assert not {"tiled", "judged_columns", "columns", "_cells"} & {*kept, *vars(stages)}
+    assert not {"tiled", "judged_columns", "columns", "cells"} & {*kept, *vars(stages)}
     assert isinstance(stages.columns, Columns)
 
 

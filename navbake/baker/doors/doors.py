@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -41,49 +40,35 @@ WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "w
 
 
 @dataclass(frozen=True)
-class PlacedDoor:
-    """A door on the whole lattice.
+class Placing:
+    """What a candidate turned out to be on the whole lattice.
 
     Attributes:
-        id, joint: as of its candidate.
+        box: round all of its states, shape (2, 3) [m]; None if it has no geometry.
+        is_part: whether it is a part of the scene: it stands on the lattice and joins no two rooms.
         rooms: the ids of the rooms on its two sides, None for the outside.
         cells: by state, for each level the cells that the door blocks and nothing else does,
-            ascending.
-        closed_cells: for each level, the cells that the closed door blocks, whatever else does.
+            ascending; empty where the candidate is no door.
         solid: as `cells`, of the cells whose squares the door meets and nothing else does; empty
             where the footprint is the square.
+        closed_cells: for each level, the cells that the closed door blocks, whatever else does.
         travel: by how much its joint opens it, with the unit; empty for no joint.
         carried: a warning of the floor that it carries; empty for none.
     """
 
-    id: str
-    joint: str | None
-    rooms: RoomIds
-    cells: dict[str, list[Int]]
-    closed_cells: list[Int]
+    candidate: DoorCandidate
+    box: Float | None
+    is_part: bool = False
+    rooms: RoomIds = (None, None)
+    cells: dict[str, list[Int]] = field(default_factory=dict)
     solid: dict[str, list[Int]] = field(default_factory=dict)
+    closed_cells: Sequence[Int] = ()
     travel: str = ""
     carried: str = ""
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
-
-
-class Placing(NamedTuple):
-    """What a candidate turned out to be.
-
-    Attributes:
-        candidate: the candidate.
-        door: None where it is no door.
-        is_part: whether it is a part of the scene: it stands on the lattice and joins no two rooms.
-        box: round all of its states, shape (2, 3) [m]; None if it has no geometry.
-    """
-
-    candidate: DoorCandidate
-    door: PlacedDoor | None
-    is_part: bool
-    box: Float | None
 
     def depends_on(self, cells: Int, around: Surroundings) -> bool:
         """Whether it may be another one where something changed in some cells."""
@@ -101,9 +86,9 @@ class Doors:
     wanted: str
 
     @property
-    def placed(self) -> list[PlacedDoor]:
-        """The doors."""
-        return [one.door for one in self.placings if one.door]
+    def placed(self) -> list[Placing]:
+        """The candidates that are doors."""
+        return [one for one in self.placings if one.cells]
 
     @property
     def rejected(self) -> list[DoorCandidate]:
@@ -113,24 +98,23 @@ class Doors:
     @property
     def warnings(self) -> list[str]:
         """What the user should know, one line each: of doors that open nothing, or carry floor."""
-        warnings = []
+        stuck, fixed = list[str](), list[str]()
         for door in self.placed:
-            if "open" in door.cells:
-                pairs = zip(door.cells["closed"], door.cells["open"], strict=True)
-                both = sum(len(np.intersect1d(closed, opened)) for closed, opened in pairs)
-                if both and both >= STUCK * sum(map(len, door.cells["closed"])):
-                    warnings.append(
-                        f"the open state of door {door.id!r} still closes its doorway, as its "
-                        f"joint opens it by {door.travel} only: check its range, whether the file "
-                        "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
-                    )
-        warnings += [
-            f"door {door.id!r} can't be {self.wanted}, as it has no hinge or slide of its own: it "
-            "stays as modelled"
-            for door in self.placed
-            if door.state(self.wanted) != self.wanted
-        ]
-        return warnings + [door.carried for door in self.placed if door.carried]
+            name, closed = door.candidate.id, door.cells["closed"]
+            pairs = zip(closed, door.cells.get("open", closed), strict=True)
+            both = sum(len(np.intersect1d(*pair)) for pair in pairs)
+            if "open" in door.cells and both and both >= STUCK * sum(map(len, closed)):
+                stuck.append(
+                    f"the open state of door {name!r} still closes its doorway, as its "
+                    f"joint opens it by {door.travel} only: check its range, whether the file "
+                    "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
+                )
+            if door.state(self.wanted) != self.wanted:
+                fixed.append(
+                    f"door {name!r} can't be {self.wanted}, as it has no hinge or slide of its "
+                    "own: it stays as modelled"
+                )
+        return stuck + fixed + [door.carried for door in self.placed if door.carried]
 
 
 @dataclass(frozen=True)
@@ -190,7 +174,7 @@ def _place_door(
     if rooms is None and not candidate.named:
         bounds, reach = own["modelled"].bounds, around.footprint.reach
         is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
-        return Placing(candidate, None, is_part, box)
+        return Placing(candidate, box, is_part)
 
     def only_free(number: int, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
         """By state and level, the cells that nothing else occupies."""
@@ -204,13 +188,9 @@ def _place_door(
         by = abs(candidate.positions["open"] - candidate.positions["closed"])
         is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
         travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-    names, sides = (candidate.id, candidate.joint), rooms or (None, None)
     carried = _warn_walkable(candidate, own, extents, around)
-    door = PlacedDoor(*names, sides, cells, closed, solid, travel, carried)
-    return Placing(candidate, door, False, box)
-
-
-# ---------------------------------------------------------------- what a door blocks
+    found = cells, solid, closed, travel, carried
+    return Placing(candidate, box, False, rooms or (None, None), *found)
 
 
 def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
@@ -235,9 +215,6 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], lis
         blocked.append(ids[answers.occupied])
         solid.append(ids[answers.solid])
     return blocked, solid
-
-
-# ---------------------------------------------------------------- what a door joins
 
 
 def _rooms_beside(
@@ -292,9 +269,6 @@ def _room_in_sight(
                 seen = room
         votes[seen] += 1
     return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
-
-
-# ---------------------------------------------------------------- what one could walk on
 
 
 def _warn_walkable(

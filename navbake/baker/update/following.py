@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
@@ -17,11 +17,11 @@ from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
-from navbake.baker.scene.shapes import Shapes, Solids, Triangles
+from navbake.baker.scene.shapes import Items, Shapes
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float
 
 
 class FullBake(Exception):
@@ -36,21 +36,13 @@ CHOOSING = (
 
 
 class Moved(NamedTuple):
-    """What is different in a scene.
+    """What is different in a scene; geoms are marked, shape (ngeom,)."""
 
-    Attributes:
-        scene: as it is now.
-        geoms: those that count now or did, and whose geometry differs, shape (ngeom,), bool.
-        shapes: their geometry, as it was and as it is.
-        every: all geoms that moved, whether they count or not, shape (ngeom,), bool.
-        digest: gives the scene's digest, which it does not have yet.
-    """
-
-    scene: Scene
-    geoms: Bool
-    shapes: tuple[Shapes, Shapes]
-    every: Bool
-    digest: Callable[[], str]
+    scene: Scene  # as it is now
+    geoms: Bool  # those that count now or did, and whose geometry differs
+    shapes: tuple[Shapes, Shapes]  # their geometry, as it was and as it is
+    every: Bool  # all that moved, whether they count or not
+    digest: Callable[[], str]  # returns the scene's digest, which it does not have yet
 
 
 class FollowedScene:
@@ -67,11 +59,7 @@ class FollowedScene:
         self.scene, self._poses = scene, _poses_of(scene.data)
 
     def pose(self, data: Any) -> Moved:
-        """Find what moved in a pose, a mujoco.MjData of the model with all geoms placed.
-
-        Raises:
-            SceneError: a geom that counts stands at no finite place.
-        """
+        """Find what moved in a pose, a mujoco.MjData of the model with all geoms placed."""
         was, model = self.scene, self.scene.model
         moved = (_poses_of(data) != self._poses).any(axis=1)
         pairs = zip(self._chosen, CHOOSING, strict=True)
@@ -109,23 +97,18 @@ def _poses_of(data: Any) -> Float:
 
 def _with(shapes: Shapes, new: Shapes, changed: Bool) -> Shapes:
     """The shapes with new ones in place of those of the geoms that are marked."""
-    solids, planes, triangles = shapes.solids, shapes.planes, shapes.triangles
-    at = np.searchsorted(solids.geom, new.solids.geom)
-    solids = Solids(*(_put(old, at, now) for old, now in zip(solids, new.solids, strict=True)))
-    at = np.searchsorted(planes.geom, new.planes.geom)
-    pos, mat = _put(planes.pos, at, new.planes.pos), _put(planes.mat, at, new.planes.mat)
-    at = np.flatnonzero(changed[triangles.geom])
-    pairs = zip(triangles, new.triangles, strict=True)
-    triangles = Triangles(*(_put(old, at, now) for old, now in pairs))
-    return Shapes(solids, planes._replace(pos=pos, mat=mat), triangles, shapes.endless)
 
+    def put(old: Items, now: Items) -> Items:
+        at = np.flatnonzero(changed[old.geom])
+        if not len(at):
+            return old
+        arrays: list[NDArray[Any]] = [array.copy() for array in old]
+        for array, values in zip(arrays, now, strict=True):
+            array[at] = values
+        return type(old)._make(arrays)
 
-def _put(old: Any, at: Int, new: Any) -> Any:
-    if not len(at):
-        return old
-    copy = old.copy()
-    copy[at] = new
-    return copy
+    solids, planes = put(shapes.solids, new.solids), put(shapes.planes, new.planes)
+    return Shapes(solids, planes, put(shapes.triangles, new.triangles), shapes.endless)
 
 
 def boxes_of(shapes: Shapes) -> Float:
@@ -162,11 +145,7 @@ class FollowedDoors:
         return np.hstack([*turns, position[:, None]])
 
     def pose(self, scene: Scene, moved: Bool) -> dict[str, DoorCandidate]:
-        """The candidates that differ now, by their ids; FullBake where they are not the same.
-
-        Args:
-            moved: which geoms did, shape (ngeom,), whether they count or not.
-        """
+        """The candidates that differ now, by their ids; FullBake where they are not the same."""
         turns, was = self._turns_of(scene), self._candidates
         is_other = (turns != self._turns).any(axis=1)
         if not is_other.any() and not (moved & self._geoms).any():
@@ -226,7 +205,7 @@ class Poses:
 
     def copy(self) -> tuple[Float, Float, Float]:
         """The joint positions of now, the mocap bodies' positions, and their quaternions."""
-        qpos, position, quaternion = (part.copy() for part in self._kept)
+        qpos, position, quaternion = map(np.copy, self._kept)
         return qpos, position, quaternion
 
     def keep(self) -> None:
@@ -274,15 +253,13 @@ class Poses:
         pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
 
     def _check_finite(self, pose: Any) -> None:
-        if all(np.isfinite(part).all() for part in _pose_of(pose)):
-            return
-        bad = np.flatnonzero(~np.isfinite(pose.qpos))
-        what = "a mocap body"
-        if len(bad):
-            joint = int(np.searchsorted(self._model.jnt_qposadr, bad[0], side="right")) - 1
-            body = int(self._model.jnt_bodyid[joint])
-            what = f"body {body_name(self._model, body)!r}"
-        raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
+        model, wrong = self._model, np.flatnonzero(~np.isfinite(pose.qpos))
+        joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
+        mocap = np.isfinite(np.hstack([pose.mocap_pos, pose.mocap_quat])).all(axis=1)
+        placed = np.isin(model.body_mocapid, np.flatnonzero(~mocap))
+        for body in (*model.jnt_bodyid[joints], *np.flatnonzero(placed)):
+            what = f"body {body_name(model, int(body))!r}"
+            raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
 def _pose_of(data: Any) -> tuple[Float, ...]:
@@ -291,9 +268,6 @@ def _pose_of(data: Any) -> tuple[Float, ...]:
 
 def _numbers(given: ArrayLike, what: str) -> Float:
     try:
-        numbers = np.asarray(given, dtype=np.float64)
+        return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise QueryError(f"expected numbers as the pose of {what}, got {given!r}") from error
-    if not np.isfinite(numbers).all():
-        raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
-    return numbers

@@ -88,44 +88,31 @@ class KeptColumns:
 
 
 class LiveStages:
-    """The stages of a scene with the same bodies taken for doors, kept up to date.
-
-    Attributes:
-        stages: as they are now.
-    """
+    """The `stages` of a scene with the same bodies taken for doors, kept up to date."""
 
     def __init__(self, stages: Stages) -> None:
         self._finder: FloorFinder
         stages.floors, self._finder = stages.judge_floors()
-        self._is_whole, self._blocks = stages.judged[0] == stages.lattice, Blocks(stages.lattice)
-        few = stages.lattice.width * stages.lattice.height <= column_blocks.KEPT_CELLS
-        is_kept = self._is_whole and few
+        lattice = stages.lattice
+        self._is_whole, self._blocks = stages.judged[0] == lattice, Blocks(lattice)
+        is_kept = self._is_whole and lattice.width * lattice.height <= column_blocks.KEPT_CELLS
         self._kept = KeptColumns(stages.columns) if is_kept else None
         self._take_over(stages)
 
     def _take_over(self, stages: Stages) -> None:
         """Find all stages after the floors, and keep what updates need of them."""
         _ = stages.contents
-        self._cells = stages.finder
         self._markers = find_markers(stages.scene, stages.config.rooms)
-        self._of_columns, self._heights = stages.of_columns, stages.tiled.heights
+        self._cells, self._heights = stages.cells, stages.tiled.heights
         self._room_flags: RoomFlags | None = stages.room_flags
         _ = stages.doors
-        self._keep(stages)
-
-    def _keep(self, stages: Stages) -> None:
         stages.free_geometry()
         self.stages = stages
 
     def follow(self, moved: Moved, differ: Mapping[str, DoorCandidate]) -> str:
-        """Bring all up to date.
+        """Bring all up to date; `differ` has the candidates that differ now, by their ids.
 
-        Args:
-            moved: the scene as it is now, and what moved of the geoms that count.
-            differ: the candidates for doors that differ now, by their ids.
-
-        Returns:
-            Why all that follows on the floors was found anew; empty where it was not.
+        Returns why all that follows on the floors was found anew; empty where it was not.
 
         Raises:
             FullBake: all is to be found anew. Nothing here is to be used any more.
@@ -167,7 +154,7 @@ class LiveStages:
             else:
                 self._room_flags = None  # its floors were written to
         if not flags_hold or self._room_flags is None:
-            now.of_columns = self._of_columns
+            now.cells = self._cells
             flags, self._room_flags = self._room_flags, now.room_flags
             flags_hold = flags is not None and now.room_flags.equal(flags)
         if flags_hold:
@@ -177,7 +164,8 @@ class LiveStages:
             raise FullBake("all that looks like a door is one now")
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
-        self._keep(now)
+        now.free_geometry()
+        self.stages = now
         return ""
 
     def _check(self, now: Stages, near: Int) -> None:
@@ -196,10 +184,7 @@ class LiveStages:
             now.judged_columns = self._kept
 
     def _cast(self, now: Stages, near: Int) -> bool:
-        """Cast the columns of some cells again; whether the surfaces that mark rooms are the same.
-
-        That is not known where columns aren't kept.
-        """
+        """Cast columns again; whether the surfaces that mark rooms are known to be the same."""
         config, marks = now.config, self._markers[0]
         found = cast_at(now.tiled, config.agent, config.floors.crack, near)
         crossings = take_columns(found.crossings, near)
@@ -226,16 +211,16 @@ class LiveStages:
         return "", finder.changed
 
     def _ask_cells(self, now: Stages, own: Bool, near: Int, changed: Int) -> tuple[Int, bool]:
-        """Find occupancy and contents again near what moved, and where the floor has changed.
+        """Look again at cells near what moved, and where the floor changed.
 
-        Returns these cells, and whether rooms read the same there as before.
+        Returns these, and whether rooms read the same there as before.
         """
         touched = np.union1d(near, changed)
-        columns, cells, was = now.judged_columns.at(touched), self._cells, now.contents
-        crossings = take_columns(columns.crossings, touched)
-        holds = not self._of_columns.look(touched, crossings, now.floors.levels)
-        cells.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
-        now.occupancy, now.contents = cells.occupancy, cells.found(now.config.names)
+        columns, (finder, of_columns) = now.judged_columns.at(touched), self._cells
+        crossings, was = take_columns(columns.crossings, touched), now.contents
+        holds = not of_columns.look(touched, crossings, now.floors.levels)
+        finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
+        now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
         return touched, holds

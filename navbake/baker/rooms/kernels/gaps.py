@@ -286,7 +286,7 @@ def _measure_line(scan, gaps, k, line, whole, met):
 
 @kernel(nogil=True)
 def sweep_columns(target, far, along, col0, end):
-    """Put into `along` the distances to a target within columns ``range(col0, end)``, up to `far`."""
+    """Put into `along` distances to a target within columns ``range(col0, end)``, up to `far`."""
     target, along = target[:, col0:end], along[:, col0:end]  # loops from 0 vectorize
     rows, cols = target.shape
     for col in range(cols):
