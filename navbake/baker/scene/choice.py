@@ -1,8 +1,8 @@
 """Which geoms of a model count, by the settings, and why. Does not import mujoco."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,15 +13,13 @@ from navbake.types import Bool, Float
 
 DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 
-MeshMode = Literal["hull", "surface", "shell"]
-
 
 class Choice(NamedTuple):
     """What becomes of one geom."""
 
     counted: bool  # whether it takes part in the bake
     reason: str
-    mesh: MeshMode  # as what, if it is a mesh; a shell encloses nothing
+    mesh: str  # as what, if it is a mesh: hull, surface (or auto), or shell, which encloses nothing
 
 
 def choose_geoms(
@@ -49,18 +47,23 @@ def choose_geoms(
     rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
     if ground is not None:
         rules[ground] = (True, "added by `scene.ground`")
-    modes, unused = _mesh_modes(settings, names, model.geom_type)
+    modes: list[str] = [settings.meshes] * len(names) if isinstance(settings.meshes, str) else []
+    if isinstance(settings.meshes, dict):
+        by_pattern = settings.meshes
+        modes = [
+            next((mode for p, mode in by_pattern.items() if _matches(p, name)), "auto")
+            for name in names
+        ]
+        of_meshes = np.flatnonzero(np.isin(model.geom_type, (MESH, SDF)))
+        known = [text for geom in of_meshes for text in names[geom]]
+        notes += _unused("scene.meshes", by_pattern, known, "no mesh")
     opened = []
     # MuJoCo collides meshes by their hull, but not signed distance fields
     for geom in np.flatnonzero(collides & (model.geom_type == MESH)).tolist():
         if modes[geom] == "auto" and rules[geom][0]:
             modes[geom] = "surface" if hides_room(geom) else "hull"
             opened += [names[geom].geom] if modes[geom] == "surface" else []
-    taken: dict[str, MeshMode] = {"hull": "hull", "shell": "shell"}
-    choices = [
-        Choice(*rule, taken.get(mode, "surface")) for rule, mode in zip(rules, modes, strict=True)
-    ]
-    notes += unused
+    choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
     if opened:
         more = f", and {len(opened) - 1} more" if opened[1:] else ""
         notes.append(
@@ -87,10 +90,9 @@ def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tu
     alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
     groups, bodies = model.geom_group.tolist(), model.geom_bodyid.tolist()
     drawn = (alpha > 0) & (model.geom_group < DRAWN_GROUPS)
-    visuals: dict[int, set[int]] = {0: set()}  # the world's own geoms stand for themselves
-    for visual in np.flatnonzero(drawn & ~collides).tolist():
-        if bodies[visual]:
-            visuals.setdefault(bodies[visual], set()).add(groups[visual])
+    visuals: dict[int, set[int]] = {}
+    for visual in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
+        visuals.setdefault(bodies[visual], set()).add(groups[visual])
     rule = []
     for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
         if group >= DRAWN_GROUPS:
@@ -128,22 +130,6 @@ def _find_excluded(
         reasons[geom] = f"excluded: matches {pattern!r}" if pattern else reasons[geom]
     notes = _unused("scene.exclude.bodies", exclude.bodies, bodies[1:])
     return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
-
-
-def _mesh_modes(
-    settings: SceneSettings, names: list[GeomNames], types: Any
-) -> tuple[list[str], list[str]]:
-    """The mesh mode that is set for each geom; and patterns that match no mesh."""
-    if not isinstance(settings.meshes, dict):
-        return [settings.meshes] * len(names), []
-    by_pattern: Mapping[str, str] = settings.meshes
-    modes = [
-        next((mode for p, mode in by_pattern.items() if _matches(p, name)), "auto")
-        for name in names
-    ]
-    of_meshes = [names[geom] for geom in np.flatnonzero(np.isin(types, (MESH, SDF)))]
-    known = [text for name in of_meshes for text in name]
-    return modes, _unused("scene.meshes", by_pattern, known, "no mesh")
 
 
 def _matches(pattern: str, names: Iterable[str]) -> bool:

@@ -87,11 +87,11 @@ def count_mesh(
 
 
 class Collected(NamedTuple):
-    """The geometry of geoms, world frame."""
+    """The geometry of geoms, world frame; their `GeomReport.shape`; and notes for the user."""
 
     shapes: Shapes
-    kinds: dict[int, str]  # their `GeomReport.shape`
-    notes: list[str]  # what the user should know
+    kinds: dict[int, str]
+    notes: list[str]
 
 
 def collect_shapes(
@@ -105,9 +105,6 @@ def collect_shapes(
     """Gather the geometry of the geoms that count, of all or of some ids, ascending.
 
     Exact meshes by geom id are in the world's frame, and none of the model's.
-
-    Raises:
-        SceneError: a geom that counts stands at no finite place, or is broken.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
@@ -199,9 +196,6 @@ def _height_field(model: Any, hfield: int) -> Float:
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
     """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame.
 
-    The hull that MuJoCo collides with may have fewer vertices than the mesh's own (`maxhullvert`),
-    and finding it anew would load scipy.
-
     Source: `mesh_graph` of MuJoCo's mjModel: the numbers v of vertices and m of faces, two lists
     of v, one of v + 3 m, and the faces' vertices, 3 m.
     """
@@ -213,7 +207,7 @@ def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
     address = int(model.mesh_graphadr[mesh])
     if address >= 0:
         num_vertices, num_faces = (int(n) for n in model.mesh_graph[address : address + 2])
-        first = address + 2 + 3 * num_vertices + 3 * num_faces
+        first = address + 2 + 3 * (num_vertices + num_faces)
         corners = np.asarray(model.mesh_graph[first : first + 3 * num_faces])
         if len(corners) != 3 * num_faces:
             raise SceneError(f"mesh {name!r} is broken: its hull's faces are missing")

@@ -57,7 +57,10 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         length = np.hypot(way[:, 0], way[:, 1])
         way = np.where(length[:, None] > 1e-6, way / np.maximum(length, 1e-6)[:, None], [1.0, 0.0])
         turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-        one, other = _support(solids, way), _support(solids, turned)
+        one, other = (
+            find_reach(solids.kind, np.einsum("nij,ni->nj", axes[:, :2], along), solids.size)
+            for along in (way, turned)
+        )
         area = one * other
         smaller = area < best * (1 - 1e-9)  # rounding alone never picks another axis
         best[smaller] = area[smaller]
@@ -68,12 +71,6 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         out.long[geom] = 2 * np.maximum(one, other)[smaller]
     out.center[solids.geom] = solids.pos[:, :2]
     out.low[solids.geom], out.high[solids.geom] = solids.bounds[:, 2], solids.bounds[:, 5]
-
-
-def _support(solids: Solids, way: Float) -> Float:
-    """How far solids reach from their centres along horizontal unit vectors [m]."""
-    in_frame = np.einsum("nij,ni->nj", solids.mat.reshape(-1, 3, 3)[:, :2], way)
-    return find_reach(solids.kind, in_frame, solids.size)
 
 
 def _measure_triangles(geom: Int32, corners: Float, out: Extents) -> None:

@@ -10,9 +10,8 @@ import numpy as np
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.floors.sheets import is_large
 from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
-from navbake.baker.scene.choice import Choice, MeshMode
+from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.collect import MeshTriangles, collect_shapes
-from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool
@@ -64,8 +63,12 @@ class HiddenRoom:
         return left[0] * left[1] >= self._floors.min_area - SLACK
 
     def _look(self, geom: int) -> bool:
-        hull = self._shapes(geom, "hull")
-        bounds = hull.bounds
+        chosen = [{geom: Choice(True, "", mode)} for mode in ("surface", "hull")]
+        shapes = [
+            collect_shapes(self._model, self._data, one, {}, one, self._meshes).shapes
+            for one in chosen
+        ]
+        bounds = shapes[1].bounds
         if bounds is None or not np.isfinite(bounds).all():
             return False
         x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
@@ -75,16 +78,10 @@ class HiddenRoom:
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
         in_mesh, in_hull = (
-            cast_columns(tile_shapes(shapes, lattice, spacing / 2))
-            for shapes in (self._shapes(geom, "surface"), hull)
+            cast_columns(tile_shapes(each, lattice, spacing / 2)) for each in shapes
         )
         has_room = _find_room(in_mesh, in_hull, self._agent.height)
         return is_large(lattice, self._floors, has_room)
-
-    def _shapes(self, geom: int, mode: MeshMode) -> Shapes:
-        """The triangles of a mesh, counted as a mode says."""
-        counted = {geom: Choice(True, "", mode)}
-        return collect_shapes(self._model, self._data, counted, {}, counted, self._meshes).shapes
 
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:

@@ -1,8 +1,7 @@
 """Lets MuJoCo compile a scene in a process of its own, with limits of time and memory.
 
-MuJoCo's compiler is C++: what crashes it ends its process, and what keeps it busy can't be stopped
-from Python. In a child process both are an error like any other. The compiled model comes back as
-a file (MJB), which holds every bit of it.
+What crashes MuJoCo's compiler ends its process, and what keeps it busy can't be stopped from
+Python. In a child process both are an error like any other. The model comes back as a file (MJB).
 """
 
 from __future__ import annotations
@@ -44,11 +43,7 @@ class CompileLimits(NamedTuple):
 
 
 def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list[str]) -> OpenScene:
-    """`load_model` in a child process.
-
-    Raises:
-        SceneError: MuJoCo crashed, or took more time or memory than it may; or as `load_model`.
-    """
+    """`load_model` in a child process."""
     scene = Path(settings.path)
     with scratch_folder() as place:
         (place / JOB).write_bytes(pickle.dumps((settings, limits)))

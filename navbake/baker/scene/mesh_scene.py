@@ -12,7 +12,7 @@ import re
 import struct
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,11 +33,9 @@ trimesh = lazy("trimesh")
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
-# A turn of y-up coordinates into the world's z-up: (x, y, z) -> (x, -z, y), nothing mirrored.
-Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # nothing mirrored
 NO_AREA = 5e-15  # of triangles that are no larger [m²]
-# MuJoCo takes no coordinates beyond (its mjMAXVAL) [m]
-MAX_COORDINATE = 1e10
+MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
 # Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
 # is to be taken for one that lies on its side
 LYING = 1.5
@@ -56,16 +54,11 @@ class MeshPart(NamedTuple):
 
 
 def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
-    """Read a mesh file as named parts in the world frame.
+    """Read a mesh file as named parts in the world frame: its objects, groups, solids and nodes.
 
-    Every object, group, solid and node of the file is read. A DAE's own ``<unit meter>`` is
-    applied first, then `unit`, then `up`. What the file says of its vertical axis counts for
-    nothing, as files are wrong about it too often. Triangles without area, unused vertices and
-    parts without triangles are dropped.
-
-    Raises:
-        SceneError: the file can't be read as a mesh or holds no triangle; a coordinate is no
-            number, or beyond 1e10 m.
+    A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`. What the file says of
+    its vertical axis counts for nothing, as files are wrong about it too often. Triangles without
+    area, unused vertices and parts without triangles are dropped.
     """
     try:
         found = _read_parts(path)
@@ -85,8 +78,7 @@ def is_mesh_scene(scene: Any) -> bool:
 def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
     """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_mesh_parts` a file.
 
-    Parts are named by the scene graph's nodes, or by the stem of the path, which errors name. What
-    the scene says of its unit counts for nothing, as `unit` decides.
+    Parts are named by the scene graph's nodes, or by the stem of the path, which errors name.
     """
     with _silence():
         whole = scene if isinstance(scene, trimesh.Scene) else trimesh.Scene(scene)
@@ -100,16 +92,21 @@ def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) ->
     return _to_world(own, path, up, unit)
 
 
-def lies_on_side(parts: Iterable[MeshPart]) -> bool:
+def box_of(parts: Collection[MeshPart]) -> Float:
+    """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
+    # axis by axis: numpy takes ten times as long along the rows of a narrow array
+    axes = [[part.vertices[:, axis] for part in parts] for axis in range(3)]
+    ends = [(min(a.min() for a in axis), max(a.max() for a in axis)) for axis in axes]
+    return np.array(ends).T
+
+
+def lies_on_side(parts: Collection[MeshPart]) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
     It does where its box is lowest along y, and the surface within 45° of facing along y has
     `LYING` times the area of that facing along z, as floors and ceilings have of walls.
     """
-    parts = list(parts)
-    # axis by axis: numpy takes ten times as long along the rows of a narrow array
-    low = [min(part.vertices[:, axis].min() for part in parts) for axis in range(3)]
-    high = [max(part.vertices[:, axis].max() for part in parts) for axis in range(3)]
+    low, high = box_of(parts)
     width, depth, height = np.subtract(high, low)
     if not depth < min(width, height):
         return False
@@ -130,23 +127,31 @@ def _read_parts(path: Path) -> list[MeshPart]:
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
     data = PREPARE[suffix](path) if suffix in PREPARE else b""
-    plain = read_plain(data, suffix)
-    if plain is not None:
+    if (plain := read_plain(data, suffix)) is not None:
         return [MeshPart("", *plain)]
     source: Any = io.BytesIO(data) if suffix in PREPARE else path
     options = OPTIONS.get(suffix, {})
     try:
         with _silence():
-            loaded = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
-            parts = _parts_of(loaded)
+            parts = _parts_of(
+                trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
+            )
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise SceneError(
             f"cannot read the mesh {path}, it is broken or cut off: {reason}"
         ) from error
-    if suffix == ".ply":
-        num_vertices = sum(len(part.vertices) for part in parts)
-        check_ply(path, data, num_vertices, sum(len(part.faces) for part in parts))
+    if suffix == ".ply":  # of one that is cut off, trimesh finds fewer than its header says
+        header = data[:MOST_HEADER].partition(b"end_header")[0]
+        for name, count in (
+            ("vertex", sum(len(part.vertices) for part in parts)),
+            ("face", sum(len(part.faces) for part in parts)),
+        ):
+            said = re.search(rf"element {name} (\d+)".encode(), header)
+            if said and int(said[1]) > count:
+                raise SceneError(
+                    f"{path} is cut off: expected {int(said[1])} {name} elements, got {count}"
+                )
     return parts
 
 
@@ -257,11 +262,7 @@ MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
 
 
 def prepare_obj(path: Path) -> bytes:
-    """An OBJ's text as trimesh reads it rightly: UTF-8, no indents, absolute indices.
-
-    trimesh counts relative indices from the end of the file, not from where they stand, and
-    passes over lines that are indented.
-    """
+    """An OBJ's text as trimesh reads it rightly: UTF-8, no indents, absolute indices."""
     text = _as_utf8(path.read_bytes()).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     text = text.replace(b"\\\n", b" ")
     if re.search(rb"(?m)^(?:[ \t]+[vf]|[vf]\t)", text):
@@ -287,10 +288,8 @@ def prepare_stl(path: Path) -> bytes:
     """An STL's bytes; refuses one that is cut off, or neither text nor binary."""
     data = path.read_bytes()
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in (words := data.lower()):
-        num_solids, num_ends = (
-            len(re.findall(rb"(?m)^\s*" + word, words)) for word in (b"solid", b"endsolid")
-        )
-        if num_ends < num_solids:
+        starts, ends = (re.findall(rb"(?m)^\s*%ssolid" % end, words) for end in (b"", b"end"))
+        if len(ends) < len(starts):
             raise SceneError(f"{path} is cut off: its last solid has no end")
         return _as_utf8(data)
     count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
@@ -307,17 +306,6 @@ def prepare_ply(path: Path) -> bytes:
     """A PLY's bytes, as UTF-8 if it is text."""
     data = path.read_bytes()
     return _as_utf8(data) if b"format ascii" in data[:200] else data
-
-
-def check_ply(path: Path, data: bytes, num_vertices: int, num_faces: int) -> None:
-    """Refuse a PLY of which trimesh found fewer vertices or triangles than its header says."""
-    header = data[:MOST_HEADER].partition(b"end_header")[0]
-    for name, found in ((b"vertex", num_vertices), (b"face", num_faces)):
-        said = re.search(rb"element %s (\d+)" % name, header)
-        if said and int(said[1]) > found:
-            raise SceneError(
-                f"{path} is cut off: expected {int(said[1])} {name.decode()} elements, got {found}"
-            )
 
 
 def _as_utf8(data: bytes) -> bytes:
@@ -340,10 +328,7 @@ PLY_HEADER = re.compile(
 
 
 def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary PLY or STL that holds nothing but these.
-
-    None where the file is anything else or broken: trimesh knows more, and says what is wrong.
-    """
+    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None."""
     if suffix == ".ply":
         return _read_plain_ply(data)
     count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
@@ -442,8 +427,8 @@ def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[
     for uri in (buffer.get("uri") for buffer in header.get("buffers", [])):
         if uri is None or uri.startswith("data:"):
             continue
-        files = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
-        there = [file for file in files if os.path.exists(file)]
+        there = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
+        there = [file for file in there if os.path.exists(file)]
         if not there:
             yield f"its buffer {uri[:80]!r} is missing"
         # a device would never end

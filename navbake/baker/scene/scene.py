@@ -13,7 +13,7 @@ from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.isolated import CompileLimits, load_isolated
-from navbake.baker.scene.mesh_scene import MeshPart, lies_on_side
+from navbake.baker.scene.mesh_scene import MeshPart, box_of, lies_on_side
 from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
@@ -24,11 +24,8 @@ from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
 from navbake.types import Float
 
-# Arrays of more bytes than this are hashed where they are
-LARGE_ARRAY = 1 << 20
-# A mesh that is higher is probably not in metres: few buildings are as high, and one storey in
-# centimetres or millimetres has more units than that [m]
-HIGH_MESH = 100.0
+LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
+HIGH_MESH = 100.0  # a mesh that is higher is probably not in metres [m]
 
 
 @dataclass(frozen=True)
@@ -79,10 +76,6 @@ def load_scene(
 
     Agent and floors are for `scene.meshes: auto`, which looks for room in the hulls of meshes.
     With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
-
-    Raises:
-        SceneError: the file is missing or broken, or holds no geom that counts.
-        ConfigError: the settings ask for a keyframe or joint that isn't there.
     """
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
@@ -123,7 +116,7 @@ def load_scene(
 
 
 def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> OpenScene:
-    """The model of the file that the settings name; raises as `load_scene`."""
+    """The model of the file that the settings name."""
     with catch_warnings() as warned:
         if limits is None:
             return load_model(settings, warned)
@@ -156,8 +149,7 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
         given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
         text = "is for mesh files and does nothing here"
         return [*notes, *(f"`scene.{name}` {text}" for name, is_given in given.items() if is_given)]
-    low = min(float(part.vertices[:, 2].min()) for part in parts.values())
-    high = max(float(part.vertices[:, 2].max()) for part in parts.values())
+    low, high = box_of(parts.values())[:, 2].tolist()
     if high - low > HIGH_MESH and "unit" not in settings.model_fields_set:
         notes.append(
             f"the mesh is {high - low:.6g} m high: if it is in centimetres, set `scene.unit` to "

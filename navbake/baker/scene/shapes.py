@@ -140,15 +140,14 @@ def height_field_triangles(heights: Float, size: Float) -> Float:
     base = np.stack([x, y, np.full_like(x, -size[3])], axis=-1)
     a, b, c, d = top[:-1, :-1], top[:-1, 1:], top[1:, 1:], top[1:, :-1]
     parts = [np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]
-    border_top = [top[0], top[:, -1], top[-1, ::-1], top[::-1, 0]]
-    border_base = [base[0], base[:, -1], base[-1, ::-1], base[::-1, 0]]
-    for upper, lower in zip(border_top, border_base, strict=True):
-        parts.append(np.stack([lower[:-1], lower[1:], upper[1:]], axis=-2))
-        parts.append(np.stack([lower[:-1], upper[1:], upper[:-1]], axis=-2))
+    upper, lower = (
+        np.concatenate([z[0, :-1], z[:-1, -1], z[-1, :0:-1], z[:0:-1, 0]]) for z in (top, base)
+    )
+    beside, under = np.roll(upper, -1, axis=0), np.roll(lower, -1, axis=0)
     # the bottom is fanned over the same border points, so that every edge is met from both sides
-    ring = np.concatenate([line[:-1] for line in border_base])
-    middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, ring.shape)
-    parts.append(np.stack([middle, np.roll(ring, -1, axis=0), ring], axis=-2))
+    middle = np.broadcast_to((base[0, 0] + base[-1, -1]) / 2, lower.shape)
+    for corners in ((lower, under, beside), (lower, beside, upper), (middle, under, lower)):
+        parts.append(np.stack(corners, axis=-2))
     return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
