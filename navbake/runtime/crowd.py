@@ -1,9 +1,8 @@
 """Places agents at random, none too near to another, and says how many can fit at most.
 
 Agents are placed one after the other, each uniformly on what the others before it leave free:
-random sequential adsorption, which is Poisson-disc sampling by dart throwing (Cook 1986) without
-the darts that miss. Such a crowd jams before it is as dense as can be. Where it does, it is drawn
-again, and at last packed in order, row by row.
+Poisson-disc sampling by dart throwing (Cook 1986) without the darts that miss. A crowd that jams is
+drawn again, and at last packed in order, row by row.
 
 Agents clash whose centres are up to `reach` apart on the map [m], unless their floors are `height`
 or more apart [m]. Which cells the agents so far leave to others is in `taken`, by flat id, bool.
@@ -146,11 +145,7 @@ def _draw_crowd(
 def _pack_crowd(
     flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: np.random.Generator
 ) -> Int:
-    """Place up to n agents as near to one another as may be: line by line, from a random side.
-
-    The next agent takes the first cell that is left. In the open that makes a honeycomb, the
-    densest of all crowds.
-    """
+    """Place up to n agents line by line, from a random side, each in the first cell left."""
     swap, signs = rng.integers(2), rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
     cells = cells[np.lexsort((p[:, swap], p[:, 1 - swap]))]
@@ -182,8 +177,8 @@ def draw_cells(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int)
 def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
     """Cut cells, ordered by `along_hilbert`, into n parts of one area each; some may be empty.
 
-    The first part begins at a share `start` of the whole, and parts run on from its end to its
-    beginning. So with a random start each cell is as likely as its area has it.
+    The first part begins at a share `start` of the whole, at random, so that each cell is as likely
+    as its area has it.
 
     Source: He and Owen, "Extensible grids: uniform sampling on a space filling curve" (2016).
     """

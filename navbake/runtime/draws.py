@@ -166,9 +166,8 @@ class DrawQuestions(PlaceQuestions):
     ) -> Spawns:
         """Draw where many agents start: none meets anything, or another one.
 
-        Places are centres of cells where the agent's radius fits, that of the grid's inflation, or
-        else of its bake. One after the other is drawn, evenly by area, from those that are far
-        enough from all before it (Poisson-disc sampling). Distances between agents are measured
+        Places are centres of cells, drawn one after the other, evenly by area, from those that are
+        far enough from all before it (Poisson-disc sampling). Distances between agents are measured
         on the map; agents on floors that are the agent's height or more apart don't count.
 
         Args:
@@ -178,18 +177,14 @@ class DrawQuestions(PlaceQuestions):
             clearance: a disc of this radius round each agent meets no obstacle and no drop, as
                 with `grid.inflate` [m]; unless `min_distance` is given, nor another agent's.
             min_distance: between the centres of any two agents [m]; in any case more than twice
-                the agent's radius.
+                the agent's radius, that of the grid's inflation, or else of its bake.
             facing: where all look: a position, or a heading [rad]; everywhere, if None.
             stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
                 each; ``room`` and ``island`` draw as many agents in each, give or take one, and
                 leave out cells in no room. Agents that don't fit into a part go to others.
 
-        Returns:
-            Positions and headings, in random order.
-
         Raises:
-            QueryError: they don't fit, with how many do at most where that can be proved at once;
-                or a number makes no sense.
+            QueryError: they don't fit, with how many do at most where that can be proved at once.
         """
         rng, search, grid = as_generator(rng), self.search, self.grid
         check_level(level, search.flat.num_levels)
@@ -339,15 +334,13 @@ class DrawQuestions(PlaceQuestions):
         """The free cells so far from a position, and the limits as `_draw` takes them."""
         low, high = distances
         if not (isinstance(low, REAL) and isinstance(high, REAL) and 0 <= low <= high):
-            raise QueryError(
-                f"expected 0 <= min_distance <= max_distance [m], got {low} and {high}"
-            )
+            wanted = "0 <= min_distance <= max_distance [m]"
+            raise QueryError(f"expected {wanted}, got {low} and {high}")
         flat = self.search.flat
         p, home = flat.locate(position, level)
         if home < 0:
-            raise QueryError(
-                f"{text_of(p)} is in no cell of {self.grid.scene_id!r}: nothing is near"
-            )
+            where = f"in no cell of {self.grid.scene_id!r}"
+            raise QueryError(f"{text_of(p)} is {where}: nothing is near")
         if straight:
             cells = cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
         else:
@@ -362,9 +355,7 @@ def as_generator(rng: object) -> np.random.Generator:
     """The generator given, or a new one for None; raises QueryError for anything else."""
     if rng is None:
         return np.random.default_rng()
-    if isinstance(rng, np.random.Generator):
-        return rng
-    raise QueryError(
-        f"expected a numpy.random.Generator, or None, got {rng!r}: make one with "
-        "numpy.random.default_rng"
-    )
+    if not isinstance(rng, np.random.Generator):
+        wanted = "a numpy.random.Generator, or None"
+        raise QueryError(f"expected {wanted}, got {rng!r}: make one with numpy.random.default_rng")
+    return rng

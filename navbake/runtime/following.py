@@ -1,12 +1,9 @@
 """Drives a mobile base along a path: by pure pursuit, round what comes into its way, or not at all.
 
-Pure pursuit heads for a point of the path a little ahead, on the circle that touches the base's
-heading and runs through that point.
-
 Source: Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm" (1992). What is
-different: the point is drawn nearer where the straight line to it isn't free; the base turns on the
-spot where the point is far to its side; and it slows down so as to stop at its goal, and at what
-is blocked.
+different: the point ahead is drawn nearer where the straight line to it isn't free; the base turns
+on the spot where the point is far to its side; and it slows down so as to stop at its goal, and at
+what is blocked.
 """
 
 import math
@@ -149,9 +146,8 @@ class Follower:
     def _take(self, path: Path) -> None:
         """Follow a path from its start on, as straight legs, seen from above.
 
-        Points in one line are joined: heights of the floor bend a path where nothing else does. The
-        level of a leg is -1 for a step over a link. `_is_swept` says whether the agent's disc can
-        be swept along the leg; if not, it leads from one cell's centre to the next.
+        Points in one line are joined. The level of a leg is -1 for a step over a link. `_is_swept`
+        says whether the agent's disc can be swept along it; if not, it leads from centre to centre.
         """
         self._search.update()
         self.path, self._version = path, self._search.version
@@ -177,8 +173,7 @@ class Follower:
 
     def _nearest(self, position: Float) -> float:
         """The distance along the path, within twice the lookahead, at which it is the nearest."""
-        low = self._distance
-        high = min(low + 2.0 * self._lookahead, self._length)
+        low, high = self._distance, min(self._distance + 2.0 * self._lookahead, self._length)
         start, run = self._leg_ends[:-1], self._leg_run
         ways, lengths = np.diff(self._leg_ends, axis=0), np.diff(run)
         along = ((position[:2] - start) * ways).sum(axis=1) / np.maximum(lengths, IN_LINE)

@@ -4,14 +4,12 @@ Which cells `exact` blocks: `navbake.runtime.surroundings`. A footprint that isn
 alike: it must not meet the square of an occupied cell (touching is not meeting), and a floor is
 needed under the agent's origin only.
 
-In an inflated grid, an agent may stand at the centres of free cells. Between them, or anywhere
-else in a cell, it may be nearer to an obstacle. So diagonal steps need cells that would be free
-for a radius so much larger that the discs round both ends cover the way. Straight lines off the
-centres need cells in which the agent may be anywhere; or cells near which nothing but solid
-squares of their own level is in the way, so that a sweep of the disc along the line decides.
-Straight steps need nothing more: a square beside such a step is straight beside one of its ends,
-and as near to it. Beside a step of the floor, edges are known to half a cell only: there, steps go
-from centre to centre, as the bake knows them.
+In an inflated grid, an agent may stand at the centres of free cells. Elsewhere in a cell, it may be
+nearer to an obstacle. So diagonal steps need cells that would be free for a radius so much larger
+that the discs round both ends cover the way; straight ones need nothing more. Lines off the centres
+need cells in which the agent may be anywhere; or cells near which nothing but solid squares of
+their own level is in the way, so that a sweep of the disc along the line decides. Beside a step of
+the floor, edges are known to half a cell only: there, steps go from centre to centre.
 
 Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
@@ -28,14 +26,9 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.polygon import find_fault
+from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
-from navbake.runtime.surroundings import (
-    LEAST_FLOOR,
-    block_by_others,
-    find_blocked,
-    find_blocked_by_others,
-    find_surroundings,
-)
+from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int, Json
 
 kernels = lazy("navbake.runtime.kernels.inflation")  # numba loads slowly
@@ -66,19 +59,17 @@ def inflate(
     scaling: float = SCALING,
     ledges: str = "avoid",
 ) -> AnyGrid:
-    """The same grid for an agent of another radius.
+    """The same grid for an agent of another radius; its metadata list it under ``inflation``.
 
-    ``exact``: a cell stays free if the open disc of the radius round its centre meets no
-    occupied cell's square, and no floor more than a step higher or lower. So no baked geometry
-    is ever hit, and the radius replaces the baked one. See
-    `navbake.runtime.inflation` for steps, other levels, the edges of the grid and cells
-    without floor. ``minos``: the weights that the original client's ``refine`` gives,
-    cell for cell.
+    ``exact``: a cell stays free if the open disc of the radius round its centre meets no occupied
+    cell's square, and no floor more than a step higher or lower. So no baked geometry is ever hit,
+    and the radius replaces the baked one. See `navbake.runtime.surroundings` for steps, other
+    levels, the edges of the grid and cells without floor. ``minos``: the weights that the original
+    client's ``refine`` gives, cell for cell.
 
-    A cell that isn't free stays so, unless only the baked disc closed it (see
-    `SceneGrid2D.solid`; or in ``refine`` at radius 0 with a clearance). Occupancy stays as
-    baked, so a grid can be inflated again; a grid without layers for occupancy or floors gets
-    them, as they followed from its weights.
+    A cell that isn't free stays so, unless only the baked disc closed it (see `SceneGrid2D.solid`;
+    or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked, so a grid can be
+    inflated again.
 
     Args:
         radius: of the agent [m], 0 to 10,000.
@@ -91,12 +82,6 @@ def inflate(
         scaling: of ``nav2`` [1/m], > 0.
         ledges: of ``exact``: ``avoid`` keeps the disc off floors more than a step lower,
             ``ignore`` lets it hang over them.
-
-    Returns:
-        A new grid; its metadata list what was done under ``inflation``.
-
-    Raises:
-        QueryError: an argument is out of its range.
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
@@ -128,10 +113,10 @@ def inflate(
 
 
 def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
-    """The weights that the original client's ``refine`` gives (sstk, ``NavScene.js``).
+    """The weights that the original client's ``refine`` gives, by radii in cells.
 
-    In cells: the radius, and the sum of radius and clearance. The client divides the sum, which
-    in floating point is not the sum of the quotients; its window leaves out its far row and column.
+    The client divides the sum of radius and clearance, which in floating point is not the sum of
+    the quotients; its window leaves out its far row and column.
     """
     occupied = level.occupancy != 0
     reach = min(math.ceil(far - 0.5), max(level.shape) + 1)
@@ -142,7 +127,7 @@ def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
     inner, outer = (_to_runs(np.argwhere(squares < size * size) - reach) for size in (radius, far))
     masks = (occupied, np.ones_like(occupied), ~np.isnan(level.floor_height))
     hits, within, with_floor = (kernels.count_runs(mask, inner) for mask in masks)
-    too_few = (within > 0) & (with_floor / np.maximum(within, 1) < LEAST_FLOOR)
+    too_few = (within > 0) & (with_floor / np.maximum(within, 1) < surroundings.LEAST_FLOOR)
     soft = np.where(kernels.count_runs(occupied, outer) > 0, STEP_COST, 1.0)
     return np.where((hits > 0) | too_few, np.inf, soft)
 
@@ -242,10 +227,7 @@ def _exact_entries(grid: NavGrid) -> list[Json]:
 
 
 def ledges_of(grid: NavGrid) -> str:
-    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``.
-
-    Files that were inflated before there was a choice say nothing, and ignore them.
-    """
+    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``, as old files do."""
     avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
     return "avoid" if avoids else "ignore"
 
@@ -256,10 +238,9 @@ def agent_radius(grid: NavGrid) -> float:
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
-    """How far from a block a cell's centre has to be for an agent of a radius [m].
+    """How far from a block a cell's centre has to be for an agent of a radius, or the grid's [m].
 
-    To stand there, to step diagonally from there, to be anywhere in the cell; by default for the
-    grid's radius.
+    To stand there, to step diagonally from there, to be anywhere in the cell.
     """
     if radius is not None:
         check_radius(radius, "margin")
@@ -289,7 +270,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
             inside[far] &= ~is_step
         diagonal, anywhere = _larger(radius, level.lattice.cell_size)
         is_clear = inside & ~find_blocked(grid, number, anywhere, ledges)
-        by_squares = inside & ~find_blocked_by_others(grid, number, anywhere, ledges)
+        by_squares = inside & ~find_blocked(grid, number, anywhere, ledges, by_own=False)
         can_turn = inside & ~find_blocked(grid, number, diagonal, ledges)
         masks.append([mask.ravel() for mask in (can_turn, is_clear, is_clear | by_squares)])
     one, two, three = (np.concatenate(parts) for parts in zip(*masks, strict=True))
@@ -318,11 +299,7 @@ def inflate_footprint(
 
     Returns:
         For each level, shape (num_headings, height, width), bool: whether the cell is free
-        and the polygon, its origin on the cell's centre, meets no occupied cell's square;
-        see the module.
-
-    Raises:
-        QueryError: the polygon is none, or there is no heading.
+        and the polygon, its origin on the cell's centre, meets no occupied cell's square.
     """
     check_word(ledges, LEDGES, "ledges")
     wanted = "expected a polygon of shape (n, 2) [m]"
@@ -345,7 +322,7 @@ def inflate_footprint(
         reach = math.ceil(radius / level.lattice.cell_size) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
-        storeys, inside = find_surroundings(grid, number, reach)
+        storeys, inside = surroundings.find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         for k in range(num_headings):
             angle = 2 * math.pi * k / num_headings
@@ -353,7 +330,7 @@ def inflate_footprint(
             offsets = _footprint_offsets(cos * x - sin * y, -(sin * x + cos * y))
             runs = _to_runs(offsets)
             blocked = kernels.count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
-            block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+            surroundings.block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
     return masks

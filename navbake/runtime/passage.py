@@ -16,15 +16,8 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime import inflation
 from navbake.runtime.flat_grid import FlatGrid, doors_on, map_islands, text_of
-from navbake.runtime.inflation import (
-    LEDGES,
-    MAX_RADIUS,
-    agent_radius,
-    check_word,
-    exact_radius,
-    ledges_of,
-)
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
 from navbake.runtime.search import Search
@@ -54,7 +47,7 @@ def find_passage(
     search: Search, start: ArrayLike, goal: Goal, level: int | None, ledges: str
 ) -> Passage | None:
     """`PathFinder.max_radius`."""
-    check_word(ledges, LEDGES, "ledges")
+    inflation.check_word(ledges, inflation.LEDGES, "ledges")
     grid, flat, corners = deflated(search.grid), search.flat, search.cut_corners
     standable = free_for(grid, 0.0, ledges)
 
@@ -112,10 +105,10 @@ def find_widest(
     size = float(flat.layout.cell_size.min())
     low, high = 0.0, size
     while passes(high):
-        if high == MAX_RADIUS:
-            free = free_for(grid, MAX_RADIUS, ledges)
+        if high == inflation.MAX_RADIUS:
+            free = free_for(grid, inflation.MAX_RADIUS, ledges)
             return math.inf, free, free
-        low, high = high, min(2.0 * high, MAX_RADIUS)
+        low, high = high, min(2.0 * high, inflation.MAX_RADIUS)
     while high - low > size:  # so that few radii are left
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
@@ -210,7 +203,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         where = f"no cell of {target.name}"
         if not target.name.startswith("room"):
             where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
-        return f"{where} is free for a radius of {agent_radius(search.grid):g} m"
+        return f"{where} is free for a radius of {inflation.agent_radius(search.grid):g} m"
     if search.route(origin, goals) is not None:
         return None
     apart, cells = _apart(search, origin, goals)
@@ -250,7 +243,7 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
             what = f"is where something stands{f' ({names})' if names else ''}"
         else:
             what = "is too near to what stands beside it for a radius of "
-            what += f"{agent_radius(grid):g} m"
+            what += f"{inflation.agent_radius(grid):g} m"
     what = f"{_text(position)} {what}"
     free = np.flatnonzero(flat.free)
     if not len(free):
@@ -318,10 +311,10 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     grid, flat = search.grid, search.flat
     if not grid.doors:
         return None
-    radius = exact_radius(grid)
+    radius = inflation.exact_radius(grid)
     without = deflated(grid.without_blocks()).with_doors("removed")
     if radius:
-        without = without.inflate(radius, ledges=ledges_of(grid))
+        without = without.inflate(radius, ledges=inflation.ledges_of(grid))
     route = find_route(without, origin, goals, search.cut_corners)
     if route is None:
         return None
@@ -341,9 +334,9 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     obstacles [m]; on the centres of cells, up to a cell more is needed. None if the grid isn't
     inflated, or no smaller radius passes.
     """
-    grid, flat, agent = search.grid, search.flat, exact_radius(search.grid)
+    grid, flat, agent = search.grid, search.flat, inflation.exact_radius(search.grid)
     plain = deflated(grid.without_blocks())
-    widest = find_widest(plain, flat, origin, goals, ledges_of(grid)) if agent else None
+    widest = find_widest(plain, flat, origin, goals, inflation.ledges_of(grid)) if agent else None
     if widest is None or math.isinf(widest[0]):
         return None
     radius, free, for_larger = widest

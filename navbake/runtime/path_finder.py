@@ -84,13 +84,9 @@ class PathFinder(DrawQuestions):
     ) -> list[Float]:
         """Find what the cheapest path from every cell to the goal costs.
 
-        Args:
-            weighted: count steps by their weights, as `find_path` does; else by their lengths
-                alone, so that the shortest path counts [m].
-
-        Returns:
-            One array a level, shape (height, width), float64, inf where no path leads to the
-            goal; read-only. The last few goals' fields are kept, so asking again costs nothing.
+        If `weighted`, steps count by their weights, as in `find_path`; else by their lengths alone,
+        so that the shortest path counts [m]. One array a level, shape (height, width), float64, inf
+        where no path leads to the goal; read-only. The last few goals' fields are kept.
         """
         field, flat = find_field(self.search, goal, level, weighted=weighted), self._search.flat
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
@@ -110,14 +106,9 @@ class PathFinder(DrawQuestions):
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
         for none that is larger; `ledges` as there. What is blocked now counts. On an inflated grid,
-        the answer is that of the grid before, if it can be told from the file.
-
-        Returns:
-            The radius [m] and the bottleneck's place. None where no agent gets there, however
-            narrow.
-
-        Raises:
-            QueryError: start or goal is beside the grid or in something; the goal is an object.
+        the answer is that of the grid before, if it can be told from the file. None where no agent
+        gets there, however narrow. Raises QueryError where start or goal is beside the grid or in
+        something, and where the goal is an object.
         """
         return find_passage(self.search, start, goal, level, ledges)
 
@@ -134,7 +125,8 @@ class PathFinder(DrawQuestions):
         """Follow a path with a mobile base: velocities or waypoints, step by step.
 
         The base keeps to the path within some centimetres, so plan it on a grid that is inflated
-        for a radius by so much larger than the base's.
+        for a radius by so much larger than the base's. Call `command` or `waypoint` of what is
+        returned as often as the base is steered.
 
         Args:
             path: that `find_path` of this finder has found.
@@ -143,12 +135,6 @@ class PathFinder(DrawQuestions):
             turn_rate: the highest [rad/s].
             lookahead: how far ahead on the path the base heads for [m].
             tolerance: the base has arrived where its goal is as near as this [m].
-
-        Returns:
-            Ask its `command` or its `waypoint` as often as the base is steered.
-
-        Raises:
-            QueryError: the path is none, or a number is not > 0.
         """
         if not isinstance(path, Path):
             raise QueryError(f"expected a path that find_path has found, got {path!r}")

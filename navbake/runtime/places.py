@@ -15,15 +15,8 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.flat_grid import (
-    REAL,
-    FlatGrid,
-    IslandMap,
-    RoomMap,
-    as_points,
-    check_distance,
-    text_of,
-)
+from navbake.runtime import flat_grid
+from navbake.runtime.flat_grid import REAL, FlatGrid
 from navbake.runtime.paths import Goal, Path, cells_named, find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -68,7 +61,7 @@ class ManyPlaces:
     ) -> Float:
         """`PathFinder.snap` of each: shape (..., 3), NaN where there is no such place."""
         self._search.update()
-        check_distance(max_distance)
+        flat_grid.check_distance(max_distance)
         flat, allowed = self._search.flat, self._search.allowed(room=room, island=island)
         p = check_positions(positions, flat.num_levels, level)
         return snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)[0]
@@ -93,7 +86,7 @@ class ManyPlaces:
         if q.shape[:-1] not in (p.shape[:-1], ()):
             counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
             raise QueryError(f"expected an end for each start, {counts}")
-        on, points = as_points(p, level)
+        on, points = flat_grid.as_points(p, level)
         to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
         found, bad = walks.step_each(
             flat.layout, flat.links, flat.floors, flat.free, on, points,
@@ -143,12 +136,12 @@ class PlaceQuestions:
         return self._search
 
     @property
-    def rooms(self) -> RoomMap:
+    def rooms(self) -> flat_grid.RoomMap:
         """The rooms of the grid and of each cell."""
         return self._search.rooms
 
     @property
-    def islands(self) -> IslandMap:
+    def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
         return self.search.islands
 
@@ -203,7 +196,7 @@ class PlaceQuestions:
         """The id of the room whose cell is the nearest on the level, None for none so near [m]."""
         flat, number = self.search.flat, self.rooms.number
         p, home = flat.locate(position, level)
-        check_distance(max_distance)
+        flat_grid.check_distance(max_distance)
         if home < 0:
             return None
         on = int(flat.level_of(home))
@@ -232,7 +225,7 @@ class PlaceQuestions:
         self, positions: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
     ) -> Bool:
         """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
-        check_distance(max_drop, "max_drop")
+        flat_grid.check_distance(max_drop, "max_drop")
         flat = self.search.flat
         p: NDArray[Any] = positions if isinstance(positions, np.ndarray) else np.empty(0)
         if level is not None or p.dtype != np.float64 or p.ndim != 2 or p.shape[1] != 3:
@@ -240,7 +233,7 @@ class PlaceQuestions:
         if level is not None or p.shape[-1] == 2:
             cells = flat.cells_at(p, level)
             return np.asarray((cells >= 0) & flat.free[cells])
-        _, points = as_points(p, level)
+        _, points = flat_grid.as_points(p, level)
         answers, bad = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
         if bad >= 0:
             check_positions(points[bad], flat.num_levels)  # says what is wrong with it
@@ -288,7 +281,7 @@ class PlaceQuestions:
         search = self.search
         p = search.flat.check_one(position, level)
         if in_sight:
-            check_distance(max_distance)
+            flat_grid.check_distance(max_distance)
             allowed = search.allowed(room=room, island=island)
             return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
         limits = {"room": room, "island": island, "max_distance": max_distance}
@@ -399,7 +392,7 @@ def snap(
 
     Shape (..., 3), NaN for no place; and the places' cells by flat id, -1 for none.
     """
-    on, points = as_points(p, level)
+    on, points = flat_grid.as_points(p, level)
     if points.shape[1] == 2:
         same_level = True
         points = np.column_stack([points, np.full(len(points), flat.floors.ground[on])])
@@ -458,22 +451,26 @@ def _find_obstacles(
     Raises:
         QueryError: a position is beside the grid.
     """
-    check_distance(max_distance)
+    flat_grid.check_distance(max_distance)
     flat = search.flat
     # floors less than this apart are at one height for an agent, as in `grid.inflate`
     overlap = search.grid.agent_height - flat.floors.max_step
-    on, points = as_points(p, level)
+    on, points = flat_grid.as_points(p, level)
     homes, cells, distances = places.find_obstacles(
         flat.layout, flat.floors, search.occupied, overlap, on, float(max_distance), points
     )
     if (homes < 0).any():
         first = points[int(np.argmax(homes < 0))]
-        raise QueryError(f"{text_of(first)} lies beside the grid: no obstacles")
+        raise QueryError(f"{flat_grid.text_of(first)} lies beside the grid: no obstacles")
     return homes, cells, distances
 
 
 def cells_in_annulus(
-    flat: FlatGrid, level: int, point: Float, distances: tuple[float, float], allowed: Bool
+    flat: FlatGrid,
+    level: int,
+    point: Float,
+    distances: tuple[float, float],
+    allowed: Bool,
 ) -> Int:
     """The allowed cells of a level whose centres are so far from a point on the map.
 

@@ -15,15 +15,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.runtime.flat_grid import (
-    DoorMap,
-    IslandMap,
-    RoomMap,
-    flatten,
-    map_doors,
-    map_islands,
-    map_rooms,
-)
+from navbake.runtime import flat_grid
 from navbake.runtime.inflation import exact_radius, find_room
 from navbake.types import Bool, Float, Int, Int32
 
@@ -54,7 +46,7 @@ class Search:
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
         clean = grid.without_blocks()
         self.grid, self.cut_corners, self.version = grid, cut_corners, 0
-        self.flat = flat = flatten(clean)
+        self.flat = flat = flat_grid.flatten(clean)
         self._kept: dict[str, dict[Any, Any]] = {}
         self._room = find_room(clean)
         self._masks = [mask & flat.free for mask in self._room or (flat.free,) * 3]
@@ -141,20 +133,20 @@ class Search:
         return value
 
     @cached_property
-    def rooms(self) -> RoomMap:
+    def rooms(self) -> flat_grid.RoomMap:
         """The rooms of the grid and of each cell."""
-        return map_rooms(self.grid)
+        return flat_grid.map_rooms(self.grid)
 
     @cached_property
-    def doors(self) -> DoorMap:
+    def doors(self) -> flat_grid.DoorMap:
         """The doors that each cell is in."""
-        return map_doors(self.grid, self.flat)
+        return flat_grid.map_doors(self.grid, self.flat)
 
     @property
-    def islands(self) -> IslandMap:
+    def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the cells that are free now."""
         moves = self.graph.moves if self.cut_corners else None
-        return self.keep("islands", None, lambda: map_islands(self.flat, moves), 1)
+        return self.keep("islands", None, lambda: flat_grid.map_islands(self.flat, moves), 1)
 
     @property
     def occupied(self) -> Bool:

@@ -12,11 +12,9 @@ What counts for an agent whose centre is on a cell's centre:
   but the occupancy of a larger radius, the bake has decided this up to that radius.
 - Lower floors that the agent meets: at most a step below its own, unless `ledges` is ``ignore``.
   Of the floors of all levels in a column, the highest that isn't more than a step above the
-  agent's counts. So the room under a gallery is no drop for an agent on the gallery, but the
-  stair beside it is. Columns without any floor count as they do otherwise, see below.
+  agent's counts. So the room under a gallery is no drop, but the stair beside it is.
 - Slopes: a floor to which cells lead in a straight line, over steps and at least one link between
-  neighbours more than a step apart, is neither a higher nor a lower one. The bake has found such
-  links where a ramp within the slope rises more than a step over a cell.
+  neighbours more than a step apart, as the bake finds on ramps, is neither higher nor lower.
 - Other levels: the cells of both levels count, each where its floor is as high as the agent's
   (less than the body's height apart). So a thing under a landing does not block the stair to it.
 - Outside of the grid: beyond a single level nothing was baked, and nothing blocks. Each of several
@@ -52,38 +50,28 @@ ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
 TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
 
 
-def find_blocked(grid: NavGrid, number: int, radius: float, ledges: str = "avoid") -> Bool:
+def find_blocked(
+    grid: NavGrid, number: int, radius: float, ledges: str = "avoid", *, by_own: bool = True
+) -> Bool:
     """Find the cells of a level where an agent of a radius [m] can't stand; see the module's head.
 
-    Cells that are not free before may be either.
+    Cells that are not free before may be either. Unless `by_own`, the level's own occupied cells
+    don't block, and those of others do wherever they have a floor.
     """
     cells = radius / grid.levels[number].lattice.cell_size
     storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
     occupied = storeys.occupied[storeys.level]
     offsets, _, widths = disc(cells, occupied.shape)
-    blocked: Bool = kernels.dilate(occupied, widths)
+    if by_own:
+        blocked: Bool = kernels.dilate(occupied, widths)
+        others = storeys
+    else:
+        blocked = np.zeros(occupied.shape, dtype=np.bool_)
+        others = storeys._replace(occupied=np.ones_like(storeys.occupied))
+        others.occupied[storeys.level] = 0
     if cells > 0:
-        block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
+        block_by_others(grid, number, others, radius, offsets, ledges, blocked)
         _block_by_holes(storeys, cells, blocked)
-    return blocked[inside]
-
-
-def find_blocked_by_others(
-    grid: NavGrid, number: int, radius: float, ledges: str = "avoid"
-) -> Bool:
-    """Find the cells of a level within a radius [m] of anything but its own occupied cells.
-
-    That is what `find_blocked` finds without them, and wherever another level's cells count.
-    """
-    cells = radius / grid.levels[number].lattice.cell_size
-    storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
-    blocked: Bool = np.zeros(storeys.occupied.shape[1:], dtype=np.bool_)
-    _block_by_holes(storeys, cells, blocked)
-    # as if only other levels were occupied, and these wherever they have a floor
-    others = np.ones_like(storeys.occupied)
-    others[storeys.level] = 0
-    offsets, elsewhere = disc(cells, blocked.shape)[0], storeys._replace(occupied=others)
-    block_by_others(grid, number, elsewhere, radius, offsets, ledges, blocked)
     return blocked[inside]
 
 
@@ -165,9 +153,8 @@ def find_surroundings(
 ) -> tuple[Storeys, tuple[slice, slice]]:
     """Collect the cells that an agent on a level may meet, which reaches some cells from its own.
 
-    A single level is its own surroundings: nothing was baked beyond it. Several levels are pasted
-    into one window of the lattice, in which cells beyond a level count as occupied; levels on other
-    lattices are left out. Also gives the level's own rectangle in the window.
+    Several levels are pasted into one window of the lattice, in which cells beyond a level count as
+    occupied; levels on other lattices are left out. Also returns the level's own rectangle in it.
     """
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
     shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}

@@ -47,29 +47,21 @@ def make_tensors(
         xp: ``numpy``, ``torch``, ``jax.numpy`` or another module that follows the Python array
             API.
         device: where the arrays shall be, as the library names it; its default unless given.
-        dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres. Unless
-            given, what the library makes of a Python float.
+        dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres; what the
+            library makes of a Python float unless given. float32 is refused where it can't tell
+            neighbouring cells apart so far from the origin.
         goals: of one grid, goals as `PathFinder.find_path` takes them; of several, such a
             sequence for each, all equally long. `distance_to_goal` and `path_step` know them by
             their places.
         max_drop: how far above the floor `is_navigable` lets a position be [m], >= 0.
         cut_corners: as `PathFinder` has it.
-
-    Raises:
-        QueryError: a goal is unknown or can't be stood on, the grids have different numbers of
-            goals, there is no such device or dtype, or float32 can't tell neighbouring cells
-            apart so far from the origin.
-        MissingDependencyError: array-api-compat is not installed.
     """
     is_one = hasattr(grids, "levels")
     if not is_one and not isinstance(grids, Iterable):
         raise QueryError(f"expected a grid or several, got {grids!r}")
     several: list[Any] = [grids] if is_one else list(grids)  # type: ignore[arg-type]
-    if not several:
-        raise QueryError("expected at least one grid, got none")
-    for grid in several:
-        if not hasattr(grid, "levels"):
-            raise QueryError(f"expected grids, got {grid!r}")
+    if not several or not all(hasattr(grid, "levels") for grid in several):
+        raise QueryError(f"expected grids, at least one grid, got {several}")
     per_grid: list[Any] = [goals] if is_one else list(goals) or [()] * len(several)
     if len(per_grid) != len(several) or len({len(g) for g in per_grid}) != 1:
         raise QueryError(
@@ -84,10 +76,8 @@ def make_tensors(
     levels = [level for grid in several for level in grid.levels]
     most = max(len(grid.levels) for grid in several)
     shape = Shape(len(several), most, *np.max([v.shape for v in levels], axis=0).tolist())
-    num_goals = len(per_grid[0])
-    if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        of_goals = f" for each of {num_goals} goals" if num_goals else ""
-        text = " x ".join(map(str, shape)) + of_goals
+    if math.prod(shape) * max(len(per_grid[0]), 1) >= 2**31:
+        text = f"{' x '.join(map(str, shape))} for each of {len(per_grid[0])} goals"
         raise QueryError(f"expected less than 2^31 cells in all, got {text}")
     made = _lattices(several, shape, floating) | _layers(searches, shape, floating, max_drop)
     made |= _goal_fields(searches, per_grid, shape, floating)

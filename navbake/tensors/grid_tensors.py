@@ -183,10 +183,7 @@ def check_positions(t: GridTensors, positions: Array) -> Array:
 
 
 def as_array(t: GridTensors, values: Array) -> Array:
-    """Numbers as an array of the tensors' dtype; an array of another dtype is refused.
-
-    A position that is rounded to another dtype may be in another cell.
-    """
+    """Numbers as an array of the tensors' dtype; one of another might be in another cell."""
     if isinstance(values, int | float | Sequence):
         return _new_array(t, values, t.dtype)
     if getattr(values, "dtype", None) != t.dtype:
@@ -269,8 +266,7 @@ def answer_all(
 ) -> Array:
     """Answer a question about positions of any shape (..., 3), in pieces where that is quicker.
 
-    `answer` takes positions and the further arguments, of shape (...), None or an integer, as they
-    are or in pieces, and returns an array of shape (m, ...).
+    The further arguments of `answer` are of shape (...), None or an integer.
     """
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)

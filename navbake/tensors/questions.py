@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -147,7 +148,7 @@ LAYERS: dict[str, Any] = {
     "free": is_navigable,
     "room": room,
     "island": island,
-    "clearance": clearance,
+    "clearance": partial(clearance, mode="nearest"),
 }
 """The function behind each layer of `patch`."""
 
@@ -162,14 +163,9 @@ def heights(
     """Floor heights at a pattern of points round each agent, turned with it: a height scan.
 
     Each point takes the nearest floor below its agent, by the rule of `level_at`, so that an agent
-    on the ground doesn't see the floor above.
-
-    Args:
-        yaw: the agents' headings [rad], 0 along x, counted towards y; shape (...).
-        pattern: points in the agents' frames, x ahead, y to the left [m], shape (k, 2).
-
-    Returns:
-        World z [m], shape (..., k); NaN where there is no floor.
+    on the ground doesn't see the floor above. `yaw` are the agents' headings [rad], 0 along x,
+    counted towards y, shape (...); `pattern` are points in the agents' frames, x ahead, y to the
+    left [m], shape (k, 2). World z [m], shape (..., k); NaN where there is no floor.
     """
     points = _turned(t, positions, yaw, pattern)
     return floor(t, points, _per_point(t, scene_id, points.shape[:-2]))
@@ -187,18 +183,10 @@ def patch(
     """Cut an egocentric picture of a layer round each agent, which looks up in it.
 
     The first row is the farthest ahead and the first column the leftmost; the agent is in the
-    middle of all. Each pixel shows the grid's cell that its middle is in, by the rule of
-    `level_at` at the agent's z.
-
-    Args:
-        yaw: see `heights`.
-        shape: rows and columns.
-        cell: size of a pixel [m], > 0.
-        layer: ``free`` (bool), ``floor`` (world z [m]), ``clearance`` ([m]), ``room`` or
-            ``island`` (int32).
-
-    Returns:
-        Shape (..., rows, columns); False, NaN or 0 where there is nothing.
+    middle of all. Each pixel, of a size `cell` [m], shows the grid's cell that its middle is in, by
+    the rule of `level_at` at the agent's z. The layer is ``free`` (bool), ``floor`` (world z [m]),
+    ``clearance`` ([m]), ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows,
+    columns); False, NaN or 0 where there is nothing.
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
@@ -213,8 +201,7 @@ def patch(
     axes = ahead[:, None], left[None, :]
     grid = xp.stack([xp.broadcast_to(axis, (rows, cols)) for axis in axes], axis=-1)
     points = _turned(t, positions, yaw, xp.reshape(grid, (-1, 2)))
-    further: dict[str, str] = {"mode": "nearest"} if layer == "clearance" else {}
-    values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]), **further)
+    values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]))
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
 
 
@@ -333,8 +320,7 @@ def sample(
             (3,).
 
     Returns:
-        World x, y and floor z [m], shape (..., 3); NaN where there is no such place, or a number
-        of `u` is NaN.
+        World x, y and floor z [m], shape (..., 3); NaN where there is no such place.
     """
     xp = t.xp
     numbers = as_array(t, u)

@@ -3,8 +3,8 @@
 The cells of all levels stand in one row: the flat id of a cell is ``start[level] + row *
 width[level] + col``. "By cell" means: one entry for each flat id.
 
-Looking an array up in a tuple counts a reference, which costs more than a step of a search. So
-kernels with a hot loop take the arrays out of their tuples first.
+Looking an array up in a tuple costs more than a step of a search. So kernels with a hot loop take
+the arrays out of their tuples first.
 """
 
 import math

@@ -1,8 +1,7 @@
 """Finds cells where an agent can't stand because of what is near. All distances in cells.
 
-`dilate` has two passes, as the exact distance transforms of Saito and Toriwaki (1994) and Meijster,
-Roerdink and Hesselink (2000): along the columns first, then along the rows. Instead of their
-parabolas, the second pass unites intervals.
+`dilate` has two passes, as the exact distance transform of Meijster, Roerdink and Hesselink (2000):
+along the columns first, then along the rows, where it unites intervals instead of parabolas.
 
 Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
 a conflict possible: one step of a min-max pyramid.
@@ -40,10 +39,7 @@ class Storeys(NamedTuple):
 def dilate(occupied, half_width):
     """Find the cells near an occupied one, by a shape that is as wide as a table says.
 
-    First each cell's distance to the nearest occupied one of its column; then each row is the
-    union of one interval per distance. Exact for any shape that is symmetric and narrows with the
-    distance from its middle. The time doesn't depend on the shape's size.
-
+    Exact for any shape that is symmetric and narrows with the distance from its middle.
     `half_width` says how many columns to each side of itself an occupied cell makes near, by the
     number of rows between, int32; -1 for none, as in its last entry.
     """

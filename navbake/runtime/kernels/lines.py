@@ -3,19 +3,16 @@
 Ends of lines are pairs u, v in the level's own units, columns and rows: cell (row, col) is the
 square from (col, row) to (col + 1, row + 1).
 
-`is_walkable` is a supercover line, row by row: all cells that meet the line count, where
-Bresenham's line and the traversal of Amanatides and Woo leave out those that it only touches.
+`is_walkable` is a supercover line, row by row: all cells that meet the line count, also those that
+it only touches.
 
 `disc_passes` sweeps a disc over squares, exactly, with one look at each row of cells. What the disc
-covers on its way (a capsule, the Minkowski sum of a line and a disc) is convex. So it meets the
-cells of one row in a single interval of columns, whose ends have a closed form, and running sums
-say at once whether any of these cells is solid.
+covers on its way (a capsule) is convex. So it meets the cells of one row in a single interval of
+columns, whose ends have a closed form, and running sums say whether any of these cells is solid.
 
 `lay_route` pulls a route straight by line of sight: from each point, the farthest point that a
-straight line can reach is kept. The farthest is found by doubling the distance and then halving it
-(exponential search, Bentley and Yao 1976), so that few lines have to be looked at. A funnel (Lee
-and Preparata 1984) would need a corridor of portals, and could not say what a line costs where
-weights differ.
+straight line can reach is kept, found by doubling the distance and then halving it (exponential
+search, Bentley and Yao 1976). A funnel could not say what a line costs where weights differ.
 """
 
 import math
@@ -38,7 +35,6 @@ def is_walkable(a, b, layout, level, moves, anywhere):
     """Whether an agent may be anywhere in all cells that a line touches, and step between them.
 
     A line touches a cell where it meets the cell's closed square: over a corner, all four.
-    `anywhere` marks the free cells in which an agent may also be off the centre.
     """
     (u0, v0), (u1, v1) = a, b
     first, width = layout.start[level], layout.width[level]
@@ -71,9 +67,9 @@ def is_walkable(a, b, layout, level, moves, anywhere):
 
 @part
 def crossed_cells(a, b, layout, level):
-    """The cells that a line runs through, in order, and the share of it before each, 1 at the end.
+    """The cells that a line runs through, in order, and the share of it before each and the end.
 
-    So there is one share more. Cells that the line only touches at a corner are left out.
+    Cells that the line only touches at a corner are left out.
     """
     (u0, v0), (u1, v1) = a, b
     du, dv = u1 - u0, v1 - v0
@@ -165,8 +161,8 @@ def _farthest(u0, v0, u1, v1, low, high, reach):
 def can_pass(a, b, level, graph, off_center):
     """Whether an agent can move along a line between two points x, y of a level [m].
 
-    It can where it may be anywhere in all cells that the line touches, or where these are free,
-    nothing but squares is near, and its disc meets none of them; see `is_walkable`.
+    It may be anywhere in all cells that the line touches; or nothing but squares is near these, and
+    its disc meets none.
     """
     layout, moves = graph.layout, graph.moves
     start, end = in_cells(layout, level, a[0], a[1]), in_cells(layout, level, b[0], b[1])
@@ -186,10 +182,8 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     """Make a line along a route of cells: world x, y, floor z [m], (m, 3), and the level of each.
 
     It runs through the cells' centres or, if smooth, straight on wherever `can_pass` allows it and
-    the cost is no higher, each part counted by the weight of its cell; then no three of its points
-    are in one line, but for heights of the floor. Over a link it runs as the route does. It begins
-    and ends at `start` and `end`, world x, y [m] in the first and last cell; at the cell's centre
-    where they are NaN, or where obstacles are too near.
+    the cost is no higher. It begins and ends at `start` and `end`, x, y in the first and last cell;
+    at the cell's centre where they are NaN, or where obstacles are too near.
     """
     layout, num = graph.layout, route.shape[0]
     points, levels = np.empty((num + 2, 2)), np.empty(num + 2, np.int64)
@@ -215,15 +209,14 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     if is_smooth:
         some = np.flatnonzero(_pull_string(points, levels, is_link, graph, off_center))
         points, levels, is_link = points[some], levels[some], is_link[some[:-1]]
-    return _lay_on_floor(points, levels, is_link, layout, floors, BEND)
+    return _lay_on_floor(points, levels, is_link, layout, floors)
 
 
 @part
 def _pull_string(points, levels, is_link, graph, off_center):
     """Mark the few points of a route whose connecting lines stay free, see `can_pass`.
 
-    A straight line never costs more than what it replaces, each part counted by the weight of its
-    cell, and never runs over a link.
+    A straight line never costs more than what it replaces, and never runs over a link.
     """
     num = points.shape[0]
     spent = np.zeros(num)  # cost of the route up to each point
@@ -239,9 +232,8 @@ def _pull_string(points, levels, is_link, graph, off_center):
         last = here + 1  # before the next link
         while last < num - 1 and not is_link[here] and not is_link[last]:
             last += 1
-        # `good` can be reached, `bad` can't: doubling until a line fails moves them apart, halving
-        # brings them together. Sight is not monotonous, so the point found need not be the very
-        # farthest.
+        # `good` can be reached, `bad` can't. Sight is not monotonous, so the point found need not
+        # be the very farthest.
         good, bad, reach = here + 1, last + 1, 2
         while bad - good > 1:
             there = min(here + reach, last) if bad > last else (good + bad) // 2
@@ -276,13 +268,12 @@ def _pull_string(points, levels, is_link, graph, off_center):
 
 
 @part
-def _lay_on_floor(points, levels, is_link, layout, floors, tolerance):
+def _lay_on_floor(points, levels, is_link, layout, floors):
     """Lay lines between points on the floor: with points in between where its height bends.
 
     The line runs through the middle of its part in each cell that it crosses, at the cell's
-    floor; between two that differ by more than a cell is wide, which is steeper than any slope,
-    straight up or down at their edge, or halfway over a link. Points within `tolerance` [m] of
-    the line through the remaining ones are dropped. Returns world x, y, z [m], and the levels.
+    floor; between two that are steeper than any slope, straight up or down at their edge, or
+    halfway over a link. Points within BEND of the line through the remaining ones are dropped.
     """
     num = points.shape[0]
     out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
@@ -302,7 +293,7 @@ def _lay_on_floor(points, levels, is_link, layout, floors, tolerance):
                 out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
             out[count, 2], on[count] = profile[here, 1], level
             count += 1
-            here = _next_bend(profile, here, tolerance)
+            here = _next_bend(profile, here)
         if i + 1 < num and is_link[i]:
             after = levels[i + 1]
             there = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
@@ -347,11 +338,10 @@ def _cell_of(layout, level, point):
 
 
 @part
-def _next_bend(profile, here, tolerance):
+def _next_bend(profile, here):
     """The last point to whose straight line all points before it are near enough.
 
-    Each point allows a range of slopes from `here`; as long as the next point's slope is in the
-    ranges of all before it, the line to it passes them all closely enough (cone intersection,
+    Its slope from `here` is in the ranges of slopes that each of these allows (cone intersection,
     Sklansky and Gonzalez 1980).
     """
     low, high = -np.inf, np.inf
@@ -359,6 +349,6 @@ def _next_bend(profile, here, tolerance):
         run, rise = profile[there, 0] - profile[here, 0], profile[there, 1] - profile[here, 1]
         if run <= 0.0 or not low <= rise / run <= high:
             return max(there - 1, here + 1)
-        low = max(low, (rise - tolerance) / run)
-        high = min(high, (rise + tolerance) / run)
+        low = max(low, (rise - BEND) / run)
+        high = min(high, (rise + BEND) / run)
     return max(profile.shape[0] - 1, here + 1)

@@ -1,13 +1,11 @@
 """Finds the cells that positions are in, and the nearest cells of a mask; of many positions a call.
 
-`locate` is a plain search: of the levels' floors in a position's column, the highest at or below
-it. Positions are taken in blocks, level by level: a look-up at a random address waits for the
-memory, and in a block many such waits overlap.
+Positions are located in blocks, level by level: a look-up at a random address waits for the memory,
+and in a block many such waits overlap.
 
-The nearest cell is searched ring by ring: in squares round the point's cell, each a cell farther
-out, until no cell of the next ring can be nearer than the best so far. Where the mask is dense
-near the point, as free and occupied cells are, that is quicker than any index, and a block
-outdates nothing.
+The nearest cell is searched in square rings round the point's cell, until no cell of the next ring
+can be nearer than the best so far. Where the mask is dense near the point, as free and occupied
+cells are, that is quicker than any index, and a block outdates nothing.
 """
 
 import math

@@ -1,21 +1,16 @@
 """The steps of a grid, the cheapest route over them, and what the routes from all cells cost.
 
-`find_moves` finds once for all searches which of its eight neighbours each cell has a step to:
-eight bits a cell make the graph, and cost a search one test of a bit.
-
 `find_route` is A* (Hart, Nilsson and Raphael 1968), and without a goal Dijkstra's algorithm (1959).
 A step costs its length [m] times the weight of the cell that it leads to. What is left to the goals
 is estimated by the octile distance to the box round them times the smallest weight, which is never
 too much, so the answer is the cheapest route. On another level the same estimate holds along x and
 y, since a link costs at least what it covers there.
 
-The queue has buckets (Dial 1969), each as wide as a share of the cheapest step. Dial's algorithm
-has one bucket for each whole cost. Here costs are real numbers, so a bucket holds a range of them
-and its cells come out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro
-(2006). Unlike there, the answer stays exact, because a cell that gets cheaper after it was taken
-out is put in again (label correcting). The buckets are used in a circle, which is long enough for
-the dearest step. Each is a linked stack; freed entries are reused, so the queue stays small, and in
-the processor's cache.
+The queue has buckets (Dial 1969), each as wide as a share of the cheapest step, whose cells come
+out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro (2006). Unlike there,
+the answer stays exact, because a cell that gets cheaper after it was taken out is put in again
+(label correcting). The buckets are used in a circle, which is long enough for the dearest step.
+Each is a linked stack; freed entries are reused, so the queue stays in the processor's cache.
 """
 
 import math
@@ -117,11 +112,7 @@ def _joined(a, b, free, floor, max_step, slopes):
 
 
 def bucket_width(size: float, least: float, most: float, longest_link: float) -> tuple[float, int]:
-    """Width of the buckets, and how many of them a circle needs: a power of two.
-
-    Of the smallest edge of a cell [m], the smallest and the largest weight of free cells, and the
-    longest link [m].
-    """
+    """Width of the buckets, and how many of them a circle needs: a power of two; in metres."""
     farthest = 2.0 * most * max(DIAGONAL * size, longest_link)  # from a bucket to a new entry
     width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything

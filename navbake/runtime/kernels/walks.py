@@ -1,13 +1,12 @@
 """Walks along straight lines from cell to cell and from level to level, and slides at their ends.
 
 A line goes from cell to cell as in Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray
-Tracing" (1987): of the cell's next vertical and next horizontal edge, the one that the line meets
-first is crossed. Unlike there, each crossing is computed from the cell's own edge, not summed up,
+Tracing" (1987). Unlike there, each crossing is computed from the cell's own edge, not summed up,
 because a link may lead to a level whose cells lie elsewhere.
 
 A slide is a flood over the free cells within reach, with lengths that are corrected until none
-gets shorter (Bellman and Ford with a queue): on a window of some dozen cells that is quicker than
-a heap. Of every cell that is reached, the point that is the nearest to the end is a candidate.
+gets shorter (Bellman and Ford with a queue). Of every cell that is reached, the point that is the
+nearest to the end is a candidate.
 """
 
 import math
@@ -121,10 +120,9 @@ def walk_line(layout, links, floors, passable, room, cell, x0, y0, x1, y1):
 
 @part
 def _cross(layout, links, passable, floors, cell, down, across):
-    """The passable cell over one edge of a cell, -1 for none; of `down`, `across` one is 0, one ±1.
+    """The passable cell over one edge of a cell, on its level or over a link, -1 for none.
 
-    That is the neighbour on the same level, whose floor may differ by `max_step`, or the cell on
-    another level that a link leads to at the neighbour's position.
+    Of `down`, `across` one is 0, one ±1.
     """
     other = _beside(layout, cell, down, across)
     if other >= 0 and passable[other]:
