@@ -27,10 +27,7 @@ from navbake.known_names import find_near
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:
-    """The error to raise for a value: ``expected <text>, got …``.
-
-    The details are ``got`` and ``at``, where the value's own text and key are not the ones to show.
-    """
+    """The error to raise for a value: ``expected <text>, got …``, details ``got`` and ``at``."""
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
 
@@ -103,27 +100,14 @@ class Settings(BaseModel):
     )
 
 
-EXPECTED = {
-    "model_type": "a mapping",
-    "dict_type": "a mapping",
-    "list_type": "a list",
-    "bool_type": "true or false",
-    "float_type": "a number",
-    "finite_number": "a number",
-    "invalid_key": "text as a key",
-}
-OTHER_WORDS = {
-    "climb": "agent.traversable_floor_height",
-    "file": "scene.path",
-    "max_climb": "agent.traversable_floor_height",
-    "max_step": "agent.traversable_floor_height",
-    "res": "grid.cell_size",
-    "resolution": "grid.cell_size",
-    "robot": "agent",
-    "scale": "scene.unit",
-    "step": "agent.traversable_floor_height",
-    "step_height": "agent.traversable_floor_height",
-}
+EXPECTED = dict.fromkeys(("model_type", "dict_type"), "a mapping")
+EXPECTED |= dict.fromkeys(("float_type", "finite_number"), "a number")
+EXPECTED |= {"list_type": "a list", "bool_type": "true or false", "invalid_key": "text as a key"}
+OTHER_WORDS = dict.fromkeys(
+    ("climb", "max_climb", "max_step", "step", "step_height"), "agent.traversable_floor_height"
+)
+OTHER_WORDS |= dict.fromkeys(("res", "resolution"), "grid.cell_size")
+OTHER_WORDS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
 """What other tools call a setting, and its key here."""
 SINGLE: dict[str, tuple[str, Any]] = {"scene": ("path", str), "levels": ("ground", (int, float))}
 """Of a section, the key and types of what people write in place of a mapping."""
@@ -157,14 +141,12 @@ def describe_errors(
 
 def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str = "") -> str | None:
     """Say which key is none of a setting, by the keys alone; None if all are."""
-    known = _keys(sections, section) if section in sections else {}
     for key, value in data.items():
-        if section in sections and key not in known:
+        if section in sections and key not in _keys(sections, section):
             return _unknown_key((*filter(None, section.split(".")), key), sections)
-        if isinstance(value, Mapping):
-            found = find_unknown_key(value, sections, f"{section}.{key}".lstrip("."))
-            if found is not None:
-                return found
+        below = f"{section}.{key}".lstrip(".")
+        if isinstance(value, Mapping) and (found := find_unknown_key(value, sections, below)):
+            return found
     return None
 
 

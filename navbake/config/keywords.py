@@ -20,8 +20,6 @@ from navbake.config.settings import (
 from navbake.config.yaml_text import read_yaml
 from navbake.errors import ConfigError
 
-KEYWORDS = "the keywords"  # what errors call them
-
 
 class SettingKeywords(TypedDict, total=False):
     """The settings as keywords: the sections of a YAML file, see `docs/settings.md`."""
@@ -70,15 +68,14 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
 
     A `scene.path` among the keywords is what the grid names; nothing is read from there.
     """
-    return parse_config(_lay_over({"scene": {"path": memory_path(name)}}, keywords), KEYWORDS)
+    return parse_config(_lay_over({"scene": {"path": memory_path(name)}}, keywords), "the keywords")
 
 
 def _lay_over(settings: Mapping[str, Any], keywords: Mapping[str, Any], at: str = "") -> Any:
     """Settings with others in their place: those of sections key by key."""
     laid = dict(settings)
     for key, value in keywords.items():
-        value, where = _plain(value), f"{at}.{key}".lstrip(".")
-        below = laid.get(key)
+        value, where, below = _plain(value), f"{at}.{key}".lstrip("."), laid.get(key)
         if where in SECTIONS and isinstance(value, Mapping) and isinstance(below, Mapping):
             value = _lay_over(below, value, where)
         laid[key] = value

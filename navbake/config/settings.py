@@ -153,8 +153,6 @@ Outline = Annotated[
     expects("3 or more corners [[x, y], …]"),
     AfterValidator(_check_outline),
 ]
-
-
 DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
 
 
@@ -292,7 +290,7 @@ Position = Annotated[
 class FloorSettings(Settings):
     """Which surfaces that one can stand on are floors, and which are furniture."""
 
-    # The key is `from`, a keyword of Python; so the field is `starts`, with that alias.
+    # as `sources` of rooms: the field of the key `from` is `starts`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
@@ -370,7 +368,7 @@ class BakeConfig(Settings):
         AgentSettings, "the agent that must fit where it stands"
     )
     grid: Section[GridSettings] = section(GridSettings, "the cells")
-    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
+    # tags as of `scene.meshes`
     levels: Annotated[
         Annotated[
             Literal["auto"], expects("auto or a list of {ground: …, top: …, name: …}"), Tag("=auto")
@@ -423,11 +421,8 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
     A path that does not end in .yaml or .yml is taken for a scene. `scene.path` is relative to the
-    YAML file. Each override, ``a.b=value``, replaces a setting of the file.
-
-    Raises:
-        ConfigError: no such YAML file, no YAML, or a setting that is missing, unknown, of the
-            wrong type or out of its range.
+    YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
+    a setting is a ConfigError.
     """
     path = Path(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
@@ -465,11 +460,9 @@ def parse_config(
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
     """Take settings in any of their forms: themselves, a YAML or scene file, or a mapping."""
-    if isinstance(config, BakeConfig):
-        return config
     if isinstance(config, str | PathLike):
         return load_config(config)
-    return parse_config(config)
+    return config if isinstance(config, BakeConfig) else parse_config(config)
 
 
 def settings_digest(config: BakeConfig) -> str:
@@ -490,12 +483,10 @@ def settings_to_state(config: BakeConfig) -> Json:
     stated: Json = config.model_dump(
         mode="json", include=sections, by_alias=True, exclude_defaults=True
     )
-    path, scene = config.scene.path, dict(stated.get("scene", {}))
-    if is_memory_path(path):
-        scene.pop("path", None)
-    else:
-        scene["path"] = Path(path).name
-    stated["scene"] = scene
+    scene = stated["scene"] = dict(stated.get("scene", {}))
+    scene["path"] = Path(config.scene.path).name
+    if is_memory_path(config.scene.path):
+        del scene["path"]
     return {key: value for key, value in stated.items() if value != {}}
 
 

@@ -35,18 +35,13 @@ def write_template(
     """Write the commented default settings for a scene, and return the path that was written.
 
     The path is ``<scene id>.yaml`` in the current folder if None; `force` overwrites a file.
-
-    Raises:
-        SceneError: there is no such scene.
-        ConfigError: the YAML exists, or cannot be written.
     """
-    scene_id = _scene_id(Path(scene))
-    path = Path(f"{scene_id}.yaml" if path is None else path)
+    name, text = template_for(Path(scene), Path() if path is None else Path(path).parent)
+    path = Path(name if path is None else path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         raise ConfigError(f"expected a name that ends in .yaml, got {path}")
     if os.path.exists(path) and not force:
         raise ConfigError(f"{path} exists; --force overwrites it")
-    text = template_for(Path(scene), path.parent)
     try:
         write_whole(text.encode(), path)
     except OSError as error:
@@ -54,24 +49,20 @@ def write_template(
     return path
 
 
-def template_for(scene: Path, folder: Path) -> str:
-    """The commented default settings for a scene, for a YAML in a folder."""
-    scene_id, scene = _scene_id(scene), scene.resolve()
-    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
-        scene = Path(os.path.relpath(scene, folder.resolve()))
-    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
-    # Names of files can be anything: make sure that the text reads back.
-    name = str(folder / f"{scene_id}.yaml")
-    parse_config(parse_yaml(text, name), name)
-    return text
-
-
-def _scene_id(scene: Path) -> str:
+def template_for(scene: Path, folder: Path) -> tuple[str, str]:
+    """The name of a YAML for a scene, and its text, the commented defaults, for a folder."""
     if scene.suffix.lower() in YAML_SUFFIXES:
         raise ConfigError(f"expected a scene, got the settings file {scene}")
     if not os.path.isfile(scene):
         raise SceneError(f"no such file: {scene}")
-    return load_config(scene).scene.id
+    scene_id, scene = load_config(scene).scene.id, scene.resolve()
+    with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
+        scene = Path(os.path.relpath(scene, folder.resolve()))
+    text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
+    # Names of files can be anything: make sure that the text reads back.
+    name = f"{scene_id}.yaml"
+    parse_config(parse_yaml(text, str(folder / name)), str(folder / name))
+    return name, text
 
 
 def _section_lines(section: BaseModel, indent: str = "") -> list[str]:

@@ -53,7 +53,7 @@ for _name, _pattern in {
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file; a ConfigError tells why it can't be read."""
+    """Read a YAML file."""
     try:
         return decode_yaml(path.read_bytes(), str(path))
     except FileNotFoundError:
@@ -88,11 +88,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Set each ``a.b=value`` in a copy of nested mappings; the last one for a key counts.
-
-    Raises:
-        ConfigError: no ``=``, no YAML value, or a key below something that has no keys.
-    """
+    """Set each ``a.b=value`` in a copy of nested mappings; the last one for a key counts."""
     result = dict(data)
     for override in overrides:
         *sections, last = override_key(override)

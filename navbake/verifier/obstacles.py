@@ -90,9 +90,6 @@ class Obstacles:
     has a box and a cylinder to probe with, and the geoms of `facing`: of each surface of a mesh,
     its triangles that face up, and those that face down, because where two lie in one place, a ray
     meets only one of them. `names` are those of the scene's geoms.
-
-    Raises:
-        SceneError: MuJoCo can't compile them.
     """
 
     def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
@@ -101,7 +98,7 @@ class Obstacles:
         self._heights: list[Float] = []  # of height fields
         self._meshes: dict[tuple[int, str], list[_Piece]] = {}
         self._halves: dict[tuple[int, bytes], list[str]] = {}
-        facing: dict[int, list[Json]] = {}
+        self._facing: dict[int, list[Json]] = {}
         for geom, choice in enumerate(scene.choices):
             if not choice.counted or geom in left_out:
                 continue
@@ -109,18 +106,15 @@ class Obstacles:
             if geom in scene.parts:  # in the world's frame
                 mat, pos = np.eye(3), np.zeros(3)
             for piece in self._pieces_of(geom, choice.mesh):
-                self._put(geom, piece, mat, pos, facing)
+                self._put(geom, piece, mat, pos)
         self.names = [report.name for report in scene.geoms]
-        self.low = np.array([item.low for item in self.items]).reshape(-1, 3)
-        self.high = np.array([item.high for item in self.items]).reshape(-1, 3)
-        self._compile(facing)
-
-    def _compile(self, facing: dict[int, list[Json]]) -> None:
+        boxes = np.array([(item.low, item.high) for item in self.items]).reshape(-1, 2, 3)
+        self.low, self.high = boxes[:, 0], boxes[:, 1]
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
         count, self.facing = len(self.items) + 2, dict[int, list[int]]()
-        for number, halves in facing.items():
+        for number, halves in self._facing.items():
             self.facing[number] = list(range(count, count + len(halves)))
             count += len(halves)
             for half in halves:
@@ -182,9 +176,7 @@ class Obstacles:
         surface = _surface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
         return [_Piece(SHEET, surface, {"type": kind, "size": [*size[:2], 1.0]}, corners)]
 
-    def _put(
-        self, geom: int, piece: _Piece, mat: Float, pos: Float, facing: dict[int, list[Json]]
-    ) -> None:
+    def _put(self, geom: int, piece: _Piece, mat: Float, pos: Float) -> None:
         """Place a piece, and in MuJoCo's model what stands for it."""
         placed = fcl.CollisionObject(piece.shape, fcl.Transform(mat, pos))
         quat = np.zeros(4)
@@ -205,7 +197,7 @@ class Obstacles:
         if piece.triangles is not None:
             common = place | {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}  # no hulls
             halves = self._split_facing(piece, mat[2])
-            facing[len(self.items)] = [common | {"meshname": half} for half in halves]
+            self._facing[len(self.items)] = [common | {"meshname": half} for half in halves]
         hull = points if piece.kind == CONVEX else None
         self.items.append(Obstacle(geom, piece.kind, placed, low, high, hull))
 

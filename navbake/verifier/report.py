@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from navbake.types import Json, Vector3
 
@@ -34,9 +34,8 @@ class Finding:
 
     def to_json(self) -> Json:
         """The finding as JSON."""
-        cell = None if self.cell is None else list(self.cell)
-        position = [round(v, 6) for v in self.position]
         size = None if self.size is None else round(self.size, 6)
+        position, cell = [round(v, 6) for v in self.position], self.cell and list(self.cell)
         return {**vars(self), "cell": cell, "position": position, "size": size}
 
 
@@ -105,9 +104,8 @@ class VerifyReport:
     @property
     def total(self) -> LevelCounts:
         """The sums over all levels."""
-        names = [f.name for f in fields(LevelCounts) if f.name != "name"]
-        sums = {name: sum(getattr(level, name) for level in self.levels) for name in names}
-        return LevelCounts("all", **sums)
+        columns = zip(*(list(vars(level).values())[1:] for level in self.levels), strict=True)
+        return LevelCounts("all", *map(sum, columns))
 
     def to_json(self) -> Json:
         """The report as JSON, findings up to `MOST_FINDINGS` of them."""

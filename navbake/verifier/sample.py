@@ -31,11 +31,7 @@ class Agent(NamedTuple):
 
     @classmethod
     def of(cls, grid: GridBase) -> Agent:
-        """The agent that a grid states, with the format's defaults for what it doesn't state.
-
-        Raises:
-            FormatError: what it states is no size of an agent.
-        """
+        """The agent that a grid states, with the format's defaults for what it doesn't state."""
         wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope", 45.0)
         if not is_within(slope, 0, 90):
             wrong.append(
@@ -62,10 +58,8 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflation:
     """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
 
     A grid that was inflated for a smaller radius is inflated further: that gives what one
-    inflation for the larger radius gives.
-
-    Raises:
-        QueryError: the grid was inflated for a larger radius, or in the mode ``minos``.
+    inflation for the larger radius gives. One that was inflated for a larger radius, or in the mode
+    ``minos``, is a QueryError.
     """
     done, broken = read_inflations(grid)
     if broken is not None:

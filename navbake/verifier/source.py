@@ -55,13 +55,8 @@ def find_source(
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
     A scene file, and a scene in memory, gets the settings that the grid states. `data` is the pose
-    of a scene in memory; as the settings say if None.
-
-    Raises:
-        QueryError: no scene is given or found, or it is another one than the grid was baked from,
-            and `force` isn't set.
-        SceneError, ConfigError: the scene or its settings can't be read; the data is of another
-            model.
+    of a scene in memory; as the settings say if None. A scene that isn't given or found is a
+    QueryError, and so is another one than the grid was baked from, unless `force` is set.
     """
     stated = grid.navbake.get("settings")
     stated = stated if isinstance(stated, dict) else {}
@@ -176,10 +171,9 @@ def _position(model: Any, body: int, door: Door) -> float | None:
     kind = int(model.jnt_type[joint])
     if kind not in (HINGE, SLIDE):
         return None
-    low, high = (float(v) for v in model.jnt_range[joint])
-    if not model.jnt_limited[joint]:
-        low, high = 0.0, np.pi / 2 if kind == HINGE else 1.0
+    low, high = 0.0, np.pi / 2 if kind == HINGE else 1.0
+    if model.jnt_limited[joint]:
+        low, high = model.jnt_range[joint].tolist()
     closed = min(max(0.0, low), high)
-    if door.state == "closed":
-        return closed
-    return low if closed - low > high - closed else high
+    is_open = door.state == "open"
+    return max(high, low, key=lambda end: abs(end - closed)) if is_open else closed

@@ -72,7 +72,7 @@ def init(
 
     refuse_unused(("--force", force, output != STDOUT, "files"))
     if output == STDOUT:
-        print(template_for(scene, Path()), end="")
+        print(template_for(scene, Path())[1], end="")
         return
     path = write_template(scene, output, force=force)
     say_unless_quiet(
