@@ -210,14 +210,9 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        floors, contents, bits = self.floors, self.contents, self.cells[1].bits
-        none = np.zeros(self.lattice.shape, dtype=np.bool_)
-        blocked = [(none, none) for _ in floors.levels]
-        if contents is not None:
-            numbers = range(len(floors.levels))
-            blocked = [(contents.wall_cells(k), contents.low_cells(k)) for k in numbers]
-        settings = self.config.rooms, self.config.agent
-        return read_flags(self.doorless, self._blocks, floors, bits, blocked, *settings)
+        contents, settings = self.contents, (self.config.rooms, self.config.agent)
+        found = self._blocks, self.floors, self.cells[1], contents
+        return read_flags(self.doorless, *found, *settings)
 
     @cached_property
     def rooms(self) -> Rooms:

@@ -34,23 +34,14 @@ MAX_LISTED = 3  # bodies that a warning names at most
 
 @dataclass(frozen=True, eq=False)
 class DoorCandidate:
-    """A body that may be a door.
+    """A body that may be a door."""
 
-    Attributes:
-        id: its body's name, or ``body <id>``; with the body's number where two look the same.
-        joint: its joint's name, or ``joint <id>``; None where it can't move.
-        geoms: ids of the counted geoms of the body and its descendants, shape (n,), int64.
-        positions: the joint's position in each state but removed [rad or m]; empty for no joint.
-        joint_id: MuJoCo's id of the joint, -1 for none.
-        named: whether a pattern names it; else it was found by its joint and shape.
-    """
-
-    id: str
-    joint: str | None
-    geoms: Int
-    positions: dict[str, float]
-    joint_id: int
-    named: bool
+    id: str  # its body's name, or ``body <id>``; with its number where two look the same
+    joint: str | None  # its joint's name, or ``joint <id>``; None where it can't move
+    geoms: Int  # ids of the counted geoms of the body and its descendants, shape (n,)
+    positions: dict[str, float]  # of the joint, by state but removed [rad or m]; empty for none
+    joint_id: int  # MuJoCo's, -1 for none
+    named: bool  # by a pattern; else it was found by its joint and shape
 
     def position(self, state: str) -> float | None:
         """The joint's position in a state, as modelled where it hasn't that; None for no joint."""
@@ -74,9 +65,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     counted = np.array([report.counted for report in scene.geoms], dtype=np.bool_)
     # the hinge or slide of each body that has no other joint
     alone = np.isin(model.jnt_type, (HINGE, SLIDE)) & (model.body_jntnum[model.jnt_bodyid] == 1)
-    joints = dict(
-        zip(model.jnt_bodyid[alone].tolist(), np.flatnonzero(alone).tolist(), strict=True)
-    )
+    joints = {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(alone).tolist()}
     # by body id, the patterns that match its name; none for the world
     matches = [
         [p for p in settings.patterns if k and fnmatchcase(n, p)] for k, n in enumerate(names)
@@ -99,9 +88,8 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
         # names that aren't UTF-8 may look the same
         name = names[body] + (f" (body {body})" if count[names[body]] > 1 else "")
         joint, named = joints.get(body, -1), bool(matches[body])
-        joint_id = None if joint < 0 else joint_name(model, joint)
-        positions = {} if joint < 0 else _positions(scene, joint)
-        candidates.append(DoorCandidate(name, joint_id, geoms[body], positions, joint, named))
+        moves = (None, {}) if joint < 0 else (joint_name(model, joint), _positions(scene, joint))
+        candidates.append(DoorCandidate(name, moves[0], geoms[body], moves[1], joint, named))
     used = {pattern for body in found for pattern in matches[body]}
     unused = [pattern for pattern in settings.patterns if pattern not in used]
     of_patterns = {p: [body for body in geoms if p in matches[body]] for p in unused}

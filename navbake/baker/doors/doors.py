@@ -41,30 +41,20 @@ WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "w
 
 @dataclass(frozen=True)
 class Placing:
-    """What a candidate turned out to be on the whole lattice.
-
-    Attributes:
-        box: round all of its states, shape (2, 3) [m]; None if it has no geometry.
-        is_part: whether it is a part of the scene: it stands on the lattice and joins no two rooms.
-        rooms: the ids of the rooms on its two sides, None for the outside.
-        cells: by state, for each level the cells that the door blocks and nothing else does,
-            ascending; empty where the candidate is no door.
-        solid: as `cells`, of the cells whose squares the door meets and nothing else does; empty
-            where the footprint is the square.
-        closed_cells: for each level, the cells that the closed door blocks, whatever else does.
-        travel: by how much its joint opens it, with the unit; empty for no joint.
-        carried: a warning of the floor that it carries; empty for none.
-    """
+    """What a candidate turned out to be on the whole lattice."""
 
     candidate: DoorCandidate
-    box: Float | None
-    is_part: bool = False
+    box: Float | None  # round all of its states, shape (2, 3) [m]; None if it has no geometry
+    is_part: bool = False  # of the scene: it stands on the lattice and joins no two rooms
     rooms: RoomIds = (None, None)
+    # by state and level, the cells that the door blocks and nothing else does, ascending; empty
+    # where the candidate is no door
     cells: dict[str, list[Int]] = field(default_factory=dict)
+    # the same of cells whose squares it meets; empty where the footprint is the square
     solid: dict[str, list[Int]] = field(default_factory=dict)
-    closed_cells: Sequence[Int] = ()
-    travel: str = ""
-    carried: str = ""
+    closed_cells: Sequence[Int] = ()  # by level, what the closed door blocks, whatever else does
+    travel: str = ""  # by how much its joint opens it, with the unit
+    carried: str = ""  # a warning of the floor that it carries
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
@@ -135,8 +125,7 @@ def place_doors(
     """Decide which candidates are doors, and find the cells that each door blocks in each state.
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
-    room and the outside. One that stands beside the lattice, as modelled, is left out: it is no
-    door of the grid, and nothing of the grid changes with it. The scene is the whole one.
+    room and the outside. One beside the lattice, as modelled, is neither door nor part of a scene.
     """
     if not candidates:
         return []
@@ -223,9 +212,8 @@ def _rooms_beside(
     """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
 
     On each side that is the last room in sight, before the floor may end: a door to a ledge joins
-    the room that the ledge is. Only where that is one room on both sides, because what is left of
-    the doorway beyond the leaf belongs to the room behind it, the outside begins where the
-    floor ends.
+    the ledge. Only where that is one room on both sides, because the doorway beyond the leaf
+    belongs to the room behind it, the outside begins where the floor ends.
     """
     sizes = [len(cells) for cells in closed_cells]
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
@@ -277,12 +265,7 @@ def _warn_walkable(
     extents: dict[str, Extents],
     around: Surroundings,
 ) -> str:
-    """Warn of a door that carries 0.5 m² of floor or more, in any of its states; else empty.
-
-    Floor is what faces up within the agent's slope and has its headroom. It has to lie no more
-    than a step from a floor beside it, and not on a floor, as a mat does. The columns and floors
-    are without doors.
-    """
+    """Warn of a door that carries 0.5 m² of floor or more, in any of its states; else empty."""
     for state, when in WHEN.items():
         # seen from above, most doors are too small, which is quickly found
         if np.nansum((extents[state].thin * extents[state].long)[door.geoms]) < MIN_AREA - SLACK:
@@ -298,7 +281,10 @@ def _warn_walkable(
 
 
 def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
-    """How much of the top of a door an agent can stand on, if a step leads there [m²]."""
+    """How much of the top of a door an agent can stand on, if a step leads there [m²].
+
+    That faces up within the agent's slope, has its headroom, and lies on no floor, as a mat does.
+    """
     lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
     window = None if bounds is None else lattice.window(bounds)
     if window is None:

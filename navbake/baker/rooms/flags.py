@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import ColumnSource
 from navbake.baker.connect import label_parts
+from navbake.baker.contents.contents import Contents
 from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
@@ -30,58 +30,36 @@ EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
 
 
 class LevelFlags(NamedTuple):
-    """What rooms need of the cells of a level, shape (height, width) of the whole lattice.
+    """What rooms need of the cells of a level, shape (height, width) of the whole lattice."""
 
-    Attributes:
-        floor: heights, NaN for none, float64 [m].
-        open: with a floor, and no wall or window, bool.
-        hole: without a floor, and nothing stands at the height of an agent's body, bool.
-        edge: open cells at the edge of the grid, bool: floor beyond which there is nothing up to
-            that edge, or ground that is too steep to stand on, such as the bank of a ditch. Walls
-            and pillars are left out: what reaches above heads.
-        sky: with a floor, and nothing above an agent's head, bool.
-        bank: without a floor, and the ground under the sky is too steep to stand on, bool.
-    """
-
-    floor: Float
-    open: Bool
-    hole: Bool
+    floor: Float  # heights, NaN for none [m]
+    open: Bool  # with a floor, and no wall or window
+    hole: Bool  # without a floor, and nothing stands at the height of an agent's body
+    # open cells beside which there is nothing up to the edge of the grid, or ground too steep to
+    # stand on, such as the bank of a ditch; no walls and pillars, which reach above heads
     edge: Bool
-    sky: Bool
-    bank: Bool
+    sky: Bool  # with a floor, and nothing above an agent's head
+    bank: Bool  # without a floor, and the ground under the sky is too steep to stand on
 
 
 class RoomFlags(NamedTuple):
-    """All that rooms depend on beside settings: `find_rooms` is a function of these.
-
-    Attributes:
-        lattice: the cells.
-        levels: the flags of each level.
-        empty: cells in whose columns there is nothing, shape (height, width), bool.
-        ends: the sides of the lattice at which the scene ends, [[upper, lower], [left, right]].
-        has_ground: whether endless ground goes on beyond the lattice.
-        links: steps between cells, see `Floors`, shape (n, 4).
-        marks: the rooms that each source marks, by source.
-    """
+    """All that rooms depend on beside settings: `find_rooms` is a function of these."""
 
     lattice: Lattice
     levels: list[LevelFlags]
-    empty: Bool
-    ends: Bool
-    has_ground: bool
-    links: Int
-    marks: Mapping[str, MarkedRooms]
-
-    def equal(self, other: RoomFlags) -> bool:
-        """Whether the same rooms are found from both."""
-        return _equal(self, other)
+    empty: Bool  # cells in whose columns there is nothing, shape (height, width)
+    ends: Bool  # the sides of the lattice at which the scene ends, [[upper, lower], [left, right]]
+    has_ground: bool  # endless ground goes on beyond the lattice
+    links: Int  # steps between cells, see `Floors`, shape (n, 4)
+    marks: Mapping[str, MarkedRooms]  # the rooms that each source marks
 
 
-def _equal(one: Any, other: Any) -> bool:
+def are_equal(one: Any, other: Any) -> bool:
+    """Whether flags, or parts of them, are the same, so that the same rooms are found from both."""
     if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_equal(one[k], other[k]) for k in one)
+        return one.keys() == other.keys() and all(are_equal(one[k], other[k]) for k in one)
     if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(_equal, one, other))
+        return len(one) == len(other) and all(map(are_equal, one, other))
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     return bool(one == other)
@@ -113,29 +91,28 @@ def read_flags(
     scene: Scene,
     columns: ColumnSource,
     floors: Floors,
-    of_columns: Sequence[NDArray[np.uint8]],
-    blocked: Sequence[tuple[Bool, Bool]],
+    of_columns: ColumnFlags,
+    contents: Contents | None,
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read from a scene, and from what was found in its columns, all that its rooms depend on.
-
-    Args:
-        of_columns: by level, see `ColumnFlags`.
-        blocked: by level, the cells that a wall stands in, and those that a mesh of a whole
-            building blocks, but not above heads; shape (height, width).
-
-    Raises:
-        ConfigError: a polygon names a level that does not exist.
-    """
+    """Read from a scene, and from what was found in its columns, all that its rooms depend on."""
     lattice, levels = columns.lattice, list[LevelFlags]()
-    for level, bits, (wall, low) in zip(floors.levels, of_columns, blocked, strict=True):
-        marked = bits.reshape(lattice.shape)
+    wall = low = np.zeros(lattice.shape, dtype=np.bool_)
+    for number, level in enumerate(floors.levels):
+        if contents is not None:
+            wall, low = contents.wall_cells(number), contents.low_cells(number)
+        marked = of_columns.bits[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
         edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells & ~tall
         levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
-    ends = find_ends(lattice, scene.bounds)
+    ends = ~EVERY_SIDE
+    if scene.bounds is not None:
+        x0, y0, x1, y1 = lattice.bounds
+        (low_x, low_y), (high_x, high_y) = scene.bounds[:, :2]
+        more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
+        ends = more <= BEYOND * lattice.cell_size
     has_ground = len(scene.shapes.planes.geom) > 0
     marks = mark_rooms(scene, columns, floors.levels, settings, agent)
     return RoomFlags(lattice, levels, empty, ends, has_ground, floors.links, marks)
@@ -154,13 +131,3 @@ def edge_cells(is_open: Bool, sides: Bool) -> Bool:
     beyond = np.isin(part, outer[outer > 0])
     edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
     return edge & ~beyond[1:-1, 1:-1]
-
-
-def find_ends(lattice: Lattice, bounds: Float | None) -> Bool:
-    """At which sides of a lattice the scene in a box ends: [[upper, lower], [left, right]]."""
-    if bounds is None:
-        return np.zeros((2, 2), dtype=np.bool_)
-    x0, y0, x1, y1 = lattice.bounds
-    (low_x, low_y), (high_x, high_y) = bounds[:, :2]
-    more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
-    return np.asarray(more <= BEYOND * lattice.cell_size)

@@ -39,22 +39,14 @@ FLOOR_PREFIXES = ("floor|", "floor_")
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source marks.
-
-    Attributes:
-        names: a room's name, or None; the room of ``names[k]`` has the number k + 1.
-        labels: the number of each cell's room by level, shape (height, width), int32, 0 for none.
-        warnings: what the user should know, one line each.
-        covered: the same of cells whose floor lies on the room's, up to a step higher, as on a
-            podium; none where the source has no such cells.
-        outdoors: the numbers of those that are.
-    """
+    """The rooms that one source marks, by level; the room of ``names[k]`` has the number k + 1."""
 
     names: Sequence[str | None]
-    labels: Sequence[Int32]
-    warnings: Sequence[str] = ()
+    labels: Sequence[Int32]  # the number of each cell's room, shape (height, width), 0 for none
+    warnings: Sequence[str] = ()  # what the user should know, one line each
+    # the same with cells whose floor lies up to a step over the room's, as on a podium, if any
     covered: Sequence[Int32] = ()
-    outdoors: Set[int] = frozenset()
+    outdoors: Set[int] = frozenset()  # the numbers of those that are
 
 
 def mark_rooms(
@@ -64,11 +56,7 @@ def mark_rooms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> dict[str, MarkedRooms]:
-    """Find the rooms that geoms, sites and polygons mark in a scene, by source.
-
-    Raises:
-        ConfigError: a polygon names a level that does not exist.
-    """
+    """Find the rooms that geoms, sites and polygons mark in a scene, by source."""
     found = {}
     if "geoms" in settings.sources:
         found["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)

@@ -18,7 +18,7 @@ from navbake.baker.clock import StageClock
 from navbake.baker.pipeline import build_grid
 from navbake.baker.scene.scene import open_file
 from navbake.baker.stages import Stages, take_first_look
-from navbake.baker.update.following import FollowedDoors, FollowedScene, FullBake, Moved, Poses
+from navbake.baker.update.following import FollowedDoors, FollowedScene, FullBake, Moved
 from navbake.baker.update.stages import LiveStages
 from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
@@ -99,7 +99,6 @@ class Baker:
         with limit_threads(threads):
             first = take_first_look(config, StageClock(), opened=opened)
             self._scene = FollowedScene(config, opened, first.scene)
-            self._poses = Poses(opened.model, first.scene.data, str(config.scene.path))
             # None while they are brought up to date, and after that has failed
             self._passes: list[LiveStages] | None = self._bake(first)
             self._grid = build_grid(self._passes[-1].stages)
@@ -119,7 +118,8 @@ class Baker:
     @property
     def pose(self) -> tuple[Float, Float, Float]:
         """Copies of the qpos, mocap_pos and mocap_quat of the data that is baked now."""
-        return self._poses.copy()
+        qpos, position, quaternion = map(np.copy, self._scene.kept)
+        return qpos, position, quaternion
 
     def update(
         self,
@@ -151,15 +151,13 @@ class Baker:
         """
         begin = time.perf_counter()
         with self._lock, limit_threads(self._threads):
-            pose = self._poses.take(data, bodies, joints)
-            moved = self._scene.pose(pose)
+            moved = self._scene.pose(data, bodies, joints)
             # an error, or an interruption, anywhere below: the next update bakes all again
             known, self._passes = self._passes, None
             passes, reason = self._follow(known, moved)
             moved.scene.digest = moved.digest()  # found beside all of that
             old, grid = self._grid, build_grid(passes[-1].stages)
             cells, is_new = _compare(old, grid)
-            self._poses.keep()
             self._scene.keep(moved.scene)
             self._grid, self._passes = grid, passes
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)

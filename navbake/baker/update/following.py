@@ -45,22 +45,53 @@ class Moved(NamedTuple):
     digest: Callable[[], str]  # returns the scene's digest, which it does not have yet
 
 
+# Of a data, that a pose is
+PARTS = "qpos", "mocap_pos", "mocap_quat"
+
+
 class FollowedScene:
-    """A scene of one model, in one pose after the other."""
+    """A scene of one model, in one pose after the other.
+
+    Of two datas of the model one is in the pose of now, and the other becomes the next.
+    """
 
     def __init__(self, config: BakeConfig, opened: OpenScene, scene: Scene) -> None:
         self._config, self._opened, self._meshes = config, opened, scene.meshes
-        self._names = digest_names(opened.model)
+        self._model = model = opened.model
+        self.scene, self._names = scene, digest_names(model)
+        self._next = data_with_joints(model, scene.data, {})
+        self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
+        self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
         self.keep(scene)
 
     def keep(self, scene: Scene) -> None:
         """Take a scene for the one that the next pose is compared with."""
-        self._chosen = [np.array(getattr(scene.model, name)) for name in CHOOSING]
+        self._chosen = [np.array(getattr(self._model, name)) for name in CHOOSING]
+        if scene.data is self._next:
+            self._next = self.scene.data
         self.scene, self._poses = scene, _poses_of(scene.data)
+        # whoever reads it on another thread has the last pose, or this one
+        self.kept = tuple(getattr(scene.data, part).copy() for part in PARTS)
 
-    def pose(self, data: Any) -> Moved:
-        """Find what moved in a pose, a mujoco.MjData of the model with all geoms placed."""
-        was, model = self.scene, self.scene.model
+    def pose(
+        self,
+        data: Any,
+        bodies: Mapping[str, ArrayLike] | None,
+        joints: Mapping[str, float] | None,
+    ) -> Moved:
+        """Take the next pose, and find what moved; see `Baker.update`."""
+        was, model = self.scene, self._model
+        source = was.data if data is None else data
+        check_data(model, source, str(self._config.scene.path))
+        data = self._next
+        for part in PARTS:
+            getattr(data, part)[:] = getattr(source, part)
+        for name, placed in (bodies or {}).items():
+            self._place_body(data, name, placed)
+        for name, position in (joints or {}).items():
+            self._turn_joint(data, name, position)
+        self._check_finite(data)
+        place_geoms(model, data)
         moved = (_poses_of(data) != self._poses).any(axis=1)
         pairs = zip(self._chosen, CHOOSING, strict=True)
         choices_hold = all(np.array_equal(one, getattr(model, name)) for one, name in pairs)
@@ -89,6 +120,53 @@ class FollowedScene:
         geoms, known = np.flatnonzero(meshes).tolist(), (self._meshes, config.agent, config.floors)
         rooms = [HiddenRoom(scene.model, posed, *known) for posed in (scene.data, data)]
         return any(room.is_large(geom) for room in rooms for geom in geoms)
+
+    def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
+        model, body = self._model, self._bodies.get(name)
+        if body is None:
+            raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._bodies)}")
+        numbers = _numbers(placed, f"body {name!r}")
+        if numbers.shape not in ((3,), (7,)):
+            raise QueryError(
+                f"expected x, y, z [m] of body {name!r}, or these and a quaternion w, x, y, z; "
+                f"got shape {numbers.shape}"
+            )
+        if len(numbers) == 7 and not numbers[3:].any():
+            raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
+        mocap, first = int(model.body_mocapid[body]), int(model.body_jntadr[body])
+        if mocap >= 0:
+            pose.mocap_pos[mocap] = numbers[:3]
+            if len(numbers) == 7:
+                pose.mocap_quat[mocap] = numbers[3:]
+        elif first >= 0 and int(model.jnt_type[first]) == FREE:
+            address = int(model.jnt_qposadr[first])
+            pose.qpos[address : address + len(numbers)] = numbers
+        else:
+            raise QueryError(
+                f"body {name!r} can't be placed: it has no free joint and is no mocap body; turn "
+                "its joints, or write to model.body_pos and call update()"
+            )
+
+    def _turn_joint(self, pose: Any, name: str, position: ArrayLike) -> None:
+        model, joint = self._model, self._joints.get(name)
+        if joint is None:
+            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joints)}")
+        numbers = _numbers(position, f"joint {name!r}")
+        if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or numbers.size != 1:
+            raise QueryError(
+                f"expected one number [m or rad] for joint {name!r}, a hinge or a slide; place "
+                f"the bodies of other joints"
+            )
+        pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
+
+    def _check_finite(self, pose: Any) -> None:
+        model, wrong = self._model, np.flatnonzero(~np.isfinite(pose.qpos))
+        joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
+        mocap = np.isfinite(np.hstack([pose.mocap_pos, pose.mocap_quat])).all(axis=1)
+        placed = np.isin(model.body_mocapid, np.flatnonzero(~mocap))
+        for body in (*model.jnt_bodyid[joints], *np.flatnonzero(placed)):
+            what = f"body {body_name(model, int(body))!r}"
+            raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
 
 
 def _poses_of(data: Any) -> Float:
@@ -166,104 +244,6 @@ def _facts_of(candidate: DoorCandidate) -> tuple[Any, ...]:
     """All of a candidate but how its joint is modelled."""
     known = candidate.id, candidate.joint, candidate.joint_id, candidate.named
     return *known, candidate.geoms.tolist()
-
-
-PARTS = "qpos", "mocap_pos", "mocap_quat"  # of a data, that a pose is
-
-
-class Poses:
-    """Two datas of a model, of which one is in the pose of now, and the other becomes the next."""
-
-    def __init__(self, model: Any, data: Any, name: str) -> None:
-        self._model, self._name = model, name
-        self._now, self._next = data, data_with_joints(model, data, {})
-        self._kept = _pose_of(data)
-        self._bodies = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
-        self._joints = {joint_name(model, joint): joint for joint in range(model.njnt - 1, -1, -1)}
-
-    def take(
-        self,
-        data: Any,
-        bodies: Mapping[str, ArrayLike] | None,
-        joints: Mapping[str, float] | None,
-    ) -> Any:
-        """The data of the next pose, with all geoms placed; see `Baker.update`."""
-        source = self._now
-        if data is not None:
-            check_data(self._model, data, self._name)
-            source = data
-        pose = self._next
-        for part in PARTS:
-            getattr(pose, part)[:] = getattr(source, part)
-        for name, placed in (bodies or {}).items():
-            self._place_body(pose, name, placed)
-        for name, position in (joints or {}).items():
-            self._turn_joint(pose, name, position)
-        self._check_finite(pose)
-        place_geoms(self._model, pose)
-        return pose
-
-    def copy(self) -> tuple[Float, Float, Float]:
-        """The joint positions of now, the mocap bodies' positions, and their quaternions."""
-        qpos, position, quaternion = map(np.copy, self._kept)
-        return qpos, position, quaternion
-
-    def keep(self) -> None:
-        """Let the next pose be the one of now."""
-        # whoever reads the pose on another thread has the last one, or this one
-        self._kept = _pose_of(self._next)
-        self._now, self._next = self._next, self._now
-
-    def _place_body(self, pose: Any, name: str, placed: ArrayLike) -> None:
-        model, body = self._model, self._bodies.get(name)
-        if body is None:
-            raise QueryError(f"no body {name!r} in the scene: {suggest(name, self._bodies)}")
-        numbers = _numbers(placed, f"body {name!r}")
-        if numbers.shape not in ((3,), (7,)):
-            raise QueryError(
-                f"expected x, y, z [m] of body {name!r}, or these and a quaternion w, x, y, z; "
-                f"got shape {numbers.shape}"
-            )
-        if len(numbers) == 7 and not numbers[3:].any():
-            raise QueryError(f"expected a quaternion of body {name!r} that is not 0")
-        mocap, first = int(model.body_mocapid[body]), int(model.body_jntadr[body])
-        if mocap >= 0:
-            pose.mocap_pos[mocap] = numbers[:3]
-            if len(numbers) == 7:
-                pose.mocap_quat[mocap] = numbers[3:]
-        elif first >= 0 and int(model.jnt_type[first]) == FREE:
-            address = int(model.jnt_qposadr[first])
-            pose.qpos[address : address + len(numbers)] = numbers
-        else:
-            raise QueryError(
-                f"body {name!r} can't be placed: it has no free joint and is no mocap body; turn "
-                "its joints, or write to model.body_pos and call update()"
-            )
-
-    def _turn_joint(self, pose: Any, name: str, position: ArrayLike) -> None:
-        model, joint = self._model, self._joints.get(name)
-        if joint is None:
-            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joints)}")
-        numbers = _numbers(position, f"joint {name!r}")
-        if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or numbers.size != 1:
-            raise QueryError(
-                f"expected one number [m or rad] for joint {name!r}, a hinge or a slide; place "
-                f"the bodies of other joints"
-            )
-        pose.qpos[model.jnt_qposadr[joint]] = numbers.item()
-
-    def _check_finite(self, pose: Any) -> None:
-        model, wrong = self._model, np.flatnonzero(~np.isfinite(pose.qpos))
-        joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
-        mocap = np.isfinite(np.hstack([pose.mocap_pos, pose.mocap_quat])).all(axis=1)
-        placed = np.isin(model.body_mocapid, np.flatnonzero(~mocap))
-        for body in (*model.jnt_bodyid[joints], *np.flatnonzero(placed)):
-            what = f"body {body_name(model, int(body))!r}"
-            raise QueryError(f"expected numbers as the pose of {what}, got NaN or infinity")
-
-
-def _pose_of(data: Any) -> tuple[Float, ...]:
-    return tuple(getattr(data, part).copy() for part in PARTS)
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

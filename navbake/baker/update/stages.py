@@ -24,7 +24,7 @@ from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
 from navbake.baker.lattice import cells_near, lay_lattice
-from navbake.baker.rooms.flags import RoomFlags
+from navbake.baker.rooms.flags import RoomFlags, are_equal
 from navbake.baker.rooms.sources import find_markers
 from navbake.baker.stages import Stages
 from navbake.baker.update.following import FullBake, Moved, boxes_of
@@ -156,7 +156,7 @@ class LiveStages:
         if not flags_hold or self._room_flags is None:
             now.cells = self._cells
             flags, self._room_flags = self._room_flags, now.room_flags
-            flags_hold = flags is not None and now.room_flags.equal(flags)
+            flags_hold = flags is not None and are_equal(now.room_flags, flags)
         if flags_hold:
             now.rooms = was.rooms
         now.doors = _follow_doors(was, now, set(differ), near)
