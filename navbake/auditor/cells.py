@@ -40,10 +40,7 @@ def check_all_free(facts: Facts) -> Iterator[Found]:
 
 
 def check_empty_levels(facts: Facts) -> Iterator[Found]:
-    """A level has no floor, or nowhere to stand; or so has the whole grid.
-
-    An inflation may close a level, where the agent is too large for it.
-    """
+    """A level has no floor, or nowhere to stand, which an inflation may do; or so has the grid."""
     severity = ERROR if facts.reach is None else REMARK
     inflated = "" if facts.reach is None else f", inflated by {facts.reach:g} m"
     if not any(free.any() for free in facts.free):

@@ -69,10 +69,8 @@ def check_boxes(facts: Facts) -> Iterator[Found]:
         if out.any():
             text = f"{int(out.sum())} free cells lie outside of its box (`bbox`)"
             yield ERROR, number, facts.first(number, out), text
-        taken = np.zeros_like(free)
-        for lower in boxes[:number]:
-            if lower is not None:
-                taken |= free & _in_box(facts, number, lower)
+        lower = [_in_box(facts, number, box) for box in boxes[:number] if box is not None]
+        taken = free & np.any([np.zeros_like(free), *lower], axis=0)
         # where levels interleave, some cells lie in two boxes, and no boxes are right for all
         if number and taken.sum() > MOST_TAKEN * free.sum():
             text = f"{int(taken.sum())} free cells lie in the box of a lower level, too"
@@ -82,13 +80,10 @@ def check_boxes(facts: Facts) -> Iterator[Found]:
 def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bool:
     """Which cells of a level have their centres in a box of the file (y up)."""
     level, floor = facts.levels[number], facts.floors[number]
-    (x0, y0, z0), (x1, y1, z1) = (np.array(corner) * level.unit for corner in box)
-    x, y = level.lattice.center_x(), level.lattice.center_y()
-    height = np.where(np.isnan(floor), level.ground, floor)
-    inside = (height >= y0 - 1e-6) & (height <= y1 + 1e-6)
-    inside &= (x >= x0 - BOX_SLACK) & (x <= x1 + BOX_SLACK)
-    inside &= ((-y >= z0 - BOX_SLACK) & (-y <= z1 + BOX_SLACK))[:, None]
-    return np.asarray(inside)
+    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    at = np.stack([x, np.where(np.isnan(floor), level.ground, floor), -y], axis=-1)
+    low, high, slack = *(np.array(box) * level.unit), np.array([BOX_SLACK, 1e-6, BOX_SLACK])
+    return np.asarray(((at >= low - slack) & (at <= high + slack)).all(axis=-1))
 
 
 def check_links(facts: Facts) -> Iterator[Found]:

@@ -44,10 +44,7 @@ class Line(NamedTuple):
         return any(low <= z + SAME and high > z + SAME for low, high in self.solid)
 
     def faces_up(self, low: float, high: float) -> bool:
-        """Whether a surface between two heights faces up [m].
-
-        It may lie inside of a solid: floors go on under things.
-        """
+        """Whether a surface between two heights faces up [m], also inside of a solid."""
         return any(s.up >= FACES_UP and low <= s.z <= high for s in self.surfaces)
 
     def standable(self, height: float, min_up: float) -> list[Surface]:
@@ -154,14 +151,13 @@ class Lines:
 
     def _ray(self, geom: int, x: float, y: float, z: float, way: int) -> tuple[float, float] | None:
         """Where a vertical ray first meets a geom of the model: z [m], and z of the unit normal."""
-        model, data, kind = self.obstacles.model, self.obstacles.data, self._kind[geom]
+        own, kind = self.obstacles, self._kind[geom]
         self._point[:] = x, y, z
         ray = self._point, WAY[way]
-        if kind == GEOM.mjGEOM_MESH:
-            distance = mujoco.mj_rayMesh(model, data, geom, *ray, self._normal)
-        elif kind == GEOM.mjGEOM_HFIELD:
-            distance = mujoco.mj_rayHfield(model, data, geom, *ray, self._normal)
+        if kind in (GEOM.mjGEOM_MESH, GEOM.mjGEOM_HFIELD):
+            cast = mujoco.mj_rayMesh if kind == GEOM.mjGEOM_MESH else mujoco.mj_rayHfield
+            distance = cast(own.model, own.data, geom, *ray, self._normal)
         else:
-            own = self.obstacles.pos[geom], self.obstacles.mat[geom], self.obstacles.size[geom]
-            distance = mujoco.mju_rayGeom(*own, *ray, kind, self._normal)
+            place = own.pos[geom], own.mat[geom], own.size[geom]
+            distance = mujoco.mju_rayGeom(*place, *ray, kind, self._normal)
         return None if distance < 0 else (z + way * distance, float(self._normal[2]))

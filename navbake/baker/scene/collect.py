@@ -157,28 +157,23 @@ def collect_shapes(
             vertices += data.geom_xpos[geom]
             found = found._replace(vertices=vertices)
         triangles[geom] = found
+    ends = np.cumsum([0, *(len(one.faces) for one in triangles.values())])
+    owner = np.repeat(np.array(list(triangles), dtype=np.int32), np.diff(ends))
+    part, closed = np.empty(len(owner), np.int32), np.empty(len(owner), np.uint8)
+    corners = np.empty((len(owner), 3, 3))
+    for one, (first, end) in zip(triangles.values(), pairwise(ends.tolist()), strict=True):
+        part[first:end], closed[first:end] = one.part, one.closed
+        np.take(one.vertices, one.faces, axis=0, out=corners[first:end], mode="clip")
     index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
     own = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
     size = model.geom_size[index]
     gathered = Shapes(
         solids=Solids(index, *own, size, solid_bounds(*own, size)),
         planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
-        triangles=_join_triangles(triangles),
+        triangles=Triangles(owner, part, closed, corners),
         endless=endless,
     )
     return Collected(gathered, kinds, list(notes.values()))
-
-
-def _join_triangles(found: dict[int, GeomTriangles]) -> Triangles:
-    """The triangles of all geoms in one."""
-    ends = np.cumsum([0, *(len(one.faces) for one in found.values())])
-    geom = np.repeat(np.array(list(found), dtype=np.int32), np.diff(ends))
-    part, closed = np.empty(len(geom), np.int32), np.empty(len(geom), np.uint8)
-    corners = np.empty((len(geom), 3, 3))
-    for one, (first, end) in zip(found.values(), pairwise(ends.tolist()), strict=True):
-        part[first:end], closed[first:end] = one.part, one.closed
-        np.take(one.vertices, one.faces, axis=0, out=corners[first:end], mode="clip")
-    return Triangles(geom, part, closed, corners)
 
 
 def _height_field(model: Any, hfield: int) -> Float:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts
+from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.model import OpenScene, catch_warnings, ground_of, load_model
 from navbake.config.settings import SceneSettings
 from navbake.errors import NavbakeError, SceneError
@@ -70,15 +70,11 @@ def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list
                 f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
                 f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
             )
-        warned, error = pickle.loads((place / RESULT).read_bytes())
+        warned, error, parts = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
         if error is not None:
             raise error
         model = mujoco.MjModel.from_binary_path(str(place / MODEL))
-    parts = {}
-    if scene.suffix.lower() in MESH_SUFFIXES:
-        own = read_mesh_parts(scene, settings.up, settings.unit)
-        parts = {int(model.geom(part.name).id): part for part in own}
     return OpenScene(model, parts, ground_of(model, settings), warnings)
 
 
@@ -92,13 +88,14 @@ def compile_job(folder: str) -> None:
     if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
         signal.setitimer(signal.ITIMER_REAL, limits.seconds)
     failed: Exception | None = None
+    parts: dict[int, MeshPart] = {}
     with catch_warnings() as warned:
         try:
-            model = load_model(settings, warned)[0]
+            model, parts, *_ = load_model(settings, warned)
             mujoco.mj_saveModel(model, str(place / MODEL), None)
         except Exception as error:
             if not lacked_memory(error) and not isinstance(error, NavbakeError):
                 raise
             lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
             failed = SceneError(lacks) if lacked_memory(error) else error
-    (place / RESULT).write_bytes(pickle.dumps((warned, failed)))
+    (place / RESULT).write_bytes(pickle.dumps((warned, failed, parts)))

@@ -357,12 +357,9 @@ def check_data(model: Any, data: Any, name: str) -> None:
     """Raise a ConfigError unless a mujoco.MjData fits a model, by numbers of things and joints."""
     if not isinstance(data, mujoco.MjData):
         raise ConfigError(f"expected a mujoco.MjData of {name}, got {type(data).__name__}")
-    other = data.model
+    other, text = data.model, f"the data is of another model than {name}"
     for size in SIZES:
-        expected, got = int(getattr(model, size)), int(getattr(other, size))
-        if expected != got:
-            raise ConfigError(
-                f"the data is of another model than {name}: expected {size} = {expected}, got {got}"
-            )
+        if getattr(model, size) != (got := getattr(other, size)):
+            raise ConfigError(f"{text}: expected {size} = {getattr(model, size)}, got {got}")
     if not np.array_equal(model.jnt_type, other.jnt_type):
-        raise ConfigError(f"the data is of another model than {name}: its joints differ")
+        raise ConfigError(f"{text}: its joints differ")
