@@ -108,9 +108,8 @@ class FlatGrid:
         """As `locate`; raises QueryError where no agent can stand."""
         p, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
-            raise QueryError(
-                f"no agent can stand at {text_of(p)}: snap it to the nearest place first"
-            )
+            hint = "snap it to the nearest place first"
+            raise QueryError(f"no agent can stand at {text_of(p)}: {hint}")
         return p, cell
 
     def positions(self, cells: Int | int) -> Float:
@@ -202,10 +201,8 @@ class RoomMap:
         if len(named) == 1:
             return by_id[named[0]]
         if named:
-            raise QueryError(
-                f"{len(named)} rooms in {self.scene_id!r} have the name {name!r}: expected one of "
-                f"the ids {', '.join(named)}"
-            )
+            rooms = f"{len(named)} rooms in {self.scene_id!r} have the name {name!r}"
+            raise QueryError(f"{rooms}: expected one of the ids {', '.join(named)}")
         names = [*by_id, *(room.name for room in self.rooms if room.name)]
         raise QueryError(f"no room {name!r} in {self.scene_id!r}: {suggest(name, names)}")
 
@@ -297,8 +294,7 @@ class IslandMap:
 def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> IslandMap:
     """Find the islands of a grid, by the rule of `navbake.navgrid.islands.find_islands`.
 
-    Where corners may be cut, the diagonal ones among the `moves` of each cell, see
-    `navbake.runtime.kernels.routes`, join cells that nothing else does.
+    Where corners may be cut, the diagonal ones among the `moves` of each cell join cells, too.
     """
     layout, floors = flat.layout, flat.floors
     links = [np.stack(flat.link_ends(), axis=1)]

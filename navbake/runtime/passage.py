@@ -20,7 +20,7 @@ from navbake.runtime import inflation
 from navbake.runtime.flat_grid import FlatGrid, doors_on, map_islands, text_of
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
-from navbake.runtime.search import Search
+from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int
 
@@ -232,18 +232,16 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
         what = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
             what = "has no floor below it"
+    elif (place := place_in(grid, flat.cell(cell))).is_blocked:
+        what = "is blocked for now"
+    elif place.floor is None:
+        what = "is on no floor"
+    elif place.occupied:
+        names = _names(search, np.array([cell]))
+        what = f"is where something stands{f' ({names})' if names else ''}"
     else:
-        place = place_in(grid, flat.cell(cell))
-        if place.is_blocked:
-            what = "is blocked for now"
-        elif place.floor is None:
-            what = "is on no floor"
-        elif place.occupied:
-            names = _names(search, np.array([cell]))
-            what = f"is where something stands{f' ({names})' if names else ''}"
-        else:
-            what = "is too near to what stands beside it for a radius of "
-            what += f"{inflation.agent_radius(grid):g} m"
+        radius = f"{inflation.agent_radius(grid):g} m"
+        what = f"is too near to what stands beside it for a radius of {radius}"
     what = f"{_text(position)} {what}"
     free = np.flatnonzero(flat.free)
     if not len(free):
@@ -266,11 +264,11 @@ def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
     # One tree for all levels: as a third coordinate, each level is farther from the next than any
     # two cells of one level can be.
     reach = 10.0 * float(flat.layout.start[-1])
-    places = [
+    here, there = (
         np.column_stack([flat.positions(c)[:, :2], flat.level_of(c) * reach])
         for c in (ones, others)
-    ]
-    distance, index = spatial.cKDTree(places[1]).query(places[0])
+    )
+    distance, index = spatial.cKDTree(there).query(here)
     one = int(np.argmin(distance))
     cells = np.array([ones[one], others[index[one]]])
     goal = int(islands.number[cells[1]])
@@ -290,8 +288,7 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
     clean = grid.without_blocks()
     if clean is grid:
         return None
-    route = find_route(clean, origin, goals, search.cut_corners)
-    if route is None:
+    if (route := find_route(clean, origin, goals, search.cut_corners)) is None:
         return None
     stops = np.flatnonzero(~flat.free[route])
     around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
@@ -316,9 +313,8 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     if radius:
         without = without.inflate(radius, ledges=inflation.ledges_of(grid))
     route = find_route(without, origin, goals, search.cut_corners)
-    if route is None:
-        return None
-    names = list(dict.fromkeys(doors_on(search.doors, route[~flat.free[route]])))
+    blocked = NO_CELLS if route is None else route[~flat.free[route]]
+    names = list(dict.fromkeys(doors_on(search.doors, blocked)))
     if not names:
         return None
     states = {door.id: door.state for door in grid.doors}

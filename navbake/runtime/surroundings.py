@@ -71,7 +71,13 @@ def find_blocked(
         others.occupied[storeys.level] = 0
     if cells > 0:
         block_by_others(grid, number, others, radius, offsets, ledges, blocked)
-        _block_by_holes(storeys, cells, blocked)
+        # holes that are not occupied, and leave too little floor round a cell
+        has_floor = ~np.isnan(storeys.floor[storeys.level])
+        holes = ~has_floor & (occupied == 0)
+        if holes.any():
+            offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
+            todo = kernels.dilate(holes.view(np.uint8), widths) & has_floor
+            kernels.block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
     return blocked[inside]
 
 
@@ -105,24 +111,12 @@ def block_by_others(
     for extreme, of_window, beyond in (
         (np.fmin, ndimage.minimum_filter, none), (np.fmax, ndimage.maximum_filter, -none),
     ):  # fmt: skip
-        here = extreme.reduce(extreme.reduce(tiles, axis=2), axis=3)
-        here = np.where(np.isnan(here), beyond, here)
-        near = of_window(here, size=window, mode="constant", cval=beyond)
-        ranges += [here.astype(np.float64), near.astype(np.float64)]
+        here = extreme.reduce(tiles, axis=(2, 4))
+        here = np.where(np.isnan(here), beyond, here).astype(np.float64)
+        ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
     kernels.block_by_floors(
         storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
     )
-
-
-def _block_by_holes(storeys: Storeys, cells: float, blocked: Bool) -> None:
-    """Block cells round which holes that are not occupied leave too little floor."""
-    has_floor = ~np.isnan(storeys.floor[storeys.level])
-    holes = ~has_floor & (storeys.occupied[storeys.level] == 0)
-    if not holes.any():
-        return
-    offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
-    todo = kernels.dilate(holes.view(np.uint8), widths) & has_floor
-    kernels.block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
 
 
 def disc(

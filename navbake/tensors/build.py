@@ -64,10 +64,8 @@ def make_tensors(
         raise QueryError(f"expected grids, at least one grid, got {several}")
     per_grid: list[Any] = [goals] if is_one else list(goals) or [()] * len(several)
     if len(per_grid) != len(several) or len({len(g) for g in per_grid}) != 1:
-        raise QueryError(
-            f"expected as many goals for each of {len(several)} grids, got "
-            f"{[len(g) for g in per_grid]}"
-        )
+        wanted = f"as many goals for each of {len(several)} grids"
+        raise QueryError(f"expected {wanted}, got {[len(g) for g in per_grid]}")
     check_distance(max_drop, "max_drop")
     xp, make = _open_library(xp, device, dtype)
     of_library = make(np.zeros(1)).dtype
@@ -101,10 +99,7 @@ def make_tensors(
 def _open_library(
     xp: Any, device: Any, dtype: str | None
 ) -> tuple[Any, Callable[[NDArray[Any]], Any]]:
-    """A library's namespace, and what makes arrays of it: floats in the dtype, others in their own.
-
-    The dtype is what the library makes of a Python float unless given.
-    """
+    """A library's namespace, and what makes arrays of it: floats in the dtype."""
     try:
         from array_api_compat import array_namespace  # of the extra [tensors]
     except ImportError as error:
@@ -114,10 +109,8 @@ def _open_library(
         probe = xp.asarray([0.0])
         space = array_namespace(probe)
     except (AttributeError, TypeError) as error:
-        raise QueryError(
-            "expected numpy, torch, jax.numpy or another module of the Python array API, got "
-            f"{xp!r}"
-        ) from error
+        wanted = "numpy, torch, jax.numpy or another module of the Python array API"
+        raise QueryError(f"expected {wanted}, got {xp!r}") from error
     if dtype not in (None, "float32", "float64"):
         raise QueryError(f'expected a dtype "float32" or "float64", got {dtype!r}')
     wanted = probe.dtype if dtype is None else getattr(space, dtype)
@@ -129,10 +122,8 @@ def _open_library(
         except Exception as error:  # each library has errors of its own
             if device is None:
                 raise
-            reason = str(error).splitlines()[0]
-            raise QueryError(
-                f"no array of {space.__name__} can be made on the device {device!r}: {reason}"
-            ) from error
+            where = f"{space.__name__} can be made on the device {device!r}"
+            raise QueryError(f"no array of {where}: {str(error).splitlines()[0]}") from error
 
     if make(np.zeros(1)).dtype != wanted:  # JAX has no float64 and no int64 unless it was told to
         raise QueryError(f"{space.__name__} has no {dtype} as it is set up: use float32")

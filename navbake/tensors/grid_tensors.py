@@ -186,12 +186,10 @@ def as_array(t: GridTensors, values: Array) -> Array:
     """Numbers as an array of the tensors' dtype; one of another might be in another cell."""
     if isinstance(values, int | float | Sequence):
         return _new_array(t, values, t.dtype)
-    if getattr(values, "dtype", None) != t.dtype:
-        kind = getattr(values, "dtype", "no numbers")
-        raise QueryError(
-            f"expected an array of {t.dtype}, as the tensors are, got {type(values).__name__} of "
-            f"{kind}: convert it, or make the tensors with that dtype"
-        )
+    if (kind := getattr(values, "dtype", "no numbers")) != t.dtype:
+        found = f"{type(values).__name__} of {kind}"
+        hint = "convert it, or make the tensors with that dtype"
+        raise QueryError(f"expected an array of {t.dtype}, as the tensors are, got {found}: {hint}")
     return values
 
 
@@ -237,10 +235,8 @@ def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) 
     try:
         return t.xp.broadcast_to(values, shape)
     except (ValueError, RuntimeError, TypeError) as error:
-        raise QueryError(
-            f"expected a {what} that fits the shape {tuple(shape)}, got one of shape "
-            f"{tuple(values.shape)}"
-        ) from error
+        wanted = f"expected a {what} that fits the shape {tuple(shape)}"
+        raise QueryError(f"{wanted}, got one of shape {tuple(values.shape)}") from error
 
 
 def device_of(t: GridTensors) -> Array:
