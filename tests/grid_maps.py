@@ -85,3 +85,11 @@ def _links(rng, levels):
             inside = 0 <= there[0] < high.height and 0 <= there[1] < high.width
             if inside and high.free[there] and rng.random() < 0.1:
                 yield (a, int(row), int(col)), (a + 1, int(there[0]), int(there[1]))
+
+
+def room(level, index, id, name=None):
+    """An entry of the table of rooms in a grid's metadata."""
+    return {
+        "level": level, "index": index, "id": id, "name": name, "area": 1.0,
+        "centroid": [0.0, 0.0, 0.0], "neighbours": [],
+    }  # fmt: skip

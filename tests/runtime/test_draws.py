@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.stats import chisquare
 
-from grid_maps import house_from, level_from, random_house
+from grid_maps import house_from, level_from, random_house, room
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cell
 from navbake.navgrid.grid import MultiLevelGrid
@@ -19,13 +17,6 @@ from navbake.runtime.path_finder import PathFinder
 
 def make_rng(seed=0):
     return np.random.default_rng(seed)
-
-
-def room(level, index, id):
-    return {
-        "level": level, "index": index, "id": id, "name": None, "area": 1.0,
-        "centroid": [0.0, 0.0, 0.0], "neighbours": [],
-    }  # fmt: skip
 
 
 def random_sampler(seed, **options):
@@ -101,46 +92,12 @@ def test_in_a_room():
     assert near[:, 0].min() > 0.5
 
 
-def plain_distances(sampler, start):
-    """scipy's, over eight neighbours without corners, and links of a cell's length."""
-    flat, moves = sampler.search.flat, []
-    for level in range(flat.num_levels):
-        layout = flat.layout
-        width, height, first = (int(v[level]) for v in (layout.width, layout.height, layout.start))
-        free = flat.free[first : first + width * height].reshape(height, width)
-        floor = flat.floors.z[first : first + width * height].reshape(height, width)
-
-        def joined(a, b, free=free, floor=floor):
-            return free[a] and free[b] and not abs(floor[a] - floor[b]) > flat.floors.max_step
-
-        for row, col in np.ndindex(height, width):
-            for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-                there = (row + down, col + across)
-                if not (there[0] < height and 0 <= there[1] < width):
-                    continue
-                corners = [(row, there[1]), (there[0], col)]
-                ok = joined((row, col), there)
-                for corner in corners if down and across else ():
-                    ok = ok and joined((row, col), corner) and joined(corner, there)
-                if ok:
-                    ids = [first + r * width + c for r, c in ((row, col), there)]
-                    moves.append((*ids, 0.1 * math.hypot(down, across)))
-    for i, cell in enumerate(flat.links.cell):
-        for other in flat.links.target[flat.links.start[i] : flat.links.start[i + 1]]:
-            if flat.free[cell] and flat.free[other]:
-                moves.append((cell, other, 0.1))
-    a, b, length = np.array(moves).T
-    shape = (flat.num_cells, flat.num_cells)
-    graph = coo_array((length, (a.astype(int), b.astype(int))), shape=shape).tocsr()
-    return dijkstra(graph, directed=False, indices=start)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_near_by_the_length_of_the_path(seed):
     sampler = random_sampler(seed, num_levels=2, share=0.8)
     flat, rng = sampler.search.flat, make_rng(seed)
     start = sampler.random_point(rng, island=1)
-    distance = plain_distances(sampler, int(flat.cells_at(start)))
+    distance = sampler.search.field(flat.cells_at(start[None]), weighted=False)
     points = sampler.random_point_near(rng, start, 0.8, 4000, min_distance=0.35)
     cells = flat.cells_at(points)
     near = flat.free & (distance > 0.35 - 1e-9) & (distance < 0.8 + 1e-9)

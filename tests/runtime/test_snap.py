@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import navbake.runtime.places
-from grid_maps import house_from, level_from, random_house
+from grid_maps import house_from, level_from, random_house, room
 from navbake.errors import QueryError
-from navbake.navgrid.cells import Cells
 from navbake.runtime.path_finder import PathFinder
 
 
@@ -90,20 +89,13 @@ def test_not_onto_the_wrong_storey():
     np.testing.assert_allclose(finder.snap((0.05, -0.15, 0.9), level=0), (0.55, -0.15, 0.0))
 
 
-ROOMS = [
-    {"level": 0, "index": k, "id": name, "name": None, "area": 1.0, "centroid": [0.0, 0.0, 0.0],
-     "neighbours": []}
-    for k, name in ((1, "left"), (2, "right"))
-]  # fmt: skip
-
-
 def two_rooms(text):
     """Rooms left and right of column 5, the wall."""
     level = level_from(text)
     index = np.zeros(level.shape, dtype=np.uint16)
     index[1:-1, 1:5], index[1:-1, 6:-1] = 1, 2
     level.attributes["roomIndex"] = index
-    return PathFinder(house_from([level], rooms=ROOMS))
+    return PathFinder(house_from([level], rooms=[room(0, 1, "left"), room(0, 2, "right")]))
 
 
 def test_not_through_a_wall():
@@ -177,23 +169,8 @@ def test_onto_an_island():
         finder.snap((0.05, -0.05), island=3)
 
 
-def test_live_obstacles_count():
-    finder = PathFinder(level_from("....."))
-    finder.grid.block(cells=Cells(0, 0, np.arange(2)))
-    assert finder.snap((0.05, -0.05))[0] == pytest.approx(0.25)
-    assert finder.snap((0.05, -0.05), in_sight=True)[0] == pytest.approx(0.25)
-
-
 def test_nothing_free_is_none():
     assert PathFinder(level_from("###")).snap((0.05, -0.05)) is None
-
-
-def test_files_without_floors_and_occupancy():
-    level = level_from("##..", floors=False)
-    del level.attributes["occupancy"]
-    finder = PathFinder(level)
-    np.testing.assert_allclose(finder.snap((0.05, -0.05, 0.3)), (0.25, -0.05, 0.0))
-    assert finder.snap((0.05, -0.05), in_sight=True)[0] == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(

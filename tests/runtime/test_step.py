@@ -216,18 +216,6 @@ def test_sliding_gets_as_near_as_a_short_walk_can(seed):
     assert slid_on > 3
 
 
-def test_live_obstacles_count():
-    finder = PathFinder(level_from("....."))
-    finder.grid.block(cells=(0, 0, 2))
-    assert finder.try_step((0.05, -0.05), (0.45, -0.05))[0] < 0.2
-
-
-def test_files_without_floors_and_occupancy():
-    level = level_from("...#..", floors=False)
-    del level.attributes["occupancy"]
-    assert step(level, (0.05, -0.05), (0.55, -0.05))[0] == pytest.approx(0.3, abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("start", "end", "message"),
     [
