@@ -289,7 +289,7 @@ def _cut_doors(stages: Stages) -> list[Door]:
         return {number: to_runs(cells) for number, cells in inside if len(cells)}
 
     doors = list[Door]()
-    for door in stages.doors.placed:
+    for door in stages.placed:
         cells, solid = ({s: cut(c) for s, c in of.items()} for of in (door.cells, door.solid))
         state, known = door.state(stages.config.doors.state), door.candidate
         doors.append(Door(known.id, known.joint, door.rooms, state, cells, solid))

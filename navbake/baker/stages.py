@@ -20,7 +20,7 @@ from navbake.baker.column_blocks import ColumnBlocks, join_columns
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import Doors, Surroundings, place_doors
+from navbake.baker.doors.doors import Placing, Surroundings, place_doors
 from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
@@ -87,7 +87,7 @@ def settle_doors(stages: Stages) -> Stages:
     it may carry a floor, occupy cells and be a wall. So all stages run again with it. That may
     change the rooms, and so whether another candidate joins two of them: each pass rejects one.
     """
-    while rejected := stages.doors.rejected:
+    while rejected := stages.rejected:
         kept = [candidate for candidate in stages.candidates if candidate not in rejected]
         stages = replace(stages, candidates=kept)
     return stages
@@ -153,10 +153,7 @@ class Stages:
 
     @cached_property
     def floors(self) -> Floors:
-        """The storeys, the floor of each, and the steps between them.
-
-        They are found on the whole scene, and cut to the lattice.
-        """
+        """The storeys of the whole scene, cut to the lattice: their floors, the steps between."""
         # columns take all threads; most of what floors take then is one thread's
         _ = self.judged_columns, self._extents
         return self.judge_floors()[0]
@@ -224,10 +221,7 @@ class Stages:
 
     @cached_property
     def cells(self) -> tuple[CellFinder, ColumnFlags]:
-        """What finds the occupancy and contents of cells, and what rooms read of their columns.
-
-        Once the floors are known, one pass over the columns finds both.
-        """
+        """What finds occupancy and contents, and what rooms read of columns, seen in one pass."""
         floors, columns, agent = self.floors, self._blocks, self.config.agent
         with self.clock.stage("occupancy"):
             finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
@@ -247,12 +241,21 @@ class Stages:
         return Surroundings(self._blocks, levels, *found, self.config.agent)
 
     @cached_property
-    def doors(self) -> Doors:
-        """What each door blocks in each state, and which candidates are no doors."""
+    def doors(self) -> list[Placing]:
+        """What each candidate is, and what it blocks in each state."""
         around = self.around_doors
         with self.clock.stage("doors"):
-            placings = place_doors(self.scene, self.candidates, around)
-            return Doors(placings, self.config.doors.state)
+            return place_doors(self.scene, self.candidates, around)
+
+    @property
+    def placed(self) -> list[Placing]:
+        """The candidates that are doors."""
+        return [one for one in self.doors if one.cells]
+
+    @property
+    def rejected(self) -> list[DoorCandidate]:
+        """The candidates that are parts of the scene; see `settle_doors`."""
+        return [one.candidate for one in self.doors if one.is_part]
 
     @cached_property
     def boxes(self) -> LevelBoxes:
@@ -269,8 +272,7 @@ class Stages:
     @cached_property
     def room_table(self) -> list[Json]:
         """The table of rooms as a file states it, with the doors between them."""
-        placed = self.doors.placed
-        closed = {door.candidate.id: (door.rooms, door.closed_cells) for door in placed}
+        closed = {one.candidate.id: (one.rooms, one.closed_cells) for one in self.placed}
         return [room.to_json() for room in self.rooms.with_doors(closed).table]
 
     @cached_property

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from navbake.baker.doors.doors import warn_doors
 from navbake.baker.floors.outline import find_cropped
 from navbake.baker.floors.reach import TOLD_AREA
 from navbake.baker.floors.rejected import LARGE_TOP
@@ -65,7 +66,7 @@ def collect_warnings(stages: Stages) -> list[str]:
         *_warn_hidden_ground(stages),
         *(stages.contents.warnings if stages.contents else ()),
         *stages.rooms.warnings,
-        *stages.doors.warnings,
+        *warn_doors(stages.placed, stages.config.doors.state),
         *_warn_interleaved(stages),
     ]
     return [printable(warning) for warning in warnings]

@@ -68,43 +68,25 @@ class Placing:
         return window is not None and bool(cut_cells(cells, window, lattice.width)[1].any())
 
 
-@dataclass(frozen=True)
-class Doors:
-    """The doors of a scene: what each candidate is, and the state that is wanted of all doors."""
-
-    placings: list[Placing]
-    wanted: str
-
-    @property
-    def placed(self) -> list[Placing]:
-        """The candidates that are doors."""
-        return [one for one in self.placings if one.cells]
-
-    @property
-    def rejected(self) -> list[DoorCandidate]:
-        """The candidates that are parts of the scene; see `settle_doors`."""
-        return [one.candidate for one in self.placings if one.is_part]
-
-    @property
-    def warnings(self) -> list[str]:
-        """What the user should know, one line each: of doors that open nothing, or carry floor."""
-        stuck, fixed = list[str](), list[str]()
-        for door in self.placed:
-            name, closed = door.candidate.id, door.cells["closed"]
-            pairs = zip(closed, door.cells.get("open", closed), strict=True)
-            both = sum(len(np.intersect1d(*pair)) for pair in pairs)
-            if "open" in door.cells and both and both >= STUCK * sum(map(len, closed)):
-                stuck.append(
-                    f"the open state of door {name!r} still closes its doorway, as its "
-                    f"joint opens it by {door.travel} only: check its range, whether the file "
-                    "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
-                )
-            if door.state(self.wanted) != self.wanted:
-                fixed.append(
-                    f"door {name!r} can't be {self.wanted}, as it has no hinge or slide of its "
-                    "own: it stays as modelled"
-                )
-        return stuck + fixed + [door.carried for door in self.placed if door.carried]
+def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
+    """Warn of doors that open nothing, that haven't the state `wanted` of all, or carry floor."""
+    stuck, fixed = list[str](), list[str]()
+    for door in doors:
+        name, closed = door.candidate.id, door.cells["closed"]
+        pairs = zip(closed, door.cells.get("open", ()), strict=False)
+        both = sum(len(np.intersect1d(*pair)) for pair in pairs)
+        if both and both >= STUCK * sum(map(len, closed)):
+            stuck.append(
+                f"the open state of door {name!r} still closes its doorway, as its "
+                f"joint opens it by {door.travel} only: check its range, whether the file "
+                "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
+            )
+        if door.state(wanted) != wanted:
+            fixed.append(
+                f"door {name!r} can't be {wanted}, as it has no hinge or slide of its own: it "
+                "stays as modelled"
+            )
+    return stuck + fixed + [door.carried for door in doors if door.carried]
 
 
 @dataclass(frozen=True)

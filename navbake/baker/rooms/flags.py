@@ -66,11 +66,7 @@ def are_equal(one: Any, other: Any) -> bool:
 
 
 class ColumnFlags:
-    """What rooms read of each cell's column, on each level.
-
-    Attributes:
-        bits: by level, see `flag_columns`, shape (cells,), uint8.
-    """
+    """What rooms read of each cell's column: `bits` by level, (cells,), see `flag_columns`."""
 
     def __init__(self, floors: Floors, agent: AgentSettings) -> None:
         self._limits = agent_limits(agent)

@@ -189,27 +189,25 @@ class Spaces:
 
         A line across a room that is drawn at a doorway's edge goes before the doorway.
         """
-
-        def as_both(gap: int) -> tuple[bool, float] | None:
-            share = float(self._shares[gap].min())
-            return (bool(self._is_doorway[gap]), -share) if share >= BOTH else None
-
-        def as_narrower(gap: int) -> tuple[bool, float] | None:
-            share = self._decide(gap)
-            return (False, -share) if share >= NARROWER else None
-
-        for decide in (as_both, as_narrower):
+        for both in (True, False):
             apart = self.list_apart(np.arange(len(self._width))).tolist()
-            queue = [(order, k) for k in apart if (order := decide(k)) is not None]
+            queue = [(order, k) for k in apart if (order := self._order(k, both)) is not None]
             heapq.heapify(queue)
             while queue:
                 order, gap = heapq.heappop(queue)
                 # what was measured again is in the queue again; a passage may have grown long
-                if not len(self.list_apart([gap])) or order != decide(gap):
+                if not len(self.list_apart([gap])) or order != self._order(gap, both):
                     continue
                 for k in self.join(gap):
-                    if (again := decide(k)) is not None:
+                    if (again := self._order(k, both)) is not None:
                         heapq.heappush(queue, (again, k))
+
+    def _order(self, gap: int, both: bool) -> tuple[bool, float] | None:
+        """When a gap's spaces are joined, by the share of both or the narrower; None for never."""
+        share = float(self._shares[gap].min()) if both else self._decide(gap)
+        if share < (BOTH if both else NARROWER):
+            return None
+        return both and bool(self._is_doorway[gap]), -share
 
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""

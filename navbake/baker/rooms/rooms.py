@@ -52,37 +52,24 @@ DOOR_REACH = 0.4
 
 @dataclass(frozen=True)
 class Opening:
-    """Where a step leads from one room to another, the lower index first, on a level.
-
-    `cells` are those on both sides, ids on the whole lattice, ascending, shape (n,), int64.
-    """
+    """Where a step leads from one room to another, the lower index first, on a level."""
 
     level: int
     rooms: tuple[int, int]
-    cells: Int
+    cells: Int  # on both sides, ids on the whole lattice, ascending
 
 
 @dataclass(frozen=True)
 class Rooms:
-    """The rooms of a scene.
+    """The rooms of a scene."""
 
-    Attributes:
-        index: by level.
-        table: the rooms by level and index; see `with_doors`.
-        openings: where rooms of a level meet.
-        links: pairs of rooms of two levels between which a step leads, sorted.
-        lattice: the cells.
-        open_cells: the cells by level that may be in a room: with a floor, and no wall or window.
-        warnings: what the user should know, one line each.
-    """
-
-    index: list[RoomIndex]
-    table: list[Room]
-    openings: list[Opening]
-    links: list[tuple[RoomKey, RoomKey]]
+    index: list[RoomIndex]  # by level
+    table: list[Room]  # by level and index; see `with_doors`
+    openings: list[Opening]  # where rooms of a level meet
+    links: list[tuple[RoomKey, RoomKey]]  # rooms between which a step leads to another level
     lattice: Lattice
-    open_cells: list[Bool]
-    warnings: list[str]
+    open_cells: list[Bool]  # by level, those that may be in a room: see `LevelFlags`
+    warnings: list[str]  # what the user should know, one line each
 
     def room_at(self, level: int, cell: int) -> str | None:
         """The id of the room of a level's cell, counted on the whole lattice; None for none."""
@@ -241,11 +228,7 @@ def describe_rooms(
     floors: Sequence[Float],
     lattice: Lattice,
 ) -> list[Room]:
-    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``.
-
-    Its centre is a mean of whole numbers, of rows, columns and micrometres, so that no order of
-    cells matters.
-    """
+    """Describe each room but for its neighbours; its id is its name, or ``<level>:<index>``."""
     names = Counter(room.name for level in rooms for room in level)
     table = []
     for level, (label, floor) in enumerate(zip(index, floors, strict=True)):
@@ -253,7 +236,7 @@ def describe_rooms(
         cells = end - first
         height = np.rint(floor[label > 0] * MICRO)
         heights = np.add.reduceat(height, np.cumsum(cells) - cells)
-        # twice the sum of a run's columns is a whole number
+        # sums of whole numbers don't depend on the order; twice that of a run's columns is one
         sums = cells, row * cells, (first + end - 1) * cells, heights
         count, row_sum, col_sum, z_sum = (np.bincount(room, s, minlength=1) for s in sums)
         x = lattice.x_min + (col_sum / 2 / np.maximum(count, 1) + 0.5) * lattice.cell_size

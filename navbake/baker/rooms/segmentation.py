@@ -145,14 +145,11 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
 
 
 class _Regions:
-    """Regions that touch, as a region adjacency graph, whose nodes are contracted (Haris, 1998).
-
-    `label` is the region of each cell from 1, 0 for none, `cells` how many each has, and `distance`
-    that of each node squared, see `wall_nodes` [half cells].
-    """
+    """Regions that touch, as a region adjacency graph, whose nodes are contracted (Haris, 1998)."""
 
     def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
-        self._cells = cells.copy()
+        """`distance` is that of each node squared, see `wall_nodes` [half cells]."""
+        self._cells = cells.copy()  # of each region from 1
         # at the region's widest place [half cells]
         self._peak = np.sqrt(widest_nodes(label, distance, len(cells)))
         self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now

@@ -171,9 +171,9 @@ class Baker:
                 raise FullBake("the last update failed")
             differ, reasons = self._candidates.pose(moved.scene, moved.every), []
             for one in passes:
-                rejected = [body.id for body in one.stages.doors.rejected]
+                rejected = [body.id for body in one.stages.rejected]
                 reasons.append(one.follow(moved, differ))
-                if rejected != [body.id for body in one.stages.doors.rejected]:
+                if rejected != [body.id for body in one.stages.rejected]:
                     raise FullBake("another body is a door, or none any more")
             return passes, next(filter(None, reasons), "")
         except FullBake as why:
@@ -185,7 +185,7 @@ class Baker:
         """Find all stages; see `settle_doors`."""
         self._candidates = FollowedDoors(self._config, first.scene, first.candidates)
         passes = [LiveStages(first)]
-        while rejected := passes[-1].stages.doors.rejected:
+        while rejected := passes[-1].stages.rejected:
             last = passes[-1].stages
             kept = [candidate for candidate in last.candidates if candidate not in rejected]
             passes.append(LiveStages(replace(last, candidates=kept)))

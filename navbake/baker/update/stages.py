@@ -19,7 +19,7 @@ from navbake.baker.blocks import Blocks
 from navbake.baker.column_blocks import cast_at, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate
-from navbake.baker.doors.doors import Doors, place_doors
+from navbake.baker.doors.doors import Placing, place_doors
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import TOUCH
@@ -43,9 +43,8 @@ ROOM = 1.25
 class KeptColumns:
     """The columns of a lattice, each a run of one store; see `ColumnSource`.
 
-    A new column is written behind all others, and its cell points at it from then on (a
-    log-structured store; Rosenblum and Ousterhout, 1992). The store is written anew when it is
-    full.
+    A new column is written behind all others, and its cell points at it from then on (as in a
+    log-structured store; Rosenblum and Ousterhout, 1992), until the store is full.
     """
 
     def __init__(self, columns: Columns) -> None:
@@ -160,7 +159,7 @@ class LiveStages:
         if flags_hold:
             now.rooms = was.rooms
         now.doors = _follow_doors(was, now, set(differ), near)
-        if was.doors.rejected and not now.doors.rejected:
+        if was.rejected and not now.rejected:
             raise FullBake("all that looks like a door is one now")
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
@@ -232,19 +231,18 @@ def _box(stages: Stages) -> Float:
     return np.full((2, 3), np.inf) if bounds is None else bounds
 
 
-def _follow_doors(was: Stages, now: Stages, differ: set[str], touched: Int) -> Doors:
+def _follow_doors(was: Stages, now: Stages, differ: set[str], touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
     around = now.around_doors
     again = [
         new
-        for new, old in zip(now.candidates, was.doors.placings, strict=True)
+        for new, old in zip(now.candidates, was.doors, strict=True)
         if now.rooms is not was.rooms or new.id in differ or old.depends_on(touched, around)
     ]
     if not again:
         return was.doors
     placed = {one.candidate.id: one for one in place_doors(now.scene, again, around)}
-    placings = [placed.get(one.candidate.id, one) for one in was.doors.placings]
-    return replace(was.doors, placings=placings)
+    return [placed.get(one.candidate.id, one) for one in was.doors]
 
 
 def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:
