@@ -309,60 +309,37 @@ def walled_up_room(grid):
     return restated(grid, doors=[])
 
 
-@plant(
-    "apartment",
-    REMARK,
-    "door 'door_kitchen' joins room 'kitchen' to itself",
-    of_door("door_kitchen"),
-)
+def with_door(grid: Any, **changes: Any) -> Any:
+    """The grid with other entries of the kitchen's door."""
+    doors = grid.navbake["doors"]
+    is_kitchens = [door["id"] == "door_kitchen" for door in doors]
+    changed = [
+        {**door, **changes} if k else door for door, k in zip(doors, is_kitchens, strict=True)
+    ]
+    return restated(grid, doors=changed)
+
+
+KITCHENS_DOOR = of_door("door_kitchen")
+
+
+@plant("apartment", REMARK, "'door_kitchen' joins room 'kitchen' to itself", KITCHENS_DOOR)
 def door_to_itself(grid):
-    doors = [
-        {**door, "rooms": ["kitchen", "kitchen"]} if door["id"] == "door_kitchen" else door
-        for door in grid.navbake["doors"]
-    ]
-    return restated(grid, doors=doors)
+    return with_door(grid, rooms=["kitchen", "kitchen"])
 
 
-@plant(
-    "apartment",
-    ERROR,
-    "door 'door_kitchen' joins room 'sauna', which there isn't",
-    of_door("door_kitchen"),
-)
+@plant("apartment", ERROR, "'door_kitchen' joins room 'sauna', which there isn't", KITCHENS_DOOR)
 def door_to_nowhere(grid):
-    doors = [
-        {**door, "rooms": ["kitchen", "sauna"]} if door["id"] == "door_kitchen" else door
-        for door in grid.navbake["doors"]
-    ]
-    return restated(grid, doors=doors)
+    return with_door(grid, rooms=["kitchen", "sauna"])
 
 
-@plant(
-    "apartment",
-    ERROR,
-    r"door 'door_kitchen' is closed, but \d+ of its cells aren't occupied",
-    of_door("door_kitchen"),
-)
+@plant("apartment", ERROR, r"is closed, but \d+ of its cells aren't occupied", KITCHENS_DOOR)
 def door_of_another_state(grid):
-    doors = [
-        {**door, "state": "closed"} if door["id"] == "door_kitchen" else door
-        for door in grid.navbake["doors"]
-    ]
-    return restated(grid, doors=doors)
+    return with_door(grid, state="closed")
 
 
-@plant(
-    "apartment",
-    ERROR,
-    r"door 'door_kitchen' is removed, but \d+ cells are occupied that it blocks in other states",
-    of_door("door_kitchen"),
-)
+@plant("apartment", ERROR, r"removed, but \d+ cells are occupied that it blocks in", KITCHENS_DOOR)
 def door_that_was_not_removed(grid):
-    doors = [
-        {**door, "state": "removed"} if door["id"] == "door_kitchen" else door
-        for door in grid.navbake["doors"]
-    ]
-    return restated(grid, doors=doors)
+    return with_door(grid, state="removed")
 
 
 @plant("house", REMARK, r"level 1 .*no link leads to its \d+\.\d m²", of_level(1))
@@ -552,13 +529,15 @@ def test_has_no_errors_to_say_about_what_is_made_of_samples(name):
         assert_sound(grid.inflate(0.2), remarks=False)
 
 
-@pytest.mark.parametrize("broken", ["x", 3, {}, [None], [{}], [{"radius": None}], [[1]], [True]])
-@pytest.mark.parametrize("entry", [{"radius": "x"}, {"radius": True}, {"radius": float("nan")}])
-def test_a_broken_note_on_an_inflation_is_told(broken, entry):
+@pytest.mark.parametrize(
+    ("broken", "radius"),
+    [("x", "x"), (3, True), ({}, np.nan), ([None], None), ([{}], -1), ([[1]], [1]), ([True], {})],
+)
+def test_a_broken_note_on_an_inflation_is_told(broken, radius):
     """It counts for nothing, also beside one that is whole."""
     grid = load("apartment")
     whole = {"radius": 0.1, "clearance": 0.0, "mode": "exact"}
-    for stated in (broken, [{**whole, **entry}], [whole, {**whole, **entry}]):
+    for stated in (broken, [{**whole, "radius": radius}], [whole, {**whole, "radius": radius}]):
         grid.metadata["inflation"] = stated
         (error,) = navbake.audit(grid).errors
         assert error.check == "inflation" and "expected" in error.text
@@ -570,8 +549,13 @@ def test_a_broken_note_on_an_inflation_is_told(broken, entry):
     assert [r.severity for r in said if r.check == "inflation"] == [REMARK]
 
 
-@pytest.mark.parametrize("key", ["agentHeight", "agentRadius", "traversableFloorHeight"])
-@pytest.mark.parametrize("value", [-1, "1.14", True, float("nan"), float("inf"), 1e11, [1]])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("agentHeight", value) for value in (-1, "1.14", True, np.nan, np.inf, 1e11, [1])),
+        *((key, value) for key in ("agentRadius", "traversableFloorHeight") for value in (-1, [1])),
+    ],
+)
 def test_sizes_of_an_agent_that_are_none(key, value):
     grid = load("apartment")
     grid.metadata[key] = value

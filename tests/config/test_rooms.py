@@ -5,8 +5,6 @@ import json
 import pytest
 
 from navbake.config.settings import load_config, parse_config, settings_digest
-from navbake.config.template import render_template
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3]]
@@ -77,13 +75,3 @@ def test_refuses(value, culprit):
     assert culprit in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 1500
-
-
-def test_the_template_holds_them():
-    config = parse_config(
-        {
-            "scene": {"path": "a.xml"},
-            "rooms": {"from": ["polygons"], "polygons": [{"points": SQUARE}]},
-        }
-    )
-    assert parse_config(parse_yaml(render_template(config), "the template")) == config

@@ -119,9 +119,8 @@ def test_scene_path_is_relative_to_the_yaml_and_output_is_not(house, tmp_path):
 
 
 def test_absolute_scene_path_stays(house):
-    assert load_config(house("scene: {path: /data/house.xml}")).scene.path == Path(
-        "/data/house.xml"
-    )
+    path = Path("/data/house.xml")
+    assert load_config(house(f"scene: {{path: {path.as_posix()}}}")).scene.path == path
 
 
 @pytest.mark.parametrize("name", ["house.xml", "house.glb", "house.v2.obj"])
@@ -468,6 +467,7 @@ def test_template_holds_other_settings_too():
     data = {
         "scene": {"path": "a.xml", "meshes": {"w*": "hull"}, "joints": {"j": [1.0]}},
         "levels": [{"ground": 0.0, "name": "x: y"}],
+        "rooms": {"from": ["polygons"], "polygons": [{"points": [[0, 0], [4, 0], [4, 3]]}]},
         "output": "o.json",
     }
     config = parse_config(data)

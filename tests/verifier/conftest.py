@@ -1,4 +1,4 @@
-"""A grid of two storeys, which several tests verify."""
+"""Grids of a room and of two storeys, which several tests verify; these change copies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import pytest
 
 import navbake
 from box_worlds import world
-from verified_scenes import stairs_house, write
+from verified_scenes import of_room, stairs_house, write
+
+
+@pytest.fixture(scope="package")
+def room(tmp_path_factory):
+    return of_room(tmp_path_factory.mktemp("room"))
 
 
 @pytest.fixture(scope="package")

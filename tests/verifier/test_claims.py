@@ -10,12 +10,7 @@ from box_worlds import box, world
 from navbake.errors import FormatError, QueryError
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
-from verified_scenes import copy_of, kinds_at, of_room, walls, write
-
-
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    return of_room(tmp_path_factory.mktemp("room"))
+from verified_scenes import copy_of, kinds_at, walls, write
 
 
 def with_metadata(grid, **more):
@@ -90,10 +85,8 @@ def test_an_exact_inflation_measures_from_what_is_solid(tmp_path):
         inflated = grid.inflate(0.35, mode=mode)
         assert_true(inflated, config)
         wrong = copy_of(inflated)
-        assert wrong.free[10, 5] == (mode == "exact") and wrong.occupancy[10, 3:5].tolist() == [
-            1,
-            0,
-        ]
+        assert wrong.free[10, 5] == (mode == "exact")
+        assert wrong.occupancy[10, 3:5].tolist() == [1, 0]
         wrong.weights[10, 5] = np.inf
         assert kinds_at(navbake.verify(wrong, config)) == ({planted} if mode == "exact" else set())
 
@@ -167,10 +160,8 @@ def test_a_house_without_any_floor_has_lost_its_storeys(house):
     grid, config = house
     levels = []
     for level in grid.levels:
-        bare = np.full(level.shape, np.nan, dtype=np.float32)
-        levels.append(
-            blocked(level).with_layers(attributes={**level.attributes, "floorHeight": bare})
-        )
+        layers = {**level.attributes, "floorHeight": np.full(level.shape, np.nan, np.float32)}
+        levels.append(blocked(level).with_layers(attributes=layers))
     (found,) = navbake.verify(grid.with_levels(levels), config).findings
     assert found.kind == kinds.PLACE_LOST and found.size > 15
     assert found.geom in ("ground floor", "upper floor")
@@ -234,14 +225,8 @@ def test_a_floor_inside_of_a_solid_is_named(tmp_path):
 def of_others(grid, **more):
     """The map that another program makes of a room: weights alone."""
     free = grid.free & (np.nan_to_num(grid.floor_height, nan=1.0) == 0)
-    return navbake.SceneGrid2D(
-        width=grid.width,
-        height=grid.height,
-        cell_size=grid.cell_size,
-        min_yup=grid.min_yup,
-        weights=np.where(free, 1.0, np.inf),
-        **more,
-    )
+    sizes = {key: getattr(grid, key) for key in ("width", "height", "cell_size", "min_yup")}
+    return navbake.SceneGrid2D(**sizes, weights=np.where(free, 1.0, np.inf), **more)
 
 
 def test_a_map_of_others_is_judged_over_its_ground(room):

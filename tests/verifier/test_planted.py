@@ -14,11 +14,11 @@ from navbake.navgrid.grid import MultiLevelGrid
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
 from navbake.verifier.occupancy import MEASURED
-from verified_scenes import copy_of, kinds_at, mesh_room, of_room, walls, write
+from verified_scenes import copy_of, kinds_at, mesh_room, walls, write
 
 
-def test_names_cells_that_were_flipped(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_names_cells_that_were_flipped(room):
+    grid, config = room
     rng, wrong = np.random.default_rng(3), copy_of(grid)
     level = wrong.levels[0]
     planted = set()
@@ -40,8 +40,8 @@ def test_names_cells_that_were_flipped(tmp_path):
     assert not report.ok
 
 
-def test_names_a_floor_that_moved(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_names_a_floor_that_moved(room):
+    grid, config = room
     wrong = copy_of(grid)
     row, col = np.argwhere(grid.free)[50].tolist()
     wrong.levels[0].attributes["floorHeight"][row, col] += np.float32(0.02)
@@ -50,8 +50,8 @@ def test_names_a_floor_that_moved(tmp_path):
     assert found.size == pytest.approx(0.02, abs=1e-6) and "0.0200 m off" in found.text
 
 
-def test_names_a_floor_that_is_missing(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_names_a_floor_that_is_missing(room):
+    grid, config = room
     wrong = copy_of(grid)
     row, col = np.argwhere(grid.free)[50].tolist()
     wrong.levels[0].attributes["floorHeight"][row, col] = np.nan
@@ -91,8 +91,8 @@ def test_names_a_storey_without_stairs_that_was_removed(tmp_path):
     assert found.geom == "upper" and found.position[2] == pytest.approx(2.72)
 
 
-def test_names_paths_that_touch(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_names_paths_that_touch(room):
+    grid, config = room
     wrong = copy_of(grid)
     level = wrong.levels[0]
     table = (grid.lattice.center_x() > 0.2) & (grid.lattice.center_x() < 1.4)
@@ -105,8 +105,8 @@ def test_names_paths_that_touch(tmp_path):
     assert len(touching) == report.sweeps.touching > 0
 
 
-def test_names_an_inflation_that_closed_too_much(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_names_an_inflation_that_closed_too_much(room):
+    grid, config = room
     wrong = grid.inflate(0.2)
     row, col = np.argwhere(grid.inflate(0.3).free[10:, 10:])[0].tolist()
     row, col = row + 10, col + 10
@@ -135,9 +135,9 @@ def test_names_a_level_that_was_deleted_from_the_file(house, tmp_path, missing):
 
 
 @pytest.mark.parametrize("kind", [kinds.BLOCKED_APART, kinds.FREE_TOUCHES])
-def test_a_map_that_is_all_wrong_is_counted(tmp_path, kind):
+def test_a_map_that_is_all_wrong_is_counted(kind, room):
     """The first findings are measured, all are listed."""
-    grid, config = of_room(tmp_path)
+    grid, config = room
     is_free = kind == kinds.FREE_TOUCHES
     wrong = copy_of(grid)
     wrong.weights[:] = 1.0 if is_free else np.inf
@@ -150,8 +150,8 @@ def test_a_map_that_is_all_wrong_is_counted(tmp_path, kind):
     assert None not in sizes[:MEASURED] and set(sizes[MEASURED:]) == {None}
 
 
-def test_says_how_far_a_blocked_cell_is_from_the_nearest_geom(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_says_how_far_a_blocked_cell_is_from_the_nearest_geom(room):
+    grid, config = room
     wrong = copy_of(grid)
     # beside the wall, whose face is at y = 1.9
     row, col = (int(v) for v in grid.lattice.rows_cols([-1.55, 1.75]))

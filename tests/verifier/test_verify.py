@@ -148,24 +148,24 @@ def test_paths_through_corners_of_cells_and_over_links(house, seed):
 # ---------------------------------------------------------------- samples, reports
 
 
-def test_a_sample_is_drawn_by_its_seed(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_a_sample_is_drawn_by_its_seed(room):
+    grid, config = room
     one, same, other = (navbake.verify(grid, config, sample=100, seed=s) for s in (1, 1, 2))
     assert one.checked == 100 and one.to_json() == same.to_json() and one.digest == same.digest
     assert one.digest != other.digest
     assert json.loads(json.dumps(one.to_json(), allow_nan=False))["ok"] is True
 
 
-def test_assert_true_says_where(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_assert_true_says_where(room):
+    grid, config = room
     wrong = copy_of(grid)
     wrong.levels[0].weights[grid.occupancy == 1] = 1.0
     with pytest.raises(AssertionError, match=r"(?s)free cell touches, level 0, .*and \d+ more"):
         assert_true(wrong, config)
 
 
-def test_what_is_blocked_for_a_while_is_left_out(tmp_path):
-    grid, config = of_room(tmp_path)
+def test_what_is_blocked_for_a_while_is_left_out(room):
+    grid, config = room
     with grid.block(disc=((0.0, 0.0), 0.3)):
         report = assert_true(grid, config)
     assert "blocked at run time" in report.notes[0]
@@ -202,8 +202,8 @@ def test_a_scene_is_needed(tmp_path, monkeypatch):
         navbake.verify(grid)
 
 
-def test_another_scene_is_refused(tmp_path):
-    grid, _ = of_room(tmp_path)
+def test_another_scene_is_refused(tmp_path, room):
+    grid, _ = room
     other = write(tmp_path, world(ROOM.replace("1.2 -1.3", "1.0 -1.1")), "other.xml")
     with pytest.raises(
         QueryError, match=r"other\.xml isn't the scene that the grid was baked from"
@@ -231,8 +231,8 @@ def test_another_scene_is_refused(tmp_path):
         ({"seed": -1}, "whole number >= 0 as seed, got -1"),
     ],
 )
-def test_options_have_ranges(tmp_path, options, text):
-    grid, config = of_room(tmp_path)
+def test_options_have_ranges(options, text, room):
+    grid, config = room
     with pytest.raises(QueryError, match=text):
         navbake.verify(grid, config, **options)
 
