@@ -16,6 +16,7 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
+MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
 class MeshParts(NamedTuple):
@@ -100,23 +101,42 @@ def _find_enclosing(
     if not len(some) or not len(inner := inner[inner > 0]):
         return encloses
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
-    # it lies inside of a part of which more triangles over one of its points face up than down
     origin = vertices[faces[0, 0]]
-    corners, point = vertices[of_part] - origin, vertices[faces[largest[inner]]] - origin
-    west, east = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
-    for number, at in zip(inner.tolist(), point.mean(axis=1), strict=True):
-        over = np.flatnonzero(((west <= at[:2]) & (at[:2] <= east)).all(axis=1))
-        turns = np.bincount(part[some[over]], _winding_above(corners[over], at[None]), num + 1)
-        holds = (box[:, :3] <= box[number, :3]).all(axis=1) & (turns > 0)
-        encloses[number] = (holds & (box[:, 3:] >= box[number, 3:]).all(axis=1)).any()
+    point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)
+    outer, k = _find_around(vertices[of_part] - origin, part[some], point)
+    holds = (box[outer, :3] <= box[inner[k], :3]) & (box[outer, 3:] >= box[inner[k], 3:])
+    encloses[inner[k[holds.all(axis=1)]]] = True
     return encloses
 
 
-def _winding_above(corners: Float, point: Float) -> Int:
-    """How triangles above points wind round the vertical line there: 1, 0, or -1, (n,).
+def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
+    """Find the parts that lie round points: of their triangles over one, more face up than down.
 
-    Source: Sunday, Inclusion of a point in a polygon, 2001; -1 is for one that faces down.
+    Each triangle on the vertical line over a point counts by how it winds round that line (Sunday,
+    Inclusion of a point in a polygon, 2001). Returns pairs of a part and the number of a point.
     """
+    order = np.argsort(point[:, 0])
+    west, east = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)
+    first = np.searchsorted(point[order, 0], west)
+    count = np.searchsorted(point[order, 0], east, side="right") - first
+    ends = np.cumsum(count)
+    key, turns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    cuts = np.searchsorted(ends, np.arange(MOST_PAIRS, count.sum(), MOST_PAIRS))
+    for chosen in np.split(np.arange(len(count)), cuts):
+        num = count[chosen]
+        triangle = np.repeat(chosen, num)
+        k = order[np.arange(len(triangle)) - np.repeat(np.cumsum(num) - num - first[chosen], num)]
+        wound = _winding_above(corners[triangle], point[k])
+        key.append((part[triangle].astype(np.int64) * len(point) + k)[wound != 0])
+        turns.append(wound[wound != 0])
+    pairs, pair = np.unique(np.concatenate(key), return_inverse=True)
+    total = np.bincount(pair, np.concatenate(turns), len(pairs))
+    outer, k = np.divmod(pairs[total > 0], len(point))
+    return outer, k
+
+
+def _winding_above(corners: Float, point: Float) -> Int:
+    """How triangles above points wind round them, seen from there: 1, 0, or -1 (down), (n,)."""
     x, y = point[:, :1], point[:, 1:2]
     ax, ay = corners[:, :, 0], corners[:, :, 1]
     bx, by = np.roll(ax, -1, axis=1), np.roll(ay, -1, axis=1)
