@@ -182,8 +182,8 @@ def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
     """Put what the stages found into the grid that is written."""
     doors = _cut_doors(stages)
     metadata = _metadata(stages, doors)
-    count = len(stages.floors.levels)
-    grids = [_level_grid(stages, number, doors, metadata) for number in range(count)]
+    numbers = range(len(stages.floors.levels))
+    grids = [_level_grid(stages, number, doors, metadata) for number in numbers]
     grid: SceneGrid2D | MultiLevelGrid = grids[0]
     if len(grids) > 1:
         grid = MultiLevelGrid(grids=grids, metadata=metadata, cell_size=stages.lattice.cell_size)

@@ -56,8 +56,7 @@ def bake_stages(
     A stage runs when it is first asked for, so that one can look at the columns of a scene
     whose floors cannot be found. All of them run at once where bodies look like doors, because
     only the rooms on both sides tell doors from other leaves; `doors.find: false` avoids that.
-    For the arguments, see `navbake.bake`; `progress` is called with each stage's name, and 0 when
-    it begins or 1 when it ends.
+    For the arguments, see `navbake.bake`, for `progress`, `baker.clock`.
     """
     config, opened = take_input(scene, data, settings)
     stages = take_first_look(config, StageClock(progress), opened=opened)
@@ -187,8 +186,8 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            known = columns.at(cells), self.judged_shapes
-            return look_at_cells(*known, volume, cells, floors).occupied
+            asked = columns.at(cells), self.judged_shapes, volume, cells, floors
+            return look_at_cells(*asked).occupied
 
         return is_occupied
 
@@ -207,9 +206,8 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        contents, settings = self.contents, (self.config.rooms, self.config.agent)
-        found = self._blocks, self.floors, self.cells[1], contents
-        return read_flags(self.doorless, *found, *settings)
+        found = self._blocks, self.floors, self.cells[1], self.contents
+        return read_flags(self.doorless, *found, self.config.rooms, self.config.agent)
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -260,9 +258,8 @@ class Stages:
     @cached_property
     def boxes(self) -> LevelBoxes:
         """The rectangle and the box of each level, by which the original client finds it."""
-        levels, occupied = self.floors.levels, self.occupancy.levels
-        within = self.lattice, self.scene.bounds, self.config.agent.height
-        return find_level_boxes(levels, occupied, *within)
+        found, height = (self.floors.levels, self.occupancy.levels), self.config.agent.height
+        return find_level_boxes(*found, self.lattice, self.scene.bounds, height)
 
     @cached_property
     def floor_layers(self) -> list[NDArray[np.float32]]:

@@ -92,8 +92,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
         candidates.append(DoorCandidate(name, moves[0], geoms[body], moves[1], joint, named))
     used = {pattern for body in found for pattern in matches[body]}
     unused = [pattern for pattern in settings.patterns if pattern not in used]
-    of_patterns = {p: [body for body in geoms if p in matches[body]] for p in unused}
-    return candidates, [_warn_unmatched(p, names, of_patterns[p], geoms) for p in unused]
+    return candidates, [_warn_unmatched(p, names, matches, geoms) for p in unused]
 
 
 def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> set[int]:
@@ -160,9 +159,10 @@ def _mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
 
 
 def _warn_unmatched(
-    pattern: str, names: Sequence[str], matched: Sequence[int], geoms: Mapping[int, Int]
+    pattern: str, names: Sequence[str], matches: Sequence[list[str]], geoms: Mapping[int, Int]
 ) -> str:
     """Warn of a pattern that names no candidate, and say which bodies it matches instead."""
+    matched = [body for body in geoms if pattern in matches[body]]
     if not matched:
         return warn_unmatched("doors.patterns", pattern, names[1:], "no body")
     parts = [body for body in matched if len(geoms[body])]

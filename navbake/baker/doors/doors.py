@@ -113,12 +113,10 @@ def place_doors(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-    placings = []
+    of_doors = [{state: one.only(posed[state]) for state in posed} for one in candidates]
     with limit_threads(1):  # a door is too small to be worth more
-        for candidate in candidates:
-            own = {state: candidate.only(shapes) for state, shapes in posed.items()}
-            placings.append(_place_door(candidate, own, extents, scene, around))
-    return placings
+        pairs = zip(candidates, of_doors, strict=True)
+        return [_place_door(one, own, extents, scene, around) for one, own in pairs]
 
 
 def _place_door(
@@ -159,7 +157,16 @@ def _place_door(
         by = abs(candidate.positions["open"] - candidate.positions["closed"])
         is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
         travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-    carried = _warn_walkable(candidate, own, extents, around)
+    carried = ""
+    for state, when in WHEN.items():
+        area = _walkable_area(own[state], extents[state], candidate.geoms, around)
+        if area >= MIN_AREA - SLACK:
+            carried = (
+                f"door {candidate.id!r} carries {area:.1f} m² of floor {when}, which is missing "
+                "in the grid, because doors carry no floor: exclude it from `doors` if agents "
+                "walk on it"
+            )
+            break
     found = cells, solid, closed, travel, carried
     return Placing(candidate, box, False, rooms or (None, None), *found)
 
@@ -203,73 +210,45 @@ def _rooms_beside(
     level = int(np.argmax(sizes))
     across = extents.across[leaf]
     along = np.array([-across[1], across[0]])
-    step = around.rooms.lattice.cell_size / 2
+    lattice = around.rooms.lattice
     # points on lines away from both sides, shape (sides, lines, steps, 2) [m]
-    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, step)
+    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, lattice.cell_size / 2)
     start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
     sight = start[:, None] + across * np.array([-1.0, 1.0])[:, None, None, None] * distance[:, None]
-    rows, cols = around.rooms.lattice.rows_cols(sight)
+    rows, cols = lattice.rows_cols(sight)
+    open_cells, floor = around.rooms.open_cells[level], around.floors[level].floor
+
+    def room_in_sight(side: int, floor_ends: bool) -> str | None:
+        """The room that most lines end in; `floor_ends` where the outside begins beyond a floor."""
+        votes: Counter[str | None] = Counter()
+        for line in zip(rows[side].tolist(), cols[side].tolist(), strict=True):
+            seen: str | None = None
+            for row, col in zip(*line, strict=True):
+                inside = 0 <= row < lattice.height and 0 <= col < lattice.width
+                if inside and not open_cells[row, col] and not np.isnan(floor[row, col]):
+                    break  # a wall
+                room = around.rooms.room_at(level, row * lattice.width + col) if inside else None
+                if room is not None or floor_ends:
+                    seen = room
+            votes[seen] += 1
+        return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
+
     for floor_ends in (False, True):
-        one, other = (
-            _room_in_sight(rows[side], cols[side], level, around, floor_ends) for side in (0, 1)
-        )
+        one, other = room_in_sight(0, floor_ends), room_in_sight(1, floor_ends)
         if one != other:
             return one, other
     return None
 
 
-def _room_in_sight(
-    rows: Int, cols: Int, level: int, around: Surroundings, floor_ends: bool
-) -> str | None:
-    """The room that most lines of sight, (lines, steps) cells of a level, end in; None for none.
-
-    Where the floor ends, or is in no room, `floor_ends` says whether the outside begins.
-    """
-    lattice, open_cells = around.rooms.lattice, around.rooms.open_cells[level]
-    floor = around.floors[level].floor
-    votes: Counter[str | None] = Counter()
-    for line in zip(rows.tolist(), cols.tolist(), strict=True):
-        seen: str | None = None
-        for row, col in zip(*line, strict=True):
-            inside = 0 <= row < lattice.height and 0 <= col < lattice.width
-            if inside and not open_cells[row, col] and not np.isnan(floor[row, col]):
-                break  # a wall
-            room = around.rooms.room_at(level, row * lattice.width + col) if inside else None
-            if room is not None or floor_ends:
-                seen = room
-        votes[seen] += 1
-    return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
-
-
-def _warn_walkable(
-    door: DoorCandidate,
-    own: dict[str, Shapes],
-    extents: dict[str, Extents],
-    around: Surroundings,
-) -> str:
-    """Warn of a door that carries 0.5 m² of floor or more, in any of its states; else empty."""
-    for state, when in WHEN.items():
-        # seen from above, most doors are too small, which is quickly found
-        if np.nansum((extents[state].thin * extents[state].long)[door.geoms]) < MIN_AREA - SLACK:
-            continue
-        area = _walkable_area(own[state], around)
-        if area >= MIN_AREA - SLACK:
-            return (
-                f"door {door.id!r} carries {area:.1f} m² of floor {when}, which is "
-                f"missing in the grid, because doors carry no floor: exclude it from `doors` "
-                f"if agents walk on it"
-            )
-    return ""
-
-
-def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
+def _walkable_area(shapes: Shapes, extents: Extents, geoms: Int, around: Surroundings) -> float:
     """How much of the top of a door an agent can stand on, if a step leads there [m²].
 
     That faces up within the agent's slope, has its headroom, and lies on no floor, as a mat does.
     """
     lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
     window = None if bounds is None else lattice.window(bounds)
-    if window is None:
+    # seen from above, most doors are too small, which is quickly found
+    if window is None or np.nansum((extents.thin * extents.long)[geoms]) < MIN_AREA - SLACK:
         return 0.0
     rows, cols = window
     cut = lattice.cut(rows, cols)

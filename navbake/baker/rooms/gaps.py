@@ -67,7 +67,22 @@ def find_gaps(
     space = open_cells | holes
     directions = find_directions(space, cell_size)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
-    marks, marked = _mark_gaps(space, directions, thickness, cell_size, door_width or 0.0)
+    # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
+    # doorways, come first, and are walls to the others: so a line across a corridor does not lead
+    # through a door, and a wall that ends in a wide opening goes on up to the line of that opening
+    marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
+    marked, least = np.zeros_like(space), door_width or 0.0
+    for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
+        waiting = []
+        for direction, thick, own in zip(directions, thickness, marks, strict=True):
+            step = direction.stretch * cell_size
+            limits = int(widest / step), GROWTH, RISE / step, thick, both, own
+            is_open = turned(space & ~marked, direction)
+            waiting.append(run_beside(kernels.mark_gaps, is_open, direction.shift, *limits))
+        for wait in waiting:
+            wait()
+        for direction, own in zip(directions, marks, strict=True):
+            marked |= (own.T if direction.swapped else own) > 0
     label, count = label_parts(open_cells & ~marked)
     cells = np.bincount(label.ravel(), minlength=count + 1)
     keeps = cells * cell_size**2 >= ISLAND
@@ -84,35 +99,6 @@ def find_gaps(
         scan = Scan(*scanned, depths, leans)
         found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
     return found, label, cells
-
-
-def _mark_gaps(
-    space: Bool,
-    directions: list[Direction],
-    thickness: list[int],
-    cell_size: float,
-    door_width: float,
-) -> tuple[list[Marks], Bool]:
-    """Mark the cells of the gaps of each direction, as it is scanned; and of all of them.
-
-    Gaps with steps on both sides, such as doorways, come first, and are walls to the others: so a
-    line across a corridor does not lead through a door, and a wall that ends in the middle of a
-    wide opening goes on up to the line of that opening.
-    """
-    marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
-    marked = np.zeros_like(space)
-    for widest, both in ((max(WIDE, door_width), True), (max(PASSAGE, door_width), False)):
-        waiting = []
-        for direction, thick, own in zip(directions, thickness, marks, strict=True):
-            step = direction.stretch * cell_size
-            limits = int(widest / step), GROWTH, RISE / step, thick, both, own
-            scanned = turned(space & ~marked, direction), direction.shift
-            waiting.append(run_beside(kernels.mark_gaps, *scanned, *limits))
-        for wait in waiting:
-            wait()
-        for direction, own in zip(directions, marks, strict=True):
-            marked |= (own.T if direction.swapped else own) > 0
-    return marks, marked
 
 
 def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
@@ -175,7 +161,7 @@ class Spaces:
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
         self._shares = np.ones((len(self._width), 2))
         # the share that decided about each gap, NaN for none
-        self._decided = np.full(len(self._width), np.nan)
+        self._decided = np.full_like(self._width, np.nan)
         # by space, the gaps at it, and those whose lines met it though they aren't
         self._at: list[set[int]] = [set() for _ in cells]
         self._met_by: list[set[int]] = [set() for _ in cells]

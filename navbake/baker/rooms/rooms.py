@@ -122,9 +122,6 @@ def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Roo
     belong to none. On each level, rooms are numbered by their first cells in reading order: from
     large y to small, from small x to large. A room that reaches over several levels is one room
     on each. Rooms of a level meet where steps of at most `max_step` [m] lead from one to another.
-
-    Raises:
-        SceneError: a level has more than 65,535 rooms.
     """
     assignment = _Assignment(flags, settings)
     for source in settings.sources:
@@ -210,11 +207,10 @@ class _Assignment:
 
 def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
     """The warning of openings that might as well have been taken the other way."""
-    listed = [
-        f"{call.width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if call.parts else 'joins'}"
-        for call in close[:LISTED]
-        for x, y in [lattice.positions(*call.cell).tolist()]
-    ]
+    listed = []
+    for cell, width, parts in close[:LISTED]:
+        x, y = lattice.positions(*cell).tolist()
+        listed.append(f"{width:.1f} m at ({x:.1f}, {y:.1f}) {'parts' if parts else 'joins'}")
     more = f", and {len(close) - LISTED} more" if close[LISTED:] else ""
     return (
         f"openings of rooms on level {level} that were a close call: {', '.join(listed)}{more}; "

@@ -47,11 +47,10 @@ def segment_by_gaps(
       passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
     - with a `door_width` [m], where it is wider than that, in place of the two widths above.
 
-    How wide a space is along a gap is measured close behind it. Other gaps in the same line
-    between the same spaces count as one with it, so that a row of pillars parts nothing. Stairs
-    that open to a room over their full width belong to it, at their foot rather than their head.
-    What is smaller than `min_area` [m²] joins the room that it opens to the widest; if it opens to
-    none, it is no room.
+    How wide a space is along a gap is measured close behind it. Gaps in one line between the same
+    spaces count as one, so that a row of pillars parts nothing. Stairs that open to a room over
+    their full width belong to it, at their foot rather than their head. What is smaller than
+    `min_area` [m²] joins the room that it opens to the widest, or is no room.
 
     Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
 
@@ -96,9 +95,8 @@ def segment_by_gaps(
 def spread(label: Int32, open_cells: Bool) -> None:
     """Give the open cells without a label one from beside them, wave by wave across edges.
 
-    Of several that reach a cell in one wave, the one whose own cell is the nearest, measured
-    straight, has it; of two as near the lower label, and of one label's cells the one further
-    clockwise, because that turns with the map.
+    Of several in one wave, the nearest own cell wins, then the lower label, then of one label's
+    cells the one further clockwise, because that turns with the map.
     """
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
@@ -275,7 +273,7 @@ def share_rest(
 
 
 def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
-    """How many cells each label has, none for 0, and whether it is somewhere half a metre wide."""
+    """How many cells each label has, none for 0, and whether it is half a metre wide anywhere."""
     reach = int(SLIVER / cell_size) + 2
     around = wall_nodes(label > 0)
     height, width = label.shape

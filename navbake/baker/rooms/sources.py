@@ -89,9 +89,8 @@ def _mark_by_geoms(
 
     Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
     floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
-    room's floor, and a floor may be only drawn. Furniture may be named like a room: so a geom
-    counts only if half of its upper side is floor, or lies up to a step under one (a carpet, a
-    podium), which then is `covered`.
+    room's floor. Furniture may be named like a room: so a geom counts only if half of its upper
+    side is floor, or lies up to a step under one (a carpet, a podium), which then is `covered`.
     """
     num = scene.model.ngeom
     names = all_names(scene.model).own_geoms

@@ -77,9 +77,8 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     clear = np.hypot(down, right) > 3.2
     rows, cols, down, right = rows[clear], cols[clear], down[clear], right[clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
-    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / np.hypot(
-        down, right
-    )
+    slope = np.hypot(down, right)
+    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / slope
     num = 180 // BIN
     count = np.bincount(np.rint(angle / BIN).astype(np.int64) % num, minlength=num).astype(float)
     smooth = count + np.roll(count, 1) + np.roll(count, -1)
@@ -140,9 +139,8 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
 
     Where walls, floors and furniture are one mesh, `low` are the cells that it blocks at an agent's
     height, but not above heads; `wall` those that it blocks there, too. Along the direction of a
-    wall a sill goes from one piece of wall to the next without a break, and is as thin as a wall.
-    A table or a bed ends somewhere, and a counter along a wall has no wall at its ends, or fills a
-    niche that is deeper than a wall is thick.
+    wall a sill goes from one piece of wall to the next without a break, and is as thin as a wall,
+    other than tables, beds, counters along a wall, and what fills a niche.
     """
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():

@@ -195,9 +195,8 @@ class Baker:
 def _compare(old: NavGrid, new: NavGrid) -> tuple[list[Int], bool]:
     """The cells that differ in any layer, by level; all where levels or lattices do."""
     pairs = list(zip(old.levels, new.levels, strict=False))
-    is_new = len(old.levels) != len(new.levels)
-    is_new |= any(one.lattice != other.lattice for one, other in pairs)
-    if is_new:
+    same = len(old.levels) == len(new.levels) and all(a.lattice == b.lattice for a, b in pairs)
+    if not same:
         return [np.arange(level.width * level.height) for level in new.levels], True
     cells = []
     for one, other in pairs:

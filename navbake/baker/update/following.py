@@ -229,7 +229,12 @@ class FollowedDoors:
         if not is_other.any() and not (moved & self._geoms).any():
             return {}
         found, _ = find_candidates(scene, self._config.doors)
-        if list(map(_facts_of, was)) != list(map(_facts_of, found)):
+        # all of each but how its joint is modelled
+        before, now = (
+            [(one.id, one.joint, one.joint_id, one.named, one.geoms.tolist()) for one in some]
+            for some in (was, found)
+        )
+        if before != now:
             raise FullBake("other bodies look like doors")
         differ = {
             new.id: new
@@ -238,12 +243,6 @@ class FollowedDoors:
         }
         self._candidates, self._turns = [differ.get(old.id, old) for old in was], turns
         return differ
-
-
-def _facts_of(candidate: DoorCandidate) -> tuple[Any, ...]:
-    """All of a candidate but how its joint is modelled."""
-    known = candidate.id, candidate.joint, candidate.joint_id, candidate.named
-    return *known, candidate.geoms.tolist()
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

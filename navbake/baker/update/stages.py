@@ -1,8 +1,6 @@
-"""The stages of a bake, kept up to date: what something moved near to is found again.
-
-Columns are cast again, floors merged again from their blocks, and occupancy and contents asked
-again in the cells near what moved. Rooms and doors are found again where anything that they read
-has changed. All of it is done by the functions of a bake.
+"""The stages of a bake, kept up to date by its functions: columns are cast again near what moved,
+floors merged again from their blocks, occupancy and contents asked again in these cells, and rooms
+and doors found again where anything that they read has changed.
 """
 
 from __future__ import annotations
@@ -111,10 +109,8 @@ class LiveStages:
     def follow(self, moved: Moved, differ: Mapping[str, DoorCandidate]) -> str:
         """Bring all up to date; `differ` has the candidates that differ now, by their ids.
 
-        Returns why all that follows on the floors was found anew; empty where it was not.
-
-        Raises:
-            FullBake: all is to be found anew. Nothing here is to be used any more.
+        Returns why all that follows on the floors was found anew; empty where it was not. After a
+        FullBake, nothing here is to be used any more.
         """
         was, scene = self.stages, moved.scene
         candidates = [differ.get(one.id, one) for one in was.candidates]
@@ -132,10 +128,9 @@ class LiveStages:
         flags_hold = np.array_equal(known[1], self._markers[1]) and planes == before
         flags_hold &= not (moved.every & known[0]).any()
         flags_hold &= np.array_equal(_box(was), _box(now))
-        now.floors, reason = was.floors, ""
+        now.floors, reason, changed = was.floors, "", near[:0]
         # of few cells, a share takes no longer than to give it to another thread
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
-            changed = near[:0]
             if len(near):
                 flags_hold &= self._cast(now, near)
                 reason, changed = self._find_floors(now, near)
@@ -198,14 +193,13 @@ class LiveStages:
         """Find floors again; returns whether there are other levels, and why; and what changed."""
         source, finder = now.judged_columns, self._finder
         asked = source, now.doorless.shapes, now.occupancy_test(source), self._blocks.holding(near)
-        before = [(level.name, level.ground) for level in now.floors.levels]
+        before = [(one.name, one.ground) for one in now.floors.levels]
         try:
             now.floors = finder.find(*asked)
         except SceneError as error:  # which a full bake raises, with more to say
             raise FullBake(str(error)) from error
-        if finder.changed is None or before != [
-            (one.name, one.ground) for one in now.floors.levels
-        ]:
+        after = [(one.name, one.ground) for one in now.floors.levels]
+        if finder.changed is None or before != after:
             return "there are other levels", near
         return "", finder.changed
 
