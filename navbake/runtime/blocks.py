@@ -54,21 +54,25 @@ def block(
         ids = [(row * part.width + col)[number == k] for k, part in enumerate(grid.levels)]
         return Block(grid, [[np.unique(of_level)] * NUM_LAYERS for of_level in ids])
     # an upright obstacle, from above a rectangle between two corners that is grown by a radius
-    radius, tall = 0.0, 0.0
+    radius, tall, levels = 0.0, 0.0, len(grid.levels)
+    wanted = "a disc's centre and radius" if disc else "a box's lower and upper corner"
+    things: Any = disc or box
+    try:
+        one, other = things
+    except (TypeError, ValueError):
+        raise QueryError(f"expected {wanted}, got {things!r}") from None
     if disc is not None:
-        center, radius = _two(disc, "a disc's centre and radius")
-        low = high = check_positions(center, len(grid.levels), level)
+        low = high = check_positions(one, levels, level)
         if low.ndim != 1:
             raise QueryError(f"expected one centre of a disc, got an array of shape {low.shape}")
-        check_radius(radius, "radius of a disc")
+        check_radius(radius := other, "radius of a disc")
         if height is not None:
             check_radius(height, "height of a disc")
         tall = grid.agent_height if height is None else height
     else:
-        corners = _two(box, "a box's lower and upper corner")
-        low, high = (check_positions(corner, len(grid.levels), level) for corner in corners)
+        low, high = check_positions(one, levels, level), check_positions(other, levels, level)
         if low.ndim != 1 or low.shape != high.shape or (low > high).any():
-            raise QueryError(f"expected a box's lower and upper corner, got {low} and {high}")
+            raise QueryError(f"expected {wanted}, got {low} and {high}")
     bottom, top = (low[2], high[2] + tall) if len(low) == 3 else (-math.inf, math.inf)
     margins, step = (0.0, *margins_of(grid, margin)), step_limit(grid) * grid.unit
 
@@ -99,11 +103,3 @@ def block(
         inside: Int = first + np.arange(cols.start, cols.stop)
         layers.append([inside[mask] for mask in held])
     return Block(grid, layers)
-
-
-def _two(things: Any, name: str) -> tuple[Any, Any]:
-    try:
-        one, other = things
-    except (TypeError, ValueError):
-        raise QueryError(f"expected {name}, got {things!r}") from None
-    return one, other

@@ -58,10 +58,8 @@ def place_crowd(
     packed = _pack_crowd(flat, np.concatenate(parts), apart, n, rng)
     if len(packed) == n:
         return rng.permutation(packed)
-    raise QueryError(
-        f"{agents}: places for {max(found, len(packed))} were found {where}, and more than {most} "
-        f"never fit; {REMEDY}"
-    )
+    known = f"places for {max(found, len(packed))} were found {where}"
+    raise QueryError(f"{agents}: {known}, and more than {most} never fit; {REMEDY}")
 
 
 def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int:

@@ -266,7 +266,6 @@ class DrawQuestions(PlaceQuestions):
         The positions are those of a square lattice through the start. A step is taken where
         `try_step` gets to its end without sliding, over links to other levels as well, and where
         the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
-
         The start, where an agent can stand, comes first, then the places of the fewest steps. The
         spacing is a cell's size or more [m]; from a cell's centre, steps of whole cells lead to
         centres.

@@ -240,10 +240,7 @@ DoorMap = dict[int, list[str]]
 
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
-    """Find the cells that each door blocks when closed or as it stands.
-
-    In files of other programs, the user data of the cells name the doors.
-    """
+    """Find the cells that each door blocks when closed or as it stands, or that user data name."""
     found: DoorMap = {}
     start = flat.layout.start.tolist()
     for door in grid.doors:
@@ -292,10 +289,7 @@ class IslandMap:
 
 
 def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> IslandMap:
-    """Find the islands of a grid, by the rule of `navbake.navgrid.islands.find_islands`.
-
-    Where corners may be cut, the diagonal ones among the `moves` of each cell join cells, too.
-    """
+    """`navbake.navgrid.islands.find_islands`; with `moves`, diagonal ones join cells, too."""
     layout, floors = flat.layout, flat.floors
     links = [np.stack(flat.link_ends(), axis=1)]
     if moves is not None:

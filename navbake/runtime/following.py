@@ -135,10 +135,7 @@ class Follower:
         return p
 
     def _plan(self, p: Float) -> Path | None:
-        """A path from the base to the goal; from the nearest free place if it is in no free cell.
-
-        It may be in none where it is a little off its path, or where something has come near.
-        """
+        """A path to the goal from the base, or from the nearest free place if it is in none."""
         flat = self._search.flat
         start, cell = snap(flat, flat.free, p, max_distance=self._lookahead)
         return find_path(self._search, start, self._goal, None, smooth=True) if cell >= 0 else None

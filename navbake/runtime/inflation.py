@@ -238,10 +238,7 @@ def agent_radius(grid: NavGrid) -> float:
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
-    """How far from a block a cell's centre has to be for an agent of a radius, or the grid's [m].
-
-    To stand there, to step diagonally from there, to be anywhere in the cell.
-    """
+    """How far from a block a centre has to be, to stand, step diagonally, be off the centre [m]."""
     if radius is not None:
         check_radius(radius, "margin")
     radius = agent_radius(grid) if radius is None else float(radius)
@@ -254,8 +251,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
     """Find the cells clear enough to step diagonally, and those clear off their centres.
 
     Of the latter, first those that are clear, then with those where only squares of their own
-    level may be in the way. Masks by flat id; they say nothing of cells that are not free. None
-    without a radius.
+    level may be in the way. Of cells that are not free they say nothing. None without a radius.
     """
     radius = exact_radius(grid)
     if radius == 0.0:
@@ -339,8 +335,7 @@ def inflate_footprint(
 def _footprint_offsets(x: Float, y: Float) -> Int:
     """Steps (row, col) from a cell to those whose squares a polygon on its centre meets.
 
-    A polygon, in columns and rows, meets a square where an edge runs through the square's inside,
-    or where the square's centre is within the polygon. Sorted by row, then column.
+    It does where an edge runs through the square's inside, or the centre is within the polygon.
     """
     low, high = math.floor(min(y.min(), 0) - 0.5), math.ceil(max(y.max(), 0) + 0.5)
     left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
@@ -362,8 +357,7 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
                 enters = np.maximum(enters, np.minimum(*sides))
                 leaves = np.minimum(leaves, np.maximum(*sides))
         meets |= enters < leaves
-    offsets: Int = np.argwhere(meets | inside) + np.array([low, left], dtype=np.int64)
-    return offsets
+    return np.asarray(np.argwhere(meets | inside) + [low, left])
 
 
 def _to_runs(offsets: Int) -> Int:

@@ -1,10 +1,9 @@
 """The widest agent that gets from one place to another, and why there is no path, in one sentence.
 
-A larger radius never frees a cell. So the radii that get there are those up to a largest one, which
-a bisection finds. It is exact, because inflation tells only a few radii apart: those at which a
-disc round a cell's centre touches a square or a centre of another cell, so that four times their
-square, in cells, is a whole number; and the baked radius, up to which higher floors don't count
-(see `navbake.runtime.inflation`). Only these are tried.
+A larger radius never frees a cell, so a bisection finds the largest. It is exact, because inflation
+tells only a few radii apart: those at which a disc round a cell's centre touches a square or a
+centre of another cell, so that four times their square, in cells, is a whole number; and the baked
+radius, up to which higher floors don't count.
 """
 
 import math
@@ -58,10 +57,8 @@ def find_passage(
     if origin < 0 or not standable[origin]:
         raise QueryError(f"no way from {text_of(p)}: {reason(origin >= 0)}")
     if isinstance(goal, str) and goal.startswith("object:"):
-        raise QueryError(
-            f"expected a position or room:NAME as goal, got {goal!r}: how near an agent gets to an "
-            "object depends on its radius"
-        )
+        because = "how near an agent gets to an object depends on its radius"
+        raise QueryError(f"expected a position or room:NAME as goal, got {goal!r}: {because}")
     target = find_target(search, goal, level)
     goals = np.unique(target.cells[target.cells >= 0])
     goals = goals[standable[goals]]
@@ -73,7 +70,7 @@ def find_passage(
     radius, free, for_larger = widest
     if math.isinf(radius):
         return Passage(math.inf, None)
-    cell = find_bottleneck(grid, flat, origin, goals, free, free & ~for_larger, corners=corners)
+    cell = find_bottleneck(grid, flat, origin, goals, free, free & ~for_larger, corners)
     return Passage(radius, flat.positions(cell))
 
 
@@ -82,9 +79,8 @@ def find_widest(
 ) -> tuple[float, Bool, Bool] | None:
     """Find the largest radius that gets from a cell to the nearest of several, by flat ids.
 
-    The grid isn't inflated. None if not even an agent without a radius gets there; else the radius
-    [m], inf where none is too large, what is free for it, and what is free for the next radius that
-    inflation tells from it, by flat id.
+    None if not even an agent without a radius gets there; else the radius [m], inf where none is
+    too large, and what is free for it and for the next radius that inflation tells from it.
     """
 
     def passes(radius: float) -> bool:
@@ -157,14 +153,7 @@ def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) ->
 
 
 def find_bottleneck(
-    grid: NavGrid,
-    flat: FlatGrid,
-    origin: int,
-    goals: Int,
-    free: Bool,
-    lost: Bool,
-    *,
-    corners: bool = False,
+    grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, free: Bool, lost: Bool, corners: bool
 ) -> int:
     """The cell, of those that a larger agent loses, at which the widest agent only just fits.
 
@@ -272,10 +261,8 @@ def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
     one = int(np.argmin(distance))
     cells = np.array([ones[one], others[index[one]]])
     goal = int(islands.number[cells[1]])
-    text = (
-        f"the goal is in island {goal} ({islands.areas[goal]:.2f} m²), the start in island "
-        f"{home} ({islands.areas[home]:.2f} m²)"
-    )
+    its, own = (f"{number} ({islands.areas[number]:.2f} m²)" for number in (goal, home))
+    text = f"the goal is in island {its}, the start in island {own}"
     if distance[one] >= reach:
         return f"{text}, which have no level in common", None
     a, b = (_text(place) for place in flat.positions(cells))
@@ -326,9 +313,8 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
 def _gap(search: Search, origin: int, goals: Int) -> str | None:
     """The gap that keeps an agent of an inflated grid's radius from a goal.
 
-    Origin and goals are free cells in different islands. The gap's width is that between the
-    obstacles [m]; on the centres of cells, up to a cell more is needed. None if the grid isn't
-    inflated, or no smaller radius passes.
+    Its width is that between the obstacles [m]; on the centres of cells, up to a cell more is
+    needed. None if the grid isn't inflated, or no smaller radius passes.
     """
     grid, flat, agent = search.grid, search.flat, inflation.exact_radius(search.grid)
     plain = deflated(grid.without_blocks())
@@ -336,7 +322,7 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     if widest is None or math.isinf(widest[0]):
         return None
     radius, free, for_larger = widest
-    cell = find_bottleneck(plain, flat, origin, goals, free, free & ~for_larger)
+    cell = find_bottleneck(plain, flat, origin, goals, free, free & ~for_larger, False)
     # the occupied squares round it
     number, row, col = flat.cell(cell)
     level, size, width = plain.levels[number], flat.layout.cell_size[number], 2 * radius

@@ -51,10 +51,7 @@ class PathFinder(DrawQuestions):
         self.use(grid)
 
     def use(self, grid: NavGrid) -> None:
-        """Answer about another grid from now on, as after `Baker.update`.
-
-        What was planned and kept for the last one is forgotten.
-        """
+        """Answer about another grid from now on, as after `Baker.update`."""
         self.grid, self._search = grid, Search(grid, cut_corners=self._cut_corners)
         self.many = ManyPlaces(self._search)
 

@@ -43,10 +43,7 @@ class Path:
     doors: list[str]  #: Ids of the doors on the way, in order.
 
     def at(self, distance: float) -> Float:
-        """The position, world x, y, z [m], at a distance from the start along the path, from above.
-
-        The distance is limited to 0 and the length of the path [m].
-        """
+        """The position, world x, y, z [m], at a distance [m] from the start, seen from above."""
         run = run_of(self.positions)
         return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
 
@@ -92,9 +89,8 @@ def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
     On each level they are looked for ring by ring from the cells that carry the name, over cells
-    in which nothing stands, so never through a wall: the nearest ring with a free cell and the
-    one after it, at most 1 m away. In an inflated grid, that is as near as the agent gets. What is
-    shut in by other objects, like a thing on a table, is looked for over their cells, too.
+    in which nothing stands: the nearest ring with a free cell and the one after it, at most 1 m
+    away. From what is shut in by other objects, as on a table, they are looked for over these, too.
     """
     named, found = cells_named(grid, flat, name), []
     for number, level in enumerate(grid.levels):

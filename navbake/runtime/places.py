@@ -295,14 +295,11 @@ class PlaceQuestions:
 
         The way runs over the map from cell to cell, over the edge that it meets, so no wall is
         too thin for it. Steps are at most `traversable_floor_height` high; links lead to other
-        levels.
+        levels. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
+        its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
 
         Sliding goes on from where the straight way ends, to the point that is the nearest to the
-        end among those that a walk leads to which is no longer than what is left of the way. So
-        it also gets along walls that are not parallel to the cells.
-
-        A way may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
-        its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
+        end among those that a walk leads to which is no longer than what is left of the way.
         """
         flat = self._search.flat
         p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
@@ -330,9 +327,7 @@ class PlaceQuestions:
         Beyond the edge of the grid nothing is known, and nothing counts. Where the level ends and
         another goes on, as at the top of stairs, that is no obstacle: the other one counts where
         its floor is less than the agent's height, less a step, above or below, and its own isn't.
-
-        None where there is none within `max_distance` [m]; distance 0 within an occupied cell. The
-        position has to be in a cell of the grid.
+        None where there is none within `max_distance` [m]; distance 0 within an occupied cell.
         """
         flat = self.search.flat
         p = flat.check_one(position, level)
@@ -372,9 +367,9 @@ class PlaceQuestions:
             pixels = [math.ceil(n / each - 1e-6) for n in shape]
             if math.prod(pixels) > MAX_PIXELS:
                 raise QueryError(f"{pixels[1]} × {pixels[0]} pixels are too many: make them larger")
-            rows, cols = (((np.arange(count) + 0.5) * each).astype(int) for count in pixels)
-            rows, cols = np.minimum(rows, shape[0] - 1), np.minimum(cols, shape[1] - 1)
-            kind = kind[rows[:, None], cols]
+            middles = (((np.arange(count) + 0.5) * each).astype(int) for count in pixels)
+            at = (np.minimum(m, n - 1) for m, n in zip(middles, shape, strict=True))
+            kind = kind[np.ix_(*at)]
         palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
         return palette[kind]
 
@@ -410,11 +405,7 @@ def _snap_in_sight(
     same_level: bool,
     max_distance: float,
 ) -> Float | None:
-    """`PathFinder.snap` to the nearest allowed cell in sight of the position's own.
-
-    Lines of sight cost more than distances. So cells are looked at from the nearest on, in rounds
-    that reach twice as far each.
-    """
+    """`PathFinder.snap` in sight: lines cost more than distances, so it looks ever farther."""
     flat, home = search.flat, int(search.flat.cells_at(p, level))
     place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)
     if home < 0 or cell < 0:
@@ -446,11 +437,7 @@ def _snap_in_sight(
 def _find_obstacles(
     search: Search, p: Float, level: int | None, max_distance: float
 ) -> tuple[Int, Int, Float]:
-    """Own cells, nearest occupied cells (-1 for none) and distances [m] of checked positions.
-
-    Raises:
-        QueryError: a position is beside the grid.
-    """
+    """Own cells, nearest occupied cells, -1 for none, and distances [m] of checked positions."""
     flat_grid.check_distance(max_distance)
     flat = search.flat
     # floors less than this apart are at one height for an agent, as in `grid.inflate`
@@ -472,10 +459,7 @@ def cells_in_annulus(
     distances: tuple[float, float],
     allowed: Bool,
 ) -> Int:
-    """The allowed cells of a level whose centres are so far from a point on the map.
-
-    Distances are the smallest and the largest [m], both included; flat ids ascend.
-    """
+    """The allowed cells of a level whose centres are so far from a point on the map, ascending."""
     layout = flat.layout
     size, shape = layout.cell_size[level], (layout.height[level], layout.width[level])
     at = (layout.y_max[level] - point[1], point[0] - layout.x_min[level])

@@ -33,14 +33,10 @@ Kept = TypeVar("Kept")
 class Search:
     """The cells of all levels of a grid, searches over them, and what follows from them.
 
-    What is written into the grid's arrays later is not seen; what `grid.block` blocks is, at each
-    `update`. Not to be shared by threads.
-
-    `flat` are the cells, of which those that are blocked are not free; `graph` the steps between
-    them and what they cost, a `navbake.runtime.kernels.arrays.Graph`; `free_diagonally`, by flat
-    id, the free cells with room for a diagonal step, see `navbake.runtime.inflation.find_room`;
-    `off_center` where else an agent may be, and a line may run, beside the centres, a
-    `navbake.runtime.kernels.arrays.OffCenter`. `version` grows with each change that is found.
+    What `grid.block` blocks is seen at each `update`, by which `version` grows; what is written
+    into the grid's arrays isn't. Not to be shared by threads. `flat` are the cells, `graph` the steps
+    between them; `free_diagonally`, by flat id, the free cells with room for a diagonal step, see
+    `navbake.runtime.inflation.find_room`; `off_center` where a line may run beside the centres.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -121,10 +117,7 @@ class Search:
         )  # fmt: skip
 
     def keep(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
-        """Something that follows from the cells as they are now; the last few of a kind are kept.
-
-        `key` says which of its kind it is.
-        """
+        """What `make` finds of the cells as they are now; the last few of a kind are kept."""
         kept, key = self._kept.setdefault(kind, {}), (self.version, key)
         value: Kept = kept.pop(key) if key in kept else make()
         kept[key] = value  # last in the row, so the first is the one unused for longest
@@ -150,10 +143,7 @@ class Search:
 
     @property
     def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id; see `SceneGrid2D.solid`.
-
-        What a larger radius takes from an agent is not occupied.
-        """
+        """Where something stands now or there is no floor, by flat id; see `SceneGrid2D.solid`."""
         levels = self.grid.levels
         return self.keep(
             "occupied", None, lambda: np.concatenate([v.solid.ravel() != 0 for v in levels]), 1
@@ -192,20 +182,14 @@ class Search:
         return home
 
     def route(self, origin: int, goals: Int) -> tuple[Int, float] | None:
-        """The cheapest route from a free cell to the cheapest of several, and its cost.
-
-        Flat ids from the origin to the goal, shape (m,); None for no route.
-        """
+        """The cheapest route to the cheapest of several free cells, by flat ids, and its cost."""
         if (goals == origin).any():
             return np.array([origin]), 0.0
         route = self._find(self.graph, np.array([origin]), goals)
         return (route, float(self._visits.cost[route[-1]])) if len(route) else None
 
     def field(self, goals: Int, *, weighted: bool = True) -> Float:
-        """Find the cost of the cheapest route from every cell to any of several free cells.
-
-        By flat id, float64, inf for no route. Unless weighted, steps count by their length [m].
-        """
+        """What the cheapest route from each cell to any of several costs, inf for none."""
         return self._flood(goals, weighted)[0]
 
     def onward(self, goals: Int) -> tuple[Float, Int]:

@@ -2,11 +2,10 @@
 
 What counts for an agent whose centre is on a cell's centre:
 
-- Occupied cells: the agent must not meet their squares. The bake has made a cell occupied where
-  something meets its square or the disc of the baked radius round its centre, so all baked
-  geometry lies in occupied squares. The baked radius is replaced, not added to: where its disc
-  reaches beyond the square, the squares that something meets themselves (`SceneGrid2D.solid`)
-  stand in for the occupied ones, and a cell that only the baked disc closed may become free.
+- Occupied cells: the agent must not meet their squares, in which all baked geometry lies. The baked
+  radius is replaced, not added to: where its disc reaches beyond the square, the squares that
+  something meets themselves (`SceneGrid2D.solid`) stand in for the occupied ones, and a cell that
+  only the baked disc closed may become free.
 - Higher floors that the agent meets: at most a step above its own. A ledge is a wall from below,
   and so is the step after the next one for an agent too large for the stair. In files that have
   but the occupancy of a larger radius, the bake has decided this up to that radius.
@@ -124,9 +123,8 @@ def disc(
 ) -> tuple[Int, Int, Int32]:
     """Steps from a cell to those whose squares, or centres, an open disc round its centre reaches.
 
-    The radius is in cells; the disc need not be wider than `shape`. Rows and columns, (n, 2) int64,
-    the nearest first; their squares in half cells; and how wide the disc is, row by row, as
-    `dilate` takes it.
+    In cells: rows and columns, (n, 2), within `shape`, the nearest first; their squares in half
+    cells; and how wide the disc is, row by row, as `dilate` takes it.
     """
     rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
     # squared half cells along an axis to the near side, or to the centre, of squares
@@ -145,11 +143,7 @@ def disc(
 def find_surroundings(
     grid: NavGrid, number: int, reach: int
 ) -> tuple[Storeys, tuple[slice, slice]]:
-    """Collect the cells that an agent on a level may meet, which reaches some cells from its own.
-
-    Several levels are pasted into one window of the lattice, in which cells beyond a level count as
-    occupied; levels on other lattices are left out. Also returns the level's own rectangle in it.
-    """
+    """The cells that an agent on a level may meet, and the level's own rectangle among them."""
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
     shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}
     placed = {k: shift for k, shift in shifts.items() if shift is not None}

@@ -246,11 +246,7 @@ def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Sha
 def smallest_true(
     holds: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """Find, of each element, the smallest number of a dtype for which a condition holds.
-
-    The condition takes float64 numbers and is monotone: false for `low`, true for `high`. Bisection
-    ends where no number of the dtype is between the two.
-    """
+    """The smallest number of a dtype for which each of monotone conditions holds, by bisection."""
     false, true = low.astype(dtype), high.astype(dtype)
     assert not holds(false.astype(np.float64)).any() and holds(true.astype(np.float64)).all()
     while True:

@@ -55,19 +55,17 @@ class GridTensors:
     scale: Array  # by level, cells per metre
     x_edge: Array  # the smallest number of `dtype` in each column or beyond it, cols + 1 a level
     y_edge: Array  # the largest number of `dtype` in each row or beyond it, rows + 1 a level
-    # by level, the first and the last of these: x from west to below east and y from north to
-    # above south are on it
+    # by level: x from west to below east and y from north to above south are on it
     west: Array
     east: Array
     north: Array
     south: Array
     num_rows: Array  # by level, without padding
     num_cols: Array
-    # by cell, the lowest z [m] from which the cell's floor is at most a step above; of a cell
-    # without a floor the same of its level's ground; inf in padding
+    # by cell, the lowest z [m] from which its floor, or else the ground, is at most a step above
     reach: Array
-    # by cell, int32, its place among the heights of a scene's floors, all grounds below all floors;
-    # -1 in padding. Of the floors that a position reaches, the highest rank counts.
+    # by cell, int32, its place among the heights of a scene's floors, all grounds below all floors:
+    # of the floors that a position reaches, the highest counts
     rank: Array
     top: Array  # by cell, the highest z [m] at which `is_navigable` holds; -inf where it never does
     floor: Array  # by cell [m], NaN for no floor
@@ -76,8 +74,7 @@ class GridTensors:
     island: Array  # by cell, int32, counted through all scenes from 1; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
     cost: Array  # at ``goal * n + cell``, what the cheapest path to the goal costs
-    # at ``goal * n + cell``, int32, the id of the next cell of that path; itself at the goal, -1
-    # where no path is
+    # likewise, int32, the id of that path's next cell; itself at the goal, -1 for no path
     onward: Array
     by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
     island_key: Array  # of each of them ``island * (num_rooms + 1) + room``
@@ -113,10 +110,7 @@ def register_pytree(xp: Any) -> None:
 def locate(
     t: GridTensors, positions: Array, scene_id: Array | int | None
 ) -> tuple[Array, Array, Array]:
-    """Find the cells of checked positions, shape (..., 3), on the nearest floor below each.
-
-    Ids of cells and levels, 0 where there is none, and whether there is one; shape (...).
-    """
+    """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
     xp, shape = t.xp, t.shape
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     first = first_level(t, scene_id)
@@ -144,9 +138,8 @@ def locate(
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
     """The cells at x, y of one level, clamped to valid ids, and whether they are there.
 
-    `first` is the number of the level among those of all scenes, shape (...) or one for all. The
-    nearest edge is found by rounding, which half a cell of error can't mislead; on which side of
-    that edge a position is, is decided exactly.
+    `first` is the number of the level among those of all scenes. The nearest edge is found by
+    rounding; on which side of that edge a position is, is decided exactly.
     """
     xp, shape = t.xp, t.shape
     west, east, north, south = t.west[first], t.east[first], t.north[first], t.south[first]
@@ -216,10 +209,7 @@ def check_number(given: int | np.integer, what: str, count: int) -> int:
 def check_numbers(
     t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """Numbers, 0 to count - 1, of scenes, goals or rooms as an array of a shape; -1 for others.
-
-    They can't be refused: no code may look at the numbers of an array, as it may be traced.
-    """
+    """Numbers, 0 to count - 1, in a shape; -1 for others, as a traced array can't be refused."""
     if isinstance(given, int | Sequence | np.ndarray | np.integer):
         given = _new_array(t, given, None)
     if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):
@@ -260,10 +250,7 @@ def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -
 def answer_all(
     t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
 ) -> Array:
-    """Answer a question about positions of any shape (..., 3), in pieces where that is quicker.
-
-    The further arguments of `answer` are of shape (...), None or an integer.
-    """
+    """Answer a question about positions of any shape (..., 3), in pieces where that is quicker."""
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
     if t.xp.__name__ not in NUMPY or count < 2 * PIECE:

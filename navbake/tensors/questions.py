@@ -58,19 +58,12 @@ def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) 
 
 
 def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The connected part that each position is on, int32, 0 for none.
-
-    Two positions that can be walked between have the same number. Numbers count through all
-    scenes.
-    """
+    """The connected part that each position is on, int32, of all scenes together; 0 for none."""
     return _value(t, t.island, 0, positions, scene_id)
 
 
 def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """Whether an agent can stand at each position, bool; as `PathFinder.are_navigable`.
-
-    How far above the floor a position may be was said when the tensors were made.
-    """
+    """Whether an agent can stand at each position, by the `max_drop` of `make_tensors`; bool."""
 
     def answer(p: Array, scenes: Array) -> Array:
         cell, _, inside = locate(t, p, scenes)
@@ -252,11 +245,10 @@ def path_step(
     goal: Array | int = 0,
     scene_id: Array | int | None = None,
 ) -> Array:
-    """The direction to go from each position to get to a goal.
+    """The direction from each position to the centre of the next cell of the cheapest path.
 
-    It is that from the position to the centre of the next cell of the cheapest path. Whoever
-    follows it stays in the cells of that path, over links to other levels as well. World x, y of
-    unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is no path.
+    Whoever follows it stays in the cells of that path, over links to other levels as well. World
+    x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is no path.
     """
     xp = t.xp
 
