@@ -36,9 +36,7 @@ def place_crowd(
     """Draw the cells of n agents: as many from each part, give or take one, as far as they fit.
 
     What doesn't fit into a part is drawn from the others. `apart` are `reach` and `height`, `words`
-    what a message calls the agents, and all parts together. Returns flat ids, in random order.
-    Raises QueryError: at once where it is proved that they don't fit, else after `TRIES` crowds and
-    a packed one.
+    what a message calls the agents, and all parts together. Flat ids, in random order.
     """
     agents, where = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}", words[1]
     found = most = 0
@@ -65,8 +63,8 @@ def place_crowd(
 def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int:
     """A number of agents that some cells can't hold more than, though perhaps less.
 
-    A honeycomb whose hexagons are as wide as agents are apart holds one agent in each: as many
-    as hexagons have a cell. Of several honeycombs the one with the fewest counts.
+    A honeycomb whose hexagons are as wide as agents are apart holds one agent in each. Of several
+    honeycombs the one of whose hexagons the fewest have a cell counts.
     """
     reach, height = apart[0] * (1.0 - 1e-6), apart[1]
     if reach <= 0.0 or not len(cells):

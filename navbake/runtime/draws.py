@@ -267,8 +267,7 @@ class DrawQuestions(PlaceQuestions):
         `try_step` gets to its end without sliding, over links to other levels as well, and where
         the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
         The start, where an agent can stand, comes first, then the places of the fewest steps. The
-        spacing is a cell's size or more [m]; from a cell's centre, steps of whole cells lead to
-        centres.
+        spacing is a cell's size or more [m].
         """
         flat, radius = self.search.flat, agent_radius(self.grid)
         cell = float(flat.layout.cell_size.max())

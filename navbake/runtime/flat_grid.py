@@ -37,9 +37,8 @@ class FlatGrid:
     """All levels of a grid as one row of cells, and where steps lead from level to level.
 
     The flat id of a cell is ``start[level] + row * width[level] + col``. Two neighbours on one
-    level are a step apart where both are free and their floors differ by at most `max_step`.
-    Where a link leads, the baker has decided about the floor: it joins two cells, both ways,
-    whenever both are free.
+    level are a step apart where both are free and their floors differ by at most `max_step`; two
+    that a link joins, whenever both are free.
     """
 
     layout: Layout  # where the cells of each level lie

@@ -115,8 +115,7 @@ def inflate(
 def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
     """The weights that the original client's ``refine`` gives, by radii in cells.
 
-    The client divides the sum of radius and clearance, which in floating point is not the sum of
-    the quotients; its window leaves out its far row and column.
+    The client divides the sum of radius and clearance; its window lacks its far row and column.
     """
     occupied = level.occupancy != 0
     reach = min(math.ceil(far - 0.5), max(level.shape) + 1)
@@ -357,7 +356,7 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
                 enters = np.maximum(enters, np.minimum(*sides))
                 leaves = np.minimum(leaves, np.maximum(*sides))
         meets |= enters < leaves
-    return np.asarray(np.argwhere(meets | inside) + [low, left])
+    return np.asarray(np.argwhere(meets | inside) + np.array([low, left]))
 
 
 def _to_runs(offsets: Int) -> Int:

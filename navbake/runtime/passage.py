@@ -149,7 +149,7 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
 def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) -> Int | None:
     """`Search.route` on another grid of the same cells, without its cost."""
     found = Search(grid, cut_corners=corners).route(origin, goals)
-    return None if found is None else found[0]
+    return found and found[0]
 
 
 def find_bottleneck(

@@ -70,9 +70,8 @@ class PathFinder(DrawQuestions):
         """Say why there is no path: in one sentence, with positions and figures; None if there is.
 
         It names a start or goal that isn't free, and the nearest cell that is; or else the islands
-        of both, how near these come, and the first of these that is between them: cells that are
-        blocked for now, doors, a gap that is too narrow for the agent (known of inflated grids),
-        steps between levels that can't be taken, the names of what stands there.
+        of both, and the first of these between them: cells that are blocked for now, doors, a gap
+        that is too narrow, steps between levels that can't be taken, names of what stands there.
         """
         return why_not(self.search, start, goal, level)
 

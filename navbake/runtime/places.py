@@ -351,7 +351,7 @@ class PlaceQuestions:
         Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free,
         blocked, no floor. The first row is the largest y, the first column the smallest x, as in
         the grid's arrays. A pixel shows the cell that its middle is in; without `metres_per_pixel`,
-        > 0, there is one for each cell. Raises QueryError where the picture would be too large.
+        > 0, there is one for each cell.
         """
         flat = self.search.flat
         if level is None:

@@ -34,9 +34,9 @@ class Search:
     """The cells of all levels of a grid, searches over them, and what follows from them.
 
     What `grid.block` blocks is seen at each `update`, by which `version` grows; what is written
-    into the grid's arrays isn't. Not to be shared by threads. `flat` are the cells, `graph` the steps
-    between them; `free_diagonally`, by flat id, the free cells with room for a diagonal step, see
-    `navbake.runtime.inflation.find_room`; `off_center` where a line may run beside the centres.
+    into the grid's arrays isn't. Not to be shared by threads. `flat` are the cells, `graph` are the
+    steps between them; `free_diagonally`, by flat id, are the free cells with room for a diagonal
+    step; `off_center` is where a line may run beside the centres.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -144,10 +144,8 @@ class Search:
     @property
     def occupied(self) -> Bool:
         """Where something stands now or there is no floor, by flat id; see `SceneGrid2D.solid`."""
-        levels = self.grid.levels
-        return self.keep(
-            "occupied", None, lambda: np.concatenate([v.solid.ravel() != 0 for v in levels]), 1
-        )
+        solid = (level.solid.ravel() != 0 for level in self.grid.levels)
+        return self.keep("occupied", None, lambda: np.concatenate(list(solid)), 1)
 
     @property
     def sight(self) -> tuple[Any, ...]:

@@ -91,8 +91,8 @@ def block_by_others(
 ) -> None:
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
-    `blocked` holds what the level's own occupied cells block, `offsets` the steps from an agent's
-    cell to those that it meets; the radius [m] is the agent's, or of a circle around it.
+    `offsets` are the steps from an agent's cell to those that it meets; the radius [m] is the
+    agent's, or of a circle around it.
     """
     level = grid.levels[number]
     # of the disc that is part of `occupied`; 0 where the squares alone are in a layer `solid`

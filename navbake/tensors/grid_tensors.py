@@ -38,8 +38,7 @@ class GridTensors:
 
     Scenes are padded to the most levels, rows and columns that one of them has. The id of a cell
     is ``((scene * levels + level) * rows + row) * cols + col``, over the padded `shape`; n is the
-    number of ids. What is said to be "by level" has one value a level of a scene, at
-    ``scene * levels + level``. Positions are world x, y, z [m] in the dtype `dtype`.
+    number of ids. What is "by level" has one value for each at ``scene * levels + level``.
     """
 
     xp: Any  # the array library's namespace

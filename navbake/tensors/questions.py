@@ -82,8 +82,7 @@ def clearance(
 
     The mode ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does;
     ``"bilinear"`` interpolates between the centres of the four cells round the position, on the
-    position's level; at the edge of the grid the outer cells go on. Libraries that differentiate
-    give the gradient by the position.
+    position's level; at the edge of the grid the outer cells go on. It can be differentiated.
     """
     if mode not in MODES:
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
