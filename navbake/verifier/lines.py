@@ -131,8 +131,8 @@ class Lines:
                 return []
             z = pos[2] - ((x - pos[0]) * normal[0] + (y - pos[1]) * normal[1]) / normal[2]
             return [Surface(float(z), float(normal[2]), number)]
-        above = float(self.obstacles.high[number, 2]) + BEYOND
-        below = float(self.obstacles.low[number, 2]) - BEYOND
+        above = float(self.obstacles.items[number].high[2]) + BEYOND
+        below = float(self.obstacles.items[number].low[2]) - BEYOND
         if kind in (CONVEX, HEIGHT_FIELD):
             ends = self._ray(number, x, y, below, UP), self._ray(number, x, y, above, DOWN)
             found = [end for end in ends if end is not None]

@@ -109,7 +109,7 @@ class Obstacles:
                 self._put(geom, piece, mat, pos)
         self.names = [report.name for report in scene.geoms]
         boxes = np.array([(item.low, item.high) for item in self.items]).reshape(-1, 2, 3)
-        self.low, self.high = boxes[:, 0], boxes[:, 1]
+        self._low, self._high = np.ascontiguousarray(boxes.transpose(1, 2, 0))
         world = self._spec.worldbody
         world.add_geom(type=GEOM.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         world.add_geom(type=GEOM.mjGEOM_CYLINDER, size=[0.1, 0.1, 0.0])
@@ -138,8 +138,8 @@ class Obstacles:
 
     def meeting(self, low: ArrayLike, high: ArrayLike) -> list[int]:
         """The obstacles whose boxes meet a box, ascending."""
-        meets = (self.low <= high).all(axis=1) & (self.high >= low).all(axis=1)
-        found: list[int] = np.flatnonzero(meets).tolist()
+        meets = (self._low <= np.reshape(high, (3, 1))) & (self._high >= np.reshape(low, (3, 1)))
+        found: list[int] = np.flatnonzero(meets.all(axis=0)).tolist()
         return found
 
     def support(self, number: int, way: Float) -> float:
