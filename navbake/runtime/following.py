@@ -44,12 +44,9 @@ class Follower:
 
     It notices when cells of its grid were blocked or freed. Then it plans anew, and takes the new
     path where the rest of its own is blocked, or a tenth longer. Where there is no path, it drives
-    on to where its own is blocked, and waits there until there is one.
-
-    Attributes:
-        path: that it follows now.
-        state: ``driving``, ``waiting`` (there is no way on) or ``arrived``.
-        num_replans: how often it has taken a new path.
+    on to where its own is blocked, and waits there until there is one. Its `path` is the one that
+    it follows now, its `state` ``driving``, ``waiting`` (there is no way on) or ``arrived``;
+    `num_replans` says how often it has taken a new path.
     """
 
     def __init__(self, search: Search, path: Path, limits: dict[str, float]) -> None:

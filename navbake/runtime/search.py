@@ -191,10 +191,7 @@ class Search:
         return self._flood(goals, weighted)[0]
 
     def onward(self, goals: Int) -> tuple[Float, Int]:
-        """The weighted `field`, and where the cheapest route goes on from each cell.
-
-        Flat ids, shape (n,), int64: the cell itself at a goal, -1 where no route is.
-        """
+        """The weighted `field`, and where routes go on: at a goal the cell itself, -1 for none."""
         flat, links = self.flat, self.flat.links
         cost, way = self._flood(goals, True)
         cells = np.arange(flat.num_cells)
