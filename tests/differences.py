@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+import navbake
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+
+
+def fresh(baker: navbake.Baker, **settings: Any) -> NavGrid:
+    """A bake of a baker's model as it is now."""
+    data = mujoco.MjData(baker.model)
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = baker.pose
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return navbake.bake(baker.model, data, **settings)
 
 
 def first_difference(a: NavGrid, b: NavGrid) -> str | None:

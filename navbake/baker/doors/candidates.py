@@ -67,9 +67,8 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     alone = np.isin(model.jnt_type, (HINGE, SLIDE)) & (model.body_jntnum[model.jnt_bodyid] == 1)
     joints = {int(model.jnt_bodyid[joint]): joint for joint in np.flatnonzero(alone).tolist()}
     # by body id, the patterns that match its name; none for the world
-    matches = [
-        [p for p in settings.patterns if k and fnmatchcase(n, p)] for k, n in enumerate(names)
-    ]
+    matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names]
+    matches[0] = []
     searched = {body for body in joints if not matches[body]} if settings.find else set()
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):

@@ -115,10 +115,7 @@ def read_flags(
 
 
 def edge_cells(is_open: Bool, sides: Bool) -> Bool:
-    """Cells on the edge of the lattice, or of open cells that reach it, and are not open.
-
-    `sides` says which of the lattice's edges count: [[upper, lower], [left, right]].
-    """
+    """Cells that aren't open, at those `sides` of the lattice or at open cells that reach them."""
     empty = np.pad(is_open, 1)
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]

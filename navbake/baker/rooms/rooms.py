@@ -252,8 +252,7 @@ def find_openings(
 ) -> list[Opening]:
     """Find where neighbouring cells belong to two rooms and are a step or a slope apart.
 
-    Floors are heights by level, steps at most `max_step` high [m]; a slope is a link between two
-    cells of one level. 8-connected cells form one opening. Furniture is ignored.
+    A slope is a link between cells of a level; 8-connected cells form one opening.
     """
     openings = []
     for number, (rooms, floor) in enumerate(zip(index, floors, strict=True)):

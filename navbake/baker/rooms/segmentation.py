@@ -249,9 +249,8 @@ def share_rest(
     """Make rooms of what marked rooms, `owner`, leave of segments: owners, and new rooms.
 
     A segment without a mark is a room as it is. In one with marks, each connected part of the rest
-    is a room by itself, as a mark says where its room ends. Only a part that is too small goes to
-    the marked room that it touches most: one smaller than `min_area` [m²], or nowhere half a metre
-    wide though its segment is (the gap between a drawn floor and its wall, a doorway's depth).
+    is a room by itself. Only one smaller than `min_area` [m²], or nowhere half a metre wide though
+    its segment is (a doorway's depth), goes to the marked room that it touches most.
     """
     least = min_area / cell_size**2 - ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)

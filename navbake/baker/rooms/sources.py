@@ -159,9 +159,8 @@ def _stand_in(
     """The cells of each level whose agent stands in a site's volume.
 
     From 5 cm below a cell's floor to the agent's height over it has to be at least half of what
-    the volume has of the vertical line through the cell's centre, or half of the agent. So a marker
-    on the floor, a box up to the ceiling and a sphere round the middle of a room are as large as
-    they look from above, and none reaches into the next storey.
+    the volume has of the vertical line through the cell's centre, or half of the agent. So markers
+    and boxes are as large as they look from above, and none reaches into the next storey.
     """
     model, data = scene.model, scene.data
     kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
@@ -219,10 +218,7 @@ def _mark_by_polygons(
 def _upward_surfaces(
     scene: Scene, columns: ColumnSource, chosen: set[int]
 ) -> tuple[Int, Float, Int32]:
-    """The surfaces of geoms that face up: cells, heights, geoms.
-
-    The columns have those that count already, but hulls cover more than the meshes do.
-    """
+    """The surfaces of geoms that face up: cells, heights, geoms; of hulls, those of their mesh."""
     num = len(scene.geoms)
     known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
     parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]

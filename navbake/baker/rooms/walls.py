@@ -30,9 +30,8 @@ SILL_THICKNESS = 0.5
 
 def squared_distances(target: Bool, reach: int) -> Int32:
     """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
-    along = np.empty(target.shape, dtype=np.int16)
+    along, far = np.empty(target.shape, dtype=np.int16), np.int16(reach + 1)
     target = np.ascontiguousarray(target)
-    far = np.int16(reach + 1)
     run_in_bands(kernels.sweep_columns, target.shape[1], target, far, along, least=STRIP)
     answer = np.empty(target.shape, dtype=np.int32)
     run_in_bands(kernels.sweep_rows, len(target), along, reach, answer)

@@ -185,8 +185,7 @@ class Baker:
         """Find all stages; see `settle_doors`."""
         self._candidates = FollowedDoors(self._config, first.scene, first.candidates)
         passes = [LiveStages(first)]
-        while rejected := passes[-1].stages.rejected:
-            last = passes[-1].stages
+        while rejected := (last := passes[-1].stages).rejected:
             kept = [candidate for candidate in last.candidates if candidate not in rejected]
             passes.append(LiveStages(replace(last, candidates=kept)))
         return passes

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 import navbake
-from differences import first_difference
+from differences import first_difference, fresh
 from navbake.baker.update import stages as stages_module
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
@@ -31,15 +30,6 @@ OPEN_ROOM = """
   <body name="person" mocap="true" pos="3 1 0.6"><geom type="cylinder" size="0.2 0.6"/></body>
 </worldbody></mujoco>
 """
-
-
-def fresh(baker: navbake.Baker, **settings) -> navbake.SceneGrid2D:
-    """A bake of a baker's model as it is now."""
-    data = mujoco.MjData(baker.model)
-    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = baker.pose
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return navbake.bake(baker.model, data, **settings)
 
 
 def open_room(**settings) -> navbake.Baker:

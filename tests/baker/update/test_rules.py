@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import mujoco
 import numpy as np
 import pytest
 
 import navbake
-from differences import first_difference
+from differences import first_difference, fresh
 from navbake.baker.update import baker as module
 from navbake.baker.update import stages as stages_module
 
@@ -27,18 +25,10 @@ def make(bodies: str, assets: str = "") -> mujoco.MjModel:
     )
 
 
-def fresh(baker: navbake.Baker, settings: dict) -> navbake.SceneGrid2D:
-    data = mujoco.MjData(baker.model)
-    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = baker.pose
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return navbake.bake(baker.model, data, **settings)
-
-
 def check(baker: navbake.Baker, settings: dict, **moves) -> str:
     """Update, and hold the grid against a fresh bake; gives why all was baked again."""
     changes = baker.update(**moves)
-    assert first_difference(changes.grid, fresh(baker, settings)) is None
+    assert first_difference(changes.grid, fresh(baker, **settings)) is None
     return changes.reason
 
 
