@@ -47,7 +47,7 @@ from navbake.config.settings import BakeConfig, load_config
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import write_navgrid
-from navbake.formats.scene_files import HERE, find_inputs
+from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.processes import lacked_memory
 from navbake.types import Json
@@ -141,8 +141,8 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror | None) -> Scene:
     files: list[list[Any]] = []
     for named in config.inputs:  # the scene is the first
         own = mirror if mirror is not None and mirror.url_of(named) else None
-        for path in find_inputs(named, own or HERE):
-            if (own or HERE).has(path):
+        for path in find_inputs(named, own):
+            if own.has(path) if own else path.is_file():
                 url = own.url_of(path) if own else None
                 state = own.describe(path) if own else describe_file(path)
                 inputs[_name(plan, url or path)] = state

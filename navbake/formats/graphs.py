@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.errors import MissingDependencyError, QueryError
-from navbake.formats.source import Files, write_bytes
+from navbake.errors import QueryError
+from navbake.formats.source import Files, import_extra, write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.doors import Door
@@ -57,16 +57,6 @@ def make_graph(
     if kind == "rooms":
         return make_room_graph(grid)
     raise QueryError(f"expected cells or rooms as kind of graph, got {kind!r}")
-
-
-def import_networkx() -> Any:
-    """Load networkx, or say how to install it."""
-    try:
-        import networkx  # of the extra [convert]
-    except ImportError as error:
-        message = 'graphs for networkx, and GraphML, need networkx: pip install "navbake[convert]"'
-        raise MissingDependencyError(message) from error
-    return networkx
 
 
 # ---------------------------------------------------------------- cells
@@ -119,7 +109,7 @@ class CellGraph:
         Raises:
             MissingDependencyError: networkx is not installed.
         """
-        graph: networkx.DiGraph[Any] = import_networkx().DiGraph()
+        graph: networkx.DiGraph[Any] = import_extra("networkx").DiGraph()
         names = list(zip(self.level.tolist(), self.row.tolist(), self.col.tolist(), strict=True))
         for name, place in zip(names, self.position.tolist(), strict=True):
             graph.add_node(name, position=tuple(place))
@@ -250,7 +240,7 @@ class RoomGraph:
         Raises:
             MissingDependencyError: networkx is not installed.
         """
-        graph: networkx.MultiGraph[Any] = import_networkx().MultiGraph()
+        graph: networkx.MultiGraph[Any] = import_extra("networkx").MultiGraph()
         for room in self.rooms:
             x, y, z = room.centroid
             graph.add_node(
@@ -406,7 +396,7 @@ def _distance(line: Float, points: Float) -> float:
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """Make a GraphML file of a grid's rooms, see `RoomGraph.to_networkx`."""
-    networkx = import_networkx()
+    networkx = import_extra("networkx")
     graph = make_room_graph(grid).to_networkx()
 
     def allowed(text: Any) -> Any:

@@ -233,16 +233,8 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     ground = float(number(ground, place["navbake"]["ground"]))
     if not all(abs(value) <= FARTHEST for value in (*origin[:2], ground)):
         place["origin"].fail(f"expected a map within {FARTHEST:g} m of the origin")
-    return MapRules(
-        image=Path(path).parent / image,
-        resolution=stated["resolution"],
-        origin=origin,
-        mode=mode,
-        negate=bool(negate),
-        occupied=occupied,
-        free=free,
-        ground=ground,
-    )
+    place_of_image, resolution = Path(path).parent / image, stated["resolution"]
+    return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
 def read_values(pixels: Pixels, rules: MapRules) -> Values:

@@ -21,7 +21,6 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import shown
 from navbake.formats.convert import level_paths
 from navbake.formats.images import encode_png, open_image
 from navbake.formats.source import Files
@@ -154,13 +153,14 @@ def _straighten(
 
 
 def _matrix(texts: Json, key: str, shape: tuple[int, int], path: str | PathLike[str]) -> Float:
-    value = _parse(texts.get(key), key, path)
-    rows = value if isinstance(value, list) and len(value) == shape[0] else []
-    if not all(isinstance(row, list) and len(row) == shape[1] for row in rows) or not rows:
-        raise FormatError(f"expected a {shape[0]} × {shape[1]} matrix as `{key}` in {path}")
-    if not all(type(entry) in (int, float) for row in rows for entry in row):
-        raise FormatError(f"expected numbers in `{key}` of {path}, got {shown(rows[0][0])}")
-    return np.array(rows, dtype=np.float64)
+    try:
+        matrix = np.array(_parse(texts.get(key), key, path))
+    except ValueError:  # rows of several lengths
+        matrix = np.empty(0)
+    if matrix.shape != shape or matrix.dtype.kind not in "if":
+        expected = f"a {shape[0]} × {shape[1]} matrix of numbers"
+        raise FormatError(f"expected {expected} as `{key}` in {path}")
+    return matrix.astype(np.float64)
 
 
 def _parse(text: Any, key: str, path: str | PathLike[str]) -> Any:

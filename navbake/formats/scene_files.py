@@ -6,7 +6,7 @@ import html
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote
@@ -29,7 +29,7 @@ ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 class Files(Protocol):
-    """Where a scene's files are looked for."""
+    """Where a scene's files are looked for, if not on this machine."""
 
     def has(self, path: Path) -> bool:
         """Whether there is such a file; a pipe or a folder is none."""
@@ -38,24 +38,11 @@ class Files(Protocol):
         """Make a file that is there ready for reading."""
 
 
-class FilesHere:
-    """The files of this machine."""
-
-    def has(self, path: Path) -> bool:
-        return os.path.isfile(path)
-
-    def bring(self, path: Path) -> None:
-        """Do nothing: it is there."""
-
-
-HERE = FilesHere()
-
-
 _Element = tuple[str, dict[str, str]]  # tag and attributes
 
 
 def find_inputs(
-    scene: Path, files: Files = HERE, *, looks: bool = False, missing: bool = False
+    scene: Path, files: Files | None = None, *, looks: bool = False, missing: bool = False
 ) -> list[Path]:
     """List the files that a scene is made of, as far as they are there: itself, then sorted.
 
@@ -67,16 +54,29 @@ def find_inputs(
 
     Args:
         scene: its file.
-        files: where to look for the others.
+        files: where to look for the others; on this machine if None.
         looks: whether textures and skins count as well.
         missing: whether to list, of a file that is nowhere, all places where it may be.
     """
-    elements = _read_elements(scene, files) if scene.suffix.lower() in XML_SUFFIXES else []
+    has = os.path.isfile if files is None else files.has
+
+    def read(path: Path) -> bytes:
+        """The content of a file; none where it can't be read."""
+        if not has(path):
+            return b""
+        if files is not None:
+            files.bring(path)
+        try:
+            return path.read_bytes()
+        except OSError:
+            return b""
+
+    elements = _parse_elements(read(scene)) if scene.suffix.lower() in XML_SUFFIXES else []
     found: set[Path] = set()
 
     def choose(places: Iterable[Path], first: bool = False) -> None:
         places = list(places)
-        there = [place for place in places if files.has(place)]
+        there = [place for place in places if has(place)]
         found.update((there[:1] if first else there) or (places if missing else []))
 
     if elements and elements[0][0] == "robot":
@@ -84,11 +84,11 @@ def find_inputs(
             if tag == "mesh":
                 choose(mesh_places(scene, attributes.get("filename", "")), first=True)
     else:
-        for places in _places_in_mjcf(scene, elements, files, looks):
+        for places in _places_in_mjcf(scene, elements, read, looks):
             choose(places)
     for mesh in [scene, *found]:
-        if mesh.suffix.lower() == ".gltf" and files.has(mesh):
-            for uri in _buffer_names(mesh, files):
+        if mesh.suffix.lower() == ".gltf":
+            for uri in _buffer_names(read(mesh)):
                 choose(mesh.parent / name for name in {uri, uri.strip(), unquote(uri)})
     return [scene, *sorted(found - {scene})]
 
@@ -107,7 +107,7 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
 
 
 def _places_in_mjcf(
-    scene: Path, elements: list[_Element], files: Files, looks: bool
+    scene: Path, elements: list[_Element], read: Callable[[Path], bytes], looks: bool
 ) -> list[list[Path]]:
     """For each file that MJCF names, all places where it may be."""
     named: list[tuple[list[Path], str]] = []  # folders that the name may count from, and the name
@@ -115,9 +115,9 @@ def _places_in_mjcf(
     left = [(scene, elements, scene.parent)]
     seen = {_identity(scene, scene.parent)}
     while left:
-        file, content, home = left.pop()
+        file, own, home = left.pop()
         bases = [*dict.fromkeys((scene.parent, home, file.parent))]
-        for tag, attributes in content:
+        for tag, attributes in own:
             keys = LOOK_FOLDERS if looks else FOLDERS
             folders.update(_slashed(attributes[key]) for key in keys if key in attributes)
             if tag in LOOKS and not looks:
@@ -132,9 +132,9 @@ def _places_in_mjcf(
                 for path in _places(bases, [""], name):
                     inner_home = home if tag == "include" else path.parent
                     identity = _identity(path, inner_home)
-                    if identity not in seen and files.has(path):
+                    if identity not in seen and (content := read(path)):
                         seen.add(identity)
-                        left.append((path, _read_elements(path, files), inner_home))
+                        left.append((path, _parse_elements(content), inner_home))
     return [_places(bases, sorted(folders), name) for bases, name in named]
 
 
@@ -159,13 +159,12 @@ def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Pa
     return list(paths)
 
 
-def _buffer_names(mesh: Path, files: Files) -> list[str]:
+def _buffer_names(content: bytes) -> list[str]:
     """What the buffers of a glTF file that are files are called there."""
-    files.bring(mesh)
     try:
-        buffers = json.loads(mesh.read_bytes())["buffers"]
+        buffers = json.loads(content)["buffers"]
         uris = [str(each["uri"]) for each in buffers if "uri" in each]
-    except (OSError, ValueError, RecursionError, LookupError, TypeError):
+    except (ValueError, RecursionError, LookupError, TypeError):
         return []
     return [uri for uri in uris if not uri.startswith("data:") and "\0" not in unquote(uri)]
 
@@ -175,15 +174,8 @@ def _slashed(name: str) -> str:
     return name.replace("\\", "/")
 
 
-def _read_elements(path: Path, files: Files) -> list[_Element]:
-    """The elements of an XML file, in its order; none where it can't be read."""
-    if not files.has(path):
-        return []
-    files.bring(path)
-    try:
-        content = COMMENT.sub(b"", path.read_bytes())
-    except OSError:
-        return []
+def _parse_elements(content: bytes) -> list[_Element]:
+    """The elements of an XML file, in its order."""
 
     def text(value: bytes) -> str:
         """A name as the system's calls give it, also where it is no UTF-8."""
@@ -191,5 +183,5 @@ def _read_elements(path: Path, files: Files) -> list[_Element]:
 
     return [
         (text(tag), {text(key): text(a or b) for key, a, b in ATTRIBUTE.findall(attributes)})
-        for tag, attributes in ELEMENT.findall(content)
+        for tag, attributes in ELEMENT.findall(COMMENT.sub(b"", content))
     ]

@@ -19,9 +19,9 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.errors import FormatError, MissingDependencyError, QueryError
+from navbake.errors import FormatError, QueryError
 from navbake.formats.allowance import shown
-from navbake.formats.source import Files, path_name, read_object
+from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
@@ -77,7 +77,7 @@ class Shape:
         Raises:
             MissingDependencyError: shapely is not installed.
         """
-        shapely = import_shapely()
+        shapely = import_extra("shapely")
         if self.line is not None:
             line: BaseGeometry = shapely.LineString(self.line)
             return line
@@ -144,16 +144,6 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
 def _rounded(value: float) -> float:
     """To a micrometre, and without -0.0."""
     return round(float(value), 6) + 0.0
-
-
-def import_shapely() -> Any:
-    """Load shapely, or say how to install it."""
-    try:
-        import shapely  # of the extra [convert]
-    except ImportError as error:
-        message = 'polygons for shapely, and WKT, need shapely: pip install "navbake[convert]"'
-        raise MissingDependencyError(message) from error
-    return shapely
 
 
 # ---------------------------------------------------------------- outlines
@@ -251,7 +241,7 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     Its columns are ``WKT`` (OGC simple features) and then the properties that all features of a
     GeoJSON of the grid have. Raises a MissingDependencyError without shapely.
     """
-    shapely = import_shapely()
+    shapely = import_extra("shapely")
     text = io.StringIO()
     # lines end as RFC 4180 has it; with other ends, csv leaves a name with such an end unquoted
     table = csv.writer(text, lineterminator="\r\n")

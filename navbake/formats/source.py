@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import importlib
 import io
 import logging
 import os
@@ -15,7 +16,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 import orjson
 
-from navbake.errors import FormatError
+from navbake.errors import FormatError, MissingDependencyError
 from navbake.files import write_together, write_whole
 from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
 
@@ -193,3 +194,12 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
             why = f"there is no folder {path_name(missing[0])}" if missing else why
         raise FormatError(f"cannot write {names}: {why}") from error
+
+
+def import_extra(name: str) -> Any:
+    """Load shapely or networkx, of the extra [convert], or say how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        message = f'this needs {name}: pip install "navbake[convert]"'
+        raise MissingDependencyError(message) from error

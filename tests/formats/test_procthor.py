@@ -147,8 +147,8 @@ def test_more_rooms_than_a_byte_numbers_are_refused(tmp_path):
     [
         ("world_to_map", None, "has no text `world_to_map`"),
         ("world_to_map", "[[1", "expected JSON as text `world_to_map`"),
-        ("world_to_map", "[[1, 0, 0, 0]]", "a 2 × 4 matrix as `world_to_map`"),
-        ("world_to_map", '[[0, 1, 0, "x"], [1, 0, 0, 0]]', "numbers in `world_to_map`"),
+        ("world_to_map", "[[1, 0, 0, 0]]", "a 2 × 4 matrix of numbers as `world_to_map`"),
+        ("world_to_map", '[[0, 1, 0, "x"], [1, 0, 0, 0]]', "matrix of numbers as `world_to_map`"),
         ("world_to_map", "[[1, 1, 0, 0], [1, -1, 0, 0]]", "turns by no quarter"),
         ("world_to_map", "[[0, 2, 0, 0], [1, 0, 0, 0]]", "or stretches"),
         ("world_to_map", "[[0, 0, 0, 0], [0, 0, 0, 0]]", "turns by no quarter"),
