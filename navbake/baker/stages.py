@@ -172,11 +172,11 @@ class Stages:
         with self.clock.stage("floors"):
             try:
                 floors, finder = find_floors(columns, self.doorless.shapes, *asked)
+                if columns.lattice != self.lattice:
+                    floors = crop_floors(floors, self.judged[1])
             except SceneError as error:
                 path = config.scene.path
                 raise SceneError(f"{path}: {error}{_describe_extent(self.doorless)}") from error
-            if columns.lattice != self.lattice:
-                floors = crop_floors(floors, self.judged[1])
             return floors, finder
 
     def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
