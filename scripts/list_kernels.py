@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -165,8 +166,13 @@ def list_called() -> list[Any] | None:
 
 
 def bake_sample() -> None:
-    """Bake what most bakes are like."""
-    navbake.bake(ROOT / "configs" / "apartment.yaml")
+    """Bake what most bakes are like, and print its table."""
+    from navbake.cli.main import main as run_command
+    from navbake.files import scratch_folder
+
+    with scratch_folder() as folder, suppress(SystemExit):
+        apartment = ROOT / "configs" / "apartment.yaml"
+        run_command(["bake", str(apartment), "-o", str(folder / "apartment.grid.json")])
 
 
 def encode_type(of: Any) -> Any:
