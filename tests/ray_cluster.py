@@ -57,20 +57,29 @@ def two_nodes(count: int, **of_second: str) -> Iterator[TwoNodes]:
             print("kill", file=process.stdin, flush=True)
             assert answers.readline() == "killed\n"
 
-        yield TwoNodes(answers.readline().strip(), process, kill)
+        address = answers.readline().strip()
+        assert address, "the cluster did not start"
+        yield TwoNodes(address, process, kill)
 
 
 def main() -> None:
     """Start the nodes, and do what is said."""
     from ray.cluster_utils import Cluster  # as VARIABLES are set
 
-    os.makedirs("/tmp/ray", exist_ok=True)  # Ray notes the address there
+    os.makedirs(f"{tempfile.gettempdir()}/ray", exist_ok=True)  # Ray notes the address there
     count, variables = int(sys.argv[1]), dict(pair.split("=", 1) for pair in sys.argv[2:])
     folder = tempfile.mkdtemp(prefix="navbake-ray-", dir="/tmp")  # short, as paths of sockets are
-    common = {"num_cpus": count, "object_store_memory": STORE, "include_dashboard": False}
+    # a busy machine takes longer than Ray waits for a node by itself
+    common = {
+        "num_cpus": count,
+        "object_store_memory": STORE,
+        "include_dashboard": False,
+        "wait": False,
+    }
     cluster = Cluster(initialize_head=True, head_node_args={**common, "temp_dir": folder})
     try:
         second = cluster.add_node(env_vars=variables, **common)
+        cluster.wait_for_nodes(timeout=300)
         print(cluster.address, flush=True)
         for _ in sys.stdin:
             cluster.remove_node(second, allow_graceful=False)
