@@ -243,7 +243,7 @@ def list_sides(
         np.empty((4, 3)), np.empty((1, 6)), np.empty(3), np.empty(MOST_HEIGHTS),
         np.empty(TILE * TILE, np.int64),
     )  # fmt: skip
-    seen, sides, num = np.empty((256, NUM_NOTES)), np.empty((256, NUM_NOTES)), 0
+    seen, sides, num = np.empty((256, NUM_NOTES)), np.empty((256, NUM_NOTES)), np.int64(0)
     for tile in range(first_tile, end):
         while True:
             after = _list_in_tile(

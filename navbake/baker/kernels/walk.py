@@ -162,7 +162,8 @@ def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, 
         make_polygons(),
     )
     solids, facets, planes = geometry
-    geom, flags, used = np.full(1024, -1, np.int32), np.zeros(1024, np.uint8), 1
+    geom, flags = np.full(1024, -1, np.int32), np.zeros(1024, np.uint8)
+    used = np.int64(1)  # a plain 1 has a type of its own, and its functions would be compiled twice
     entries = Entries(np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.uint8))
     tiles_x = (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
@@ -320,7 +321,7 @@ def _look_at_tile(walk, tiles, tile, entries):
     """
     solids, facets, planes, here = walk.solids, walk.facets, walk.planes, walk.here
     _ask_lines(walk)
-    p, count = 0, 0
+    p, count = 0, np.int64(0)  # see `used` above
     s, last_s = tiles.solid_start[tile], tiles.solid_start[tile + 1]
     t, last_t = tiles.triangle_start[tile], tiles.triangle_start[tile + 1]
     while count >= 0 and here.open[0] != 0:

@@ -173,7 +173,7 @@ def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
             queue[num_queue] = n
             num_queue += 1
             queued[n] = True
-    now = 1
+    now = np.int64(1)
     while num_queue > 0 or (num_edge > 0 and now <= last + 1):
         for e in range(num_edge):
             n = edge[e]
