@@ -3,6 +3,7 @@
 
 use_venv() { # use_venv EXTRA
     local extra=$1 python=${PYTHON:-python3} stamp
+    unset PYTHONDONTWRITEBYTECODE # without bytecode each command starts three times as slowly
     cd "$(dirname "${BASH_SOURCE[0]}")/.."
     if [ ! -x .venv/bin/python ]; then
         if ! "$python" -c "import venv, ensurepip" 2>/dev/null; then
