@@ -172,3 +172,31 @@ class Seen:
         changed[np.repeat(np.flatnonzero(same), counts[same])[was != now]] = True
         self._counts, self._values = counts.copy(), values
         return changed
+
+
+class BlockAnswers:
+    """Answers about places, kept while a block has the same places and nothing changes near it."""
+
+    def __init__(self, num_blocks: int) -> None:
+        self._seen, self._counts = Seen(num_blocks), np.zeros(num_blocks, dtype=np.int64)
+        self._answers, self._now = np.empty(0, dtype=np.uint8), 0
+
+    def find(
+        self, block: Int, places: Int, last: Int, now: int, ask: Callable[[Bool], NDArray[np.uint8]]
+    ) -> NDArray[np.uint8]:
+        """The answer for each place.
+
+        Args:
+            block: of each place, ascending.
+            places: what tells a place from others, shape (places, n).
+            last: in which update something last changed near each block, `now` being this one.
+            ask: finds the answers for the places of a mask.
+        """
+        counts = np.bincount(block, minlength=len(last))
+        same = ~self._seen.differ(counts * places.shape[1], places.ravel()) & (last <= self._now)
+        known = same[block]
+        answers = np.empty(len(block), dtype=np.uint8)
+        answers[known] = self._answers[np.repeat(same, self._counts)]
+        answers[~known] = ask(~known)
+        self._counts, self._answers, self._now = counts, answers, now
+        return answers

@@ -211,9 +211,10 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
     if stages.occupancy.solid is not None:
         attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
     user_data = UserData()
-    if stages.contents is not None and stages.config.names.enabled:  # read on first use
+    if stages.contents is not None and stages.config.names.enabled:
         named = stages.contents.user_data(number, window)
-        user_data = with_door_names(named, doors, number, num_levels)
+        # found on first use
+        user_data = UserData(lambda: with_door_names(named, doors, number, num_levels).source)
     return SceneGrid2D(
         width=part.width,
         height=part.height,

@@ -58,8 +58,7 @@ class UserData(MutableMapping[int, Json]):
         self,
         source: MutableMapping[int, Json]
         | Shared
-        | Callable[[], Shared]
-        | Callable[[], dict[int, Json]]
+        | Callable[[], MutableMapping[int, Json] | Shared]
         | None = None,
     ) -> None:
         self._source: Any = {} if source is None else source

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from navbake.baker.blocks import Blocks, BlockTable, Seen
+from navbake.baker.blocks import BlockAnswers, Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
@@ -102,7 +102,10 @@ class FloorFinder:
         self._sheets = Sheets(self._store, self._blocks, agent)
         self._held: Sheets | None = None  # of surfaces that closed meshes hold
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
-        self._edges = BlockTable(self._blocks.num, NO_EDGES)
+        self._edges, self._walls = (
+            BlockTable(self._blocks.num, NO_EDGES),
+            BlockAnswers(self._blocks.num),
+        )
         # in which update something last changed in or near a block
         self._last = np.zeros(self._blocks.num, dtype=np.int64)
         self._cropped: Bool | None = None
@@ -142,6 +145,7 @@ class FloorFinder:
         cropped = find_cropped(self._lattice, shapes.bounds)
         if self._cropped is None or not np.array_equal(cropped, self._cropped):
             self._cropped, self._facts = cropped, (facts := SheetFacts())
+            self._walls = BlockAnswers(self._blocks.num)
         facts.begin(sheets)
         is_large = facts.mask(
             "large",
@@ -150,7 +154,7 @@ class FloorFinder:
         )
         site = Site(
             sheets, is_large, columns, agent, settings, is_occupied, cropped,
-            *self._find_edges(is_large, near), facts,
+            *self._find_edges(is_large, near), facts, self._walls,
         )  # fmt: skip
         tops, shelves, roofs = find_rejected(site, self._spans)
         starts = find_starts(site, tops, shelves, settings.starts)
@@ -194,8 +198,8 @@ class FloorFinder:
         self._held.update(stale, np.where(is_held, surfaces.geom, np.int32(-1)))
         return find_enclosed(self._held, self._agent, self._settings)
 
-    def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int]:
-        """Find `edges`, `reach`, `near` and `at_edges` of a `Site`; `near` has other geometry."""
+    def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
+        """Find what a `Site` has from `edges` to `at_edges`; `near` has other geometry."""
         sheets, blocks = self._sheets, self._blocks
         reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
         keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
@@ -207,7 +211,7 @@ class FloorFinder:
         last = np.zeros((2, len(is_large)), dtype=np.int64)
         np.maximum.at(last[0], sheets.of_part, self._last[sheets.labels.block])
         np.maximum.at(last[1], sheets.sheet_at(block, rows[:, 0]), self._last[block])
-        return (block, rows), reach, last[0], last[1]
+        return (block, rows), reach, self._last, last[0], last[1]
 
     def _place_reached(
         self, columns: ColumnSource, counted: Bool, starts: Bool

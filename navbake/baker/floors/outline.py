@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import list_rows
+from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
 from navbake.baker.connect import connect, touching
 from navbake.baker.floors.kernels.members import Edges, list_edges, look_out
@@ -65,9 +65,10 @@ class Site(NamedTuple):
         edges: the block of each edge of large sheets, and its row, see `list_edges`.
         reach: how many cells one looks out from a sheet for floors beside it. The side of the thing
             itself, or a post, may block the cell at its edge.
-        near, at_edges: in which update something last changed near any of a sheet's surfaces, and
-            near any of its edges, shape (sheets,).
+        last: in which update something last changed near each block.
+        near, at_edges: the same for a sheet's surfaces, and for its edges, shape (sheets,).
         facts: what is known of sheets.
+        walls: how outlines end for the agent that tells roofs.
     """
 
     sheets: Sheets
@@ -79,9 +80,11 @@ class Site(NamedTuple):
     cropped: Bool
     edges: tuple[Int, Int]
     reach: int
+    last: Int
     near: Int
     at_edges: Int
     facts: SheetFacts
+    walls: BlockAnswers
 
     def edges_of(self, chosen: Bool, reach: int, among: Bool | None = None) -> Edges:
         """Find the edges of chosen sheets, and the floors below them.
@@ -153,7 +156,12 @@ class Site(NamedTuple):
             kind[lands], landing[lands] = DROP, edges.floors[lands, k]
             floor[lands] = edges.landing[lands, k]
             looking = looking[kind[looking] == OPEN]
-        return Endings(kind, landing, floor, (kind != BORDER) | ~self.cropped[edges.way])
+        return Endings(kind, landing, floor, self.is_known(kind, edges.way))
+
+    def is_known(self, kind: NDArray[np.uint8], way: Int) -> Bool:
+        """Where edges end at more than the scene's crop, by how they end and which way is out."""
+        known: Bool = (kind != BORDER) | ~self.cropped[way]
+        return known
 
     def share(self, edges: Edges, which: Bool, known: Bool) -> Float:
         """The share of each sheet's known edges that are of some kind, NaN where none is known."""

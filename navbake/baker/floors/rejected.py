@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.floors.kernels.members import Edges, look_below
 from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_rims, probe_bands
@@ -190,16 +191,24 @@ def _have_no_walls(site: Site, asked: Bool) -> Bool:
     They stand at an edge, or on the sheet at most as far inside as it is shrunk.
     """
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
-    lattice, edges = site.sheets.lattice, _outer_edges(site, asked, reach=1)
-    endings = site.endings(edges, agent)
-    is_wall = endings.kind == WALL
-    for k in range(1, int(np.ceil(site.settings.shrink / lattice.cell_size)) + 1):
-        inner = beside(lattice, edges.cell, edges.way, -k)
-        near = np.flatnonzero(endings.is_known & ~is_wall & (inner >= 0))
-        for band in probe_bands(agent):
-            near = near[site.is_occupied(inner[near], edges.z[near], band)]
-        is_wall[near] = True
-    return asked & (site.share(edges, is_wall, endings.is_known) <= HALF)
+    sheets, edges = site.sheets, _outer_edges(site, asked, reach=1)
+
+    def look(some: Bool) -> NDArray[np.uint8]:
+        stale = edges.only(some)
+        kind, _, _, is_known = site.endings(stale, agent)
+        for k in range(1, int(np.ceil(site.settings.shrink / sheets.lattice.cell_size)) + 1):
+            inner = beside(sheets.lattice, stale.cell, stale.way, -k)
+            near = np.flatnonzero(is_known & (kind != WALL) & (inner >= 0))
+            for band in probe_bands(agent):
+                near = near[site.is_occupied(inner[near], stale.z[near], band)]
+            kind[near] = WALL
+        return kind
+
+    block = sheets.blocks.of(edges.cell)
+    places = np.stack([edges.cell * 4 + edges.way, edges.z.view(np.int64)], axis=1)
+    kind = site.walls.find(block, places, site.last, sheets.now, look)
+    is_known = site.is_known(kind, edges.way)
+    return asked & (site.share(edges, kind == WALL, is_known) <= HALF)
 
 
 def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:

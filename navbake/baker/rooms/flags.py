@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +56,9 @@ class RoomFlags(NamedTuple):
 
 
 def are_equal(one: Any, other: Any) -> bool:
-    """Whether flags, or parts of them, are the same, so that the same rooms are found from both."""
+    """Whether flags or rooms, or parts of them, are the same."""
+    if is_dataclass(one):
+        return all(are_equal(getattr(one, k.name), getattr(other, k.name)) for k in fields(one))
     if isinstance(one, Mapping):
         return one.keys() == other.keys() and all(are_equal(one[k], other[k]) for k in one)
     if isinstance(one, tuple | list):

@@ -48,16 +48,21 @@ class KeptColumns:
     def __init__(self, columns: Columns) -> None:
         self.lattice = columns.lattice
         self._cells = np.arange(self.lattice.width * self.lattice.height)
-        self._fill(columns.crossings, 0)
+        self._hold(columns.crossings)
 
-    def _fill(self, crossings: Crossings, more: int) -> None:
-        """Make the store, with room for `more` crossings at least."""
+    def _hold(self, crossings: Crossings) -> None:
+        """Make crossings of all cells the store, which has no room for others then."""
         self._first, self._counts = crossings.start[:-1].copy(), np.diff(crossings.start)
-        self._used = len(crossings.z)
-        room, self._arrays = int((self._used + more) * ROOM) + 100, list[NDArray[Any]]()
-        for array in crossings[1:]:
-            self._arrays.append(np.empty((room, *array.shape[1:]), dtype=array.dtype))
-            self._arrays[-1][: self._used] = array
+        self._used, self._arrays = len(crossings.z), list[NDArray[Any]](crossings[1:])
+
+    def _make_room(self, more: int) -> None:
+        """Make room for `more` crossings at least."""
+        if self._counts.sum() < self._used:  # some are no cell's any more
+            self._hold(self.take(self._cells))
+        room = int((self._used + more) * ROOM) + 100
+        for number, array in enumerate(self._arrays):
+            self._arrays[number] = np.empty((room, *array.shape[1:]), dtype=array.dtype)
+            self._arrays[number][: self._used] = array[: self._used]
 
     def blocks(self) -> Iterator[Columns]:
         """All columns, in one block."""
@@ -76,7 +81,7 @@ class KeptColumns:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
         end = self._used + len(crossings.z)
         if end > len(self._arrays[0]):
-            self._fill(self.take(self._cells), len(crossings.z))
+            self._make_room(len(crossings.z))
             end = self._used + len(crossings.z)
         for array, new in zip(self._arrays, crossings[1:], strict=True):
             array[self._used : end] = new
@@ -151,7 +156,7 @@ class LiveStages:
             now.cells = self._cells
             flags, self._room_flags = self._room_flags, now.room_flags
             flags_hold = flags is not None and are_equal(now.room_flags, flags)
-        if flags_hold:
+        if flags_hold or are_equal(now.rooms, was.rooms):
             now.rooms = was.rooms
         now.doors = _follow_doors(was, now, set(differ), near)
         if was.rejected and not now.rejected:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from navbake.baker.blocks import BlockAnswers
 from navbake.baker.floors.outline import (
     BARRIER,
     BORDER,
@@ -58,7 +59,7 @@ def endings_at(tmp_path: Path):
         cropped, never = np.zeros(4, dtype=np.bool_), np.zeros(len(chosen), dtype=np.int64)
         site = Site(
             sheets, is_large, columns, agent, settings, is_occupied, cropped,
-            (never[:0], NO_EDGES), 4, never, never, SheetFacts(),
+            (never[:0], NO_EDGES), 4, never, never, never, SheetFacts(), BlockAnswers(0),
         )  # fmt: skip
         edges = site.edges_of(chosen, 4, among=is_large)
         ending, landing, floor, _ = site.endings(edges)
