@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
 from navbake.baker.floors.surfaces import agent_limits
@@ -105,17 +108,25 @@ def _add(columns: Columns, cell: Int, rays: Crossings, seen: Int) -> Columns:
     """Columns with some surfaces more, which are given by cell and then height."""
     old, z = columns.crossings, rays.z[seen]
     place, last = old.start[cell], old.start[cell + 1]
-    heights = np.append(old.z, np.inf)
-    while (below := (place < last) & (heights[place] < z)).any():
+    while (below := (place < last) & (old.z[np.minimum(place, len(old.z) - 1)] < z)).any():
         place = place + below
     first, end = columns.known_rows.cells(columns.lattice)
     start = old.start.copy()
     start[first : end + 1] += np.searchsorted(cell, np.arange(first, end + 1))
     new = Crossings(
         start,
-        np.insert(old.z, place, z),
-        np.insert(old.normal, place, rays.normal[seen], axis=0),
-        np.insert(old.geom, place, rays.geom[seen]),
-        np.insert(old.closed, place, OPEN_SURFACE),
+        _insert(old.z, place, z),
+        _insert(old.normal, place, rays.normal[seen]),
+        _insert(old.geom, place, rays.geom[seen]),
+        _insert(old.closed, place, np.full(len(place), OPEN_SURFACE, old.closed.dtype)),
     )
     return replace(columns, crossings=new)
+
+
+def _insert(old: NDArray[Any], place: Int, new: NDArray[Any]) -> NDArray[Any]:
+    """`np.insert` of rows: where these are few, copying what lies between is faster."""
+    ends = [0, *place.tolist(), len(old)]
+    pieces = [new[:0]] * (2 * len(new) + 1)
+    pieces[::2] = [old[first:end] for first, end in pairwise(ends)]
+    pieces[1::2] = [new[i : i + 1] for i in range(len(new))]
+    return np.concatenate(pieces)

@@ -158,14 +158,15 @@ class _Regions:
             meet = (a != b) & (a > 0) & (b > 0)
             on_edges = nodes[:, 2:-1:2]
             saddle = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
-            pairs.append(np.stack([a[meet], b[meet]], axis=1))
+            pairs.append(np.stack([a[meet], b[meet]]))
             widest.append(np.sqrt(saddle[meet]))
-        self._pairs, self._widest = np.concatenate(pairs), np.concatenate(widest)
+        self._pairs, self._widest = np.concatenate(pairs, axis=1), np.concatenate(widest)
 
     def _passes(self, region: int) -> dict[int, tuple[float, int]]:
         """By neighbour, the distance at the widest place of the pass, and its edges of cells."""
-        own = (self._pairs == region).any(axis=1)
-        others = self._pairs[own].sum(axis=1) - region
+        one, other = self._pairs
+        own = np.flatnonzero((one == region) | (other == region))
+        others = one[own] + other[own] - region
         to, place, length = np.unique(others, return_inverse=True, return_counts=True)
         saddle = np.zeros(len(to))
         np.maximum.at(saddle, place, self._widest[own])
@@ -216,8 +217,8 @@ class _Regions:
     def _join(self, to: int, gone: int) -> None:
         self._whole[self._whole == gone] = to
         self._pairs[self._pairs == gone] = to
-        apart = self._pairs[:, 0] != self._pairs[:, 1]
-        self._pairs, self._widest = self._pairs[apart], self._widest[apart]
+        apart = self._pairs[0] != self._pairs[1]
+        self._pairs, self._widest = self._pairs[:, apart], self._widest[apart]
         self._cells[to] += self._cells[gone]
         self._peak[to] = max(self._peak[to], self._peak[gone])
 

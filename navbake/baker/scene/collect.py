@@ -25,6 +25,7 @@ from navbake.baker.scene.shapes import (
     solid_bounds,
 )
 from navbake.errors import SceneError
+from navbake.threads import run_in_bands, take_rows
 from navbake.types import Float, Int, Int32
 
 LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
@@ -163,7 +164,8 @@ def collect_shapes(
     corners = np.empty((len(owner), 3, 3))
     for one, (first, end) in zip(triangles.values(), pairwise(ends.tolist()), strict=True):
         part[first:end], closed[first:end] = one.part, one.closed
-        np.take(one.vertices, one.faces, axis=0, out=corners[first:end], mode="clip")
+        taken = one.vertices, one.faces, corners[first:end]
+        run_in_bands(take_rows, end - first, *taken, least=4096)
     index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
     own = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
     size = model.geom_size[index]

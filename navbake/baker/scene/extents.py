@@ -98,11 +98,9 @@ def find_facing(corners: Float, group: Int32, num: int) -> Float:
     count, size = len(group), num * DIRECTIONS
     way, weight, off = np.empty(count, np.int32), np.empty(count), np.empty(count)
     run_in_bands(find_ways, count, corners, DIRECTIONS, way, weight, off, least=4096)
-    looks = way >= 0
-    bin_ = (group[looks] * DIRECTIONS + way[looks]).astype(np.intp)
-    weight, off = weight[looks], off[looks]
+    bin_ = group.astype(np.intp) * DIRECTIONS + way
     votes = np.bincount(bin_, weight, size).reshape(num, DIRECTIONS)
-    sums = np.bincount(bin_, weight * off, size).reshape(num, DIRECTIONS)
+    sums = np.bincount(bin_, off, size).reshape(num, DIRECTIONS)
     most = votes.argmax(axis=1)
     total, rest = votes[np.arange(num), most], sums[np.arange(num), most]
     angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)

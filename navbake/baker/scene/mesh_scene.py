@@ -12,7 +12,7 @@ import re
 import struct
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -337,7 +337,7 @@ def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
         return None
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     corners = np.frombuffer(data, facet, count, STL_HEADER)["corners"].reshape(-1, 3)
-    return _to_float64(corners.T), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    return _to_float64(list(corners.T)), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
 def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
@@ -367,9 +367,12 @@ def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     return _to_float64([of_vertices[axis] for axis in "xyz"]), faces
 
 
-def _to_float64(axes: Iterable[NDArray[np.floating]]) -> Float:
+def _to_float64(axes: Sequence[NDArray[np.floating]]) -> Float:
+    vertices = np.empty((len(axes[0]), 3))
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
-        return np.stack([axis.astype(np.float64) for axis in axes], axis=1) + 0.0  # no -0.0
+        for k, axis in enumerate(axes):
+            np.add(axis, 0.0, out=vertices[:, k], dtype=np.float64)  # no -0.0
+    return vertices
 
 
 JSON_CHUNK = 0x4E4F534A

@@ -52,9 +52,8 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
     number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
     run_in_bands(weld_points, shares, bits, shares, number)
-    point = number[faces]
-    one, two, three = point.T
-    kept = (one != two) & (two != three) & (three != one)
+    point, kept = np.empty(faces.shape, dtype=np.int32), np.empty(len(faces), dtype=np.bool_)
+    run_in_bands(_take_points, len(faces), number, faces, point, kept, least=4096)
     if not kept.all():
         faces, point = faces[kept], point[kept]
     edges = list_edges(point, len(vertices))
@@ -63,7 +62,10 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if not is_shell.all():
         rest = np.flatnonzero(~is_shell)  # these hang together with no shell
         own, corners = faces[rest], point[rest]
-        edges = list_edges(corners, len(vertices)) if is_shell.any() else edges
+        if is_shell.any():
+            used, own_number = np.unique(corners, return_inverse=True)
+            corners = own_number.reshape(corners.shape).astype(np.int32)
+            edges = list_edges(corners, len(used))
         part, turned[rest] = find_parts(corners, measure_areas(vertices, own), *edges)
         found[rest] = np.where(part >= 0, rest[part], part)
     del point, is_shell, edges
@@ -82,6 +84,15 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     if turned.any():
         faces = np.where(turned[:, None], faces[:, ::-1], faces)
     return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
+
+
+def _take_points(
+    number: Int32, faces: NDArray[np.integer[Any]], point: Int32, kept: Bool, first: int, end: int
+) -> None:
+    """Write the points of some triangles, and which have three."""
+    np.take(number, faces[first:end], out=point[first:end], mode="clip")
+    one, two, three = np.ascontiguousarray(point[first:end].T)
+    kept[first:end] = (one != two) & (two != three) & (three != one)
 
 
 def _find_enclosing(

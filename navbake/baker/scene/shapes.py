@@ -60,6 +60,7 @@ class Triangles(NamedTuple):
 
 
 Items = TypeVar("Items", Solids, Planes, Triangles)
+ROW = 64  # triangles
 
 
 @dataclass(frozen=True)
@@ -78,12 +79,13 @@ class Shapes:
         corners = self.triangles.corners
         if self.endless.any():
             corners = corners[~self.endless[self.triangles.geom]]
-        # all corners of a triangle at once: numpy takes longer along short rows
-        of_triangles = corners.reshape(-1, 9)
         low, high = self.solids.bounds[:, :3], self.solids.bounds[:, 3:]
-        if len(of_triangles):
-            low = np.concatenate([low, of_triangles.min(axis=0).reshape(3, 3)])
-            high = np.concatenate([high, of_triangles.max(axis=0).reshape(3, 3)])
+        # the corners of many triangles at once: numpy takes longer along short rows
+        whole = len(corners) - len(corners) % ROW
+        for some in (corners[:whole].reshape(-1, 9 * ROW), corners[whole:].reshape(-1, 9)):
+            if len(some):
+                low = np.concatenate([low, some.min(axis=0).reshape(-1, 3)])
+                high = np.concatenate([high, some.max(axis=0).reshape(-1, 3)])
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
     def only(self, geoms: Bool) -> Shapes:

@@ -98,8 +98,8 @@ def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
 def find_ways(corners, directions, way, weight, off, first, end):
     """Find where the upright part of triangles' faces looks, modulo a right angle.
 
-    Writes the nearest of so many directions, -1 for level triangles, (m,) int32; twice the area as
-    seen from the side [m²]; and how far it is off the direction [rad], (m,) float64.
+    Writes the nearest of so many directions, (m,) int32; twice the area as seen from the side [m²],
+    0 for level triangles; and that times how far it is off the direction [rad], (m,) float64.
     """
     step = RIGHT / directions
     for t in range(first, end):
@@ -107,12 +107,12 @@ def find_ways(corners, directions, way, weight, off, first, end):
         ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
         vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
         x, y = uy * vz - uz * vy, uz * vx - ux * vz
-        way[t], weight[t] = -1, math.sqrt(x * x + y * y)
+        way[t], weight[t], off[t] = 0, math.sqrt(x * x + y * y), 0.0
         if weight[t] > 0.0:
             angle = math.atan2(y, x) % RIGHT
             direction = np.int64(math.floor(angle / step + 0.5)) % directions
             # from the direction, also over the end of the range
-            off[t] = (angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2
+            off[t] = weight[t] * ((angle - direction * step + RIGHT / 2) % RIGHT - RIGHT / 2)
             way[t] = direction
 
 
