@@ -29,6 +29,16 @@ def test_building_is_as_a_person_would_say(tmp_path, seed):
     check_client(result)
 
 
+@pytest.mark.parametrize("seed", range(100, 112))
+def test_building_on_round_coordinates(tmp_path, seed):
+    """Centres of cells lie on the faces of walls, treads and slabs."""
+    building = make_building(seed, coordinates="round", storeys="3")
+    path = tmp_path / "building.xml"
+    path.write_text(building.mjcf(), encoding="utf-8")
+    result = run_bake(parse_config({"scene": {"path": str(path)}, **building.settings(0.1)}))
+    assert check(result.grid, building) == []
+
+
 def check_client(result: BakeResult) -> None:
     """The original client finds each free cell's own level, or a warning says of how many not."""
     found = look_up(result.grid)

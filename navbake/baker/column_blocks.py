@@ -21,6 +21,7 @@ from navbake.baker.cracks import close_cracks
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.tiles import BAND
 from navbake.baker.lattice import Window
+from navbake.baker.seams import settle_seams
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
@@ -100,6 +101,7 @@ class ColumnBlocks:
         return gathered.join()
 
     def _close(self, columns: Columns) -> Columns:
+        columns = settle_seams(columns, self._tiled)
         return close_cracks(columns, self._tiled, self._agent, self._crack)
 
 
@@ -119,6 +121,7 @@ def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) 
     lattice = tiled.lattice
     found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
     columns = place_columns(lattice, cells, found)
+    columns = settle_seams(columns, tiled, cells)
     is_asked = np.zeros(len(columns.start) - 1, dtype=np.bool_)
     is_asked[cells] = True
     return close_cracks(columns, tiled, agent, crack, is_asked)

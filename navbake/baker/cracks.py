@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
 from navbake.baker.floors.surfaces import agent_limits
@@ -25,6 +22,7 @@ from navbake.baker.kernels.cracks import (
     list_sides,
 )
 from navbake.baker.kernels.overlap import lines_blocked
+from navbake.baker.seams import splice
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
@@ -113,20 +111,12 @@ def _add(columns: Columns, cell: Int, rays: Crossings, seen: Int) -> Columns:
     first, end = columns.known_rows.cells(columns.lattice)
     start = old.start.copy()
     start[first : end + 1] += np.searchsorted(cell, np.arange(first, end + 1))
+    each = np.arange(len(z) + 1)
     new = Crossings(
         start,
-        _insert(old.z, place, z),
-        _insert(old.normal, place, rays.normal[seen]),
-        _insert(old.geom, place, rays.geom[seen]),
-        _insert(old.closed, place, np.full(len(place), OPEN_SURFACE, old.closed.dtype)),
+        splice(old.z, place, place, z, each),
+        splice(old.normal, place, place, rays.normal[seen], each),
+        splice(old.geom, place, place, rays.geom[seen], each),
+        splice(old.closed, place, place, np.full(len(z), OPEN_SURFACE, np.uint8), each),
     )
     return replace(columns, crossings=new)
-
-
-def _insert(old: NDArray[Any], place: Int, new: NDArray[Any]) -> NDArray[Any]:
-    """`np.insert` of rows: where these are few, copying what lies between is faster."""
-    ends = [0, *place.tolist(), len(old)]
-    pieces = [new[:0]] * (2 * len(new) + 1)
-    pieces[::2] = [old[first:end] for first, end in pairwise(ends)]
-    pieces[1::2] = [new[i : i + 1] for i in range(len(new))]
-    return np.concatenate(pieces)

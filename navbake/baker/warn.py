@@ -48,6 +48,21 @@ LOST = {
         "no floor, because it lies inside of a closed mesh: {what}; `scene.meshes: shell` makes "
         "meshes hollow, all or by pattern",
     ),
+    "in_planes": (
+        TOLD_AREA,
+        "no floor, because it lies inside of an endless plane, which is solid below: {area} m² at "
+        "{z} m under {name}; leave the plane out by `scene.exclude.geoms`, or lower it",
+    ),
+    "voids": (
+        TOLD_AREA,
+        "not a level, because no step leads there and nobody can stand upright (a plenum, a crawl "
+        "space): the void over {what}; `floors.voids: true` keeps all",
+    ),
+    "spare": (
+        0.0,
+        "left out, because their columns hold more floors than there are levels, and no walk needs "
+        "them: {cells} cells of {what}",
+    ),
 }
 
 
@@ -128,7 +143,14 @@ def _warn_patches(stages: Stages, texts: dict[str, tuple[float, str]]) -> Iterat
                 f"{stages.scene.geoms[first.geom].name!r} ({first.area:.1f} m² at {z:.2f} m{more})"
             )
             keep = f"`floors.from: [[{x:.2f}, {y:.2f}, {z:.2f}]]` keeps it"
-            yield text.format(what=what, keep=keep)
+            yield text.format(
+                what=what,
+                keep=keep,
+                cells=sum(len(one.cells) for one in patches),
+                area=f"{first.area:.1f}",
+                z=f"{z:.2f}",
+                name=repr(stages.scene.geoms[first.geom].name),
+            )
 
 
 def _warn_high_grounds(stages: Stages) -> Iterator[str]:

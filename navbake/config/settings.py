@@ -302,6 +302,9 @@ class FloorSettings(Settings):
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
     roofs: bool = setting(False, "keep roofs as levels: true or false")
+    voids: bool = setting(
+        False, "keep voids as levels (plenums, crawl spaces under 1.8 m): true or false"
+    )
     reach: Literal["all", "steps"] = setting(
         "all", "which floors count: all, or only those that steps lead to"
     )

@@ -340,7 +340,32 @@ def make_building(seed: int, **wanted: str) -> Building:
         house.build_storey(number)
     house.build_roof()
     house.build_annex()
+    if wanted.get("coordinates") == "round":
+        round_off(house.made)
+    if wanted.get("place") == "far":
+        house.made.placing = house.made.placing._replace(x=1e4, y=-1e4)
     return house.made
+
+
+def round_off(made: Building, unit: float = 0.05) -> None:
+    """Move all that is drawn in plan to multiples of a length [m]: centres of cells lie on faces.
+
+    What becomes thinner than that is as thick as it; spiral stairs stay as they are.
+    """
+
+    def near(rect: Rect) -> Rect:
+        x0, y0, x1, y1 = (round(round(value / unit) * unit, 9) for value in rect)
+        return x0, y0, max(x1, round(x0 + unit, 9)), max(y1, round(y0 + unit, 9))
+
+    made.placing = made.placing._replace(x=0.0, y=0.0)
+    made.boxes = [box._replace(rect=near(box.rect)) for box in made.boxes]
+    for patches in (made.floors, made.maybe):
+        patches[:] = [
+            one._replace(rect=near(one.rect), holes=tuple(map(near, one.holes))) for one in patches
+        ]
+    for k, one in enumerate(made.stairs):  # a tread may have moved out of it by as much
+        x0, y0, x1, y1 = near(one.rect)
+        made.stairs[k] = one._replace(rect=(x0 - unit, y0 - unit, x1 + unit, y1 + unit))
 
 
 def _frame(rect: Rect, thickness: float) -> list[Rect]:

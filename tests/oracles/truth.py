@@ -14,13 +14,15 @@ from scipy.sparse.csgraph import connected_components
 
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import HalfSpace, Part, Thing, cross_all, part_meets_prisms, part_of, widen
-from oracles.solids import Float
+from oracles.solids import Float, Polytope
+from oracles.surfaces import Surface
 
 Bool = NDArray[np.bool_]
 
 ONE = 1e-5  # surfaces this close together are one [m]
 SURE = 1e-7  # less than this is rounding [m]
 RIM = 1e-8  # for exact rims [m]
+BESIDE = 1e-6  # how far beside a seam its lines are cast [m]
 UNSURE = 2e-6  # up to this a limit may count as kept or not [m]
 
 
@@ -70,7 +72,10 @@ class Truth:
         min_up = math.cos(math.radians(self.rules.max_slope))
         lined_up = [part_of(widen(thing, RIM)) for thing in self.things]
         lined_up = lined_up if self.snapped else self._parts
-        self._columns, unsure = cross_all(lined_up, self.x, self.y, min_up)
+        x, y = self.x, self.y
+        if self.snapped:  # a line in two faces belongs to what lies east or north of them
+            x, y = (at + np.where(self._on_seam(k, at), BESIDE, 0.0) for k, at in ((0, x), (1, y)))
+        self._columns, unsure = cross_all(lined_up, x, y, min_up)
         if unsure.any() and not self.snapped:
             raise UnsureError("a line runs along a rim")
         z = np.concatenate([c.z for c in self._columns])
@@ -91,6 +96,28 @@ class Truth:
         y = (y0 + y1) / 2 - (np.arange(rows) + 0.5 - rows / 2) * cell
         self.shape = rows, cols
         self.x, self.y = np.tile(x, rows), np.repeat(y, cols)
+
+    def _on_seam(self, axis: int, at: Float) -> Bool:
+        """The lines that run in faces that look both ways along an axis."""
+        other = (self.y, self.x)[axis]
+        marks = np.zeros((2, len(at)), dtype=bool)
+        for part in self._parts:
+            faces: list[tuple[Float, Float]] = []  # a normal, and corners
+            if isinstance(part, Surface):
+                faces = [(np.cross(b - a, c - a), np.stack([a, b, c])) for a, b, c in part.corners]
+            elif isinstance(part, Polytope):
+                for normal, offset in zip(part.normals, part.offsets, strict=True):
+                    on = np.abs(part.vertices @ normal - offset) < SURE
+                    faces.append((normal, part.vertices[on]))
+            for normal, corners in faces:
+                if np.ptp(corners[:, axis]) > SURE or np.linalg.norm(normal) < 1e-12:
+                    continue
+                low, high = corners[:, 1 - axis].min(), corners[:, 1 - axis].max()
+                hit = np.abs(at - corners[0, axis]) <= 2 * SURE
+                hit &= (other >= low - 2 * SURE) & (other <= high + 2 * SURE)
+                marks[int(normal[axis] > 0)] |= hit
+        both: Bool = marks.all(axis=0)
+        return both
 
     def _is_standable(self, k: int) -> Bool:
         """Faces up, lies inside no solid, and has headroom; the first of several at one height."""

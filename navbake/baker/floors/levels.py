@@ -18,6 +18,7 @@ from navbake.baker.floors.reach import (
     find_enclosed,
     find_starts,
     find_unreached,
+    find_voids,
     largest_of_lowest,
 )
 from navbake.baker.floors.rejected import find_rejected
@@ -68,6 +69,9 @@ class Floors:
         unreached: what no step leads to, by level, lowest first.
         left_out: floors that `floors.reach: steps` leaves out, the largest first.
         enclosed: floors inside of closed meshes; the geom of each is the mesh's.
+        in_planes: likewise of floors inside of infinite planes.
+        voids: what no step reaches and nobody can stand upright in, left out.
+        spare: surfaces left out because all levels of their columns are taken.
     """
 
     levels: list[LevelFloor]
@@ -78,6 +82,9 @@ class Floors:
     unreached: list[Unreached]
     left_out: list[Patch]
     enclosed: list[Patch]
+    in_planes: list[Patch]
+    voids: list[Patch]
+    spare: list[Patch]
 
 
 class FloorFinder:
@@ -165,7 +172,7 @@ class FloorFinder:
                 f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
                 f"`floors.shrink` if it is a floor"
             )
-        placed, left_out, unreached = self._place_reached(columns, counts, starts)
+        placed, left_out, voids, unreached = self._place_reached(site, counts, starts)
         self._growth.update(placed, is_large | starts)
         levels, shape = [], self._lattice.shape
         for name, ground, (floor, ring) in zip(
@@ -173,6 +180,7 @@ class FloorFinder:
         ):
             standable = (ring == 0).reshape(shape)
             levels.append(LevelFloor(name, ground, floor.reshape(shape), standable))
+        held = self._find_enclosed(stale)
         is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
             levels,
@@ -182,7 +190,10 @@ class FloorFinder:
             small_starts=facts.describe(starts & ~is_large),
             unreached=unreached,
             left_out=left_out,
-            enclosed=self._find_enclosed(stale),
+            enclosed=[one for one in held if one.geom not in shapes.planes.geom],
+            in_planes=[one for one in held if one.geom in shapes.planes.geom],
+            voids=voids,
+            spare=placed.spare,
         )
 
     def _find_enclosed(self, stale: Bool) -> list[Patch]:
@@ -214,27 +225,32 @@ class FloorFinder:
         return (block, rows), reach, self._last, last[0], last[1]
 
     def _place_reached(
-        self, columns: ColumnSource, counted: Bool, starts: Bool
-    ) -> tuple[Placed, list[Patch], list[Unreached]]:
+        self, site: Site, counted: Bool, starts: Bool
+    ) -> tuple[Placed, list[Patch], list[Patch], list[Unreached]]:
         """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
-        What is reached is decided before levels are given, from the lowest level that there is.
+        What is reached is decided before levels are given, from the lowest level that there is and
+        that is no void: a level that no step reaches, in which nobody can stand upright.
 
         Returns:
             The surfaces on their levels, the sheets that are left out because no step leads to
-            them, and what no step leads to of those that are not.
+            them, those of voids, and what no step leads to of those that are not left out.
         """
         sheets, given, settings = self._sheets, self._given, self._settings
         by_steps, patches = settings.reach == "steps", list[Patch]()
         placed, reached, source = None, starts, self._storeys
+        voids = np.zeros_like(counted)
         if not starts.any() or (given is None and not by_steps):
             placed = source.update(counted, ())
             if not starts.any():
                 reached = largest_of_lowest(placed.counts, len(counted))
+            if given is None and not settings.voids:
+                is_given = bool(starts.any())
+                reached, voids = find_voids(site, placed.counts, reached, is_given)
         for number, span in enumerate(self._spans):
             if not (counted & sheets.between(*span)).any():
-                raise SceneError(_no_floor_on(given or (), number, columns))
-        kept = counted & reached if by_steps else counted
+                raise SceneError(_no_floor_on(given or (), number, site.columns))
+        kept = counted & reached if by_steps else counted & ~voids
         if given is not None or placed is None or not np.array_equal(kept, counted):
             source = self._kept_storeys
             placed = source.update(kept, given or ())
@@ -246,7 +262,8 @@ class FloorFinder:
             self._placed_by, placed = source, placed._replace(changed=self._blocks.all())
         if by_steps:
             patches = self._facts.describe(counted & ~reached, self._spans)
-        return placed, patches, find_unreached(sheets, placed, reached)
+        told = [] if by_steps else self._facts.describe(voids)
+        return placed, patches, told, find_unreached(sheets, placed, reached)
 
 
 def find_floors(
@@ -305,7 +322,7 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
         for part in floors.unreached
         if number[part.level] >= 0 and is_shown(part.patch)
     ]
-    told = "tops", "roofs", "small_starts", "left_out", "enclosed"
+    told = "tops", "roofs", "small_starts", "left_out", "enclosed", "in_planes", "voids", "spare"
     patches = {name: list(filter(is_shown, getattr(floors, name))) for name in told}
     return Floors(levels=levels, links=links, unreached=unreached, **patches)
 

@@ -12,9 +12,11 @@ from navbake.baker.floors.rejected import LARGE_TOP
 from navbake.baker.floors.sheets import Patch, Sheets, describe_members
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import find_near
-from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.constants import SLACK, TOUCH
+from navbake.baker.kernels.overlap import lines_blocked
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Int
 
 # A position that is at most this far from a surface lies on it, furniture or not [m]
@@ -22,6 +24,8 @@ ON_SURFACE = 0.02
 # A sheet that no step leads to, beside floors that are reached, is told of from this size on:
 # shafts and niches are smaller [m²]
 TOLD_AREA = 6.0
+# A level is a void where at least this share of it has less room above than an adult needs [m]
+NEARLY_ALL, UPRIGHT = 0.9, 1.8
 # A floor that goes on beyond this share of its outline is what a closed thing stands on
 GOES_ON = 0.25
 # Unless the thing is so large that it may well be a building [m²]
@@ -111,6 +115,54 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
     reached = np.zeros(num_sheets, dtype=np.bool_)
     reached[size.argmax()] = True
     return reached
+
+
+def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[Bool, Bool]:
+    """Find the levels that no step reaches and in which nobody can stand upright: plenums, crawl
+    spaces.
+
+    Args:
+        counts: rows of sheet, level and how many surfaces it has there; they may repeat.
+        reached: which sheets are reached, shape (sheets,), bool.
+        is_given: whether `floors.from` says where one starts; else one starts on the lowest level
+            that is no void.
+
+    Returns:
+        Which sheets are reached, and which are those of voids.
+    """
+    sheet, level, count = counts.T
+    voids = np.zeros_like(reached)
+    levels = np.unique(level)
+    if np.isin(levels, level[reached[sheet]]).all():
+        return reached, voids
+
+    def share_of(number: int) -> float:
+        own = np.isin(np.arange(len(reached)), sheet[level == number])
+        low = np.array(site.facts.of("low", own, lambda asked: _count_low(site, asked), site.near))
+        return float(low.sum() / site.sheets.size[own].sum())
+
+    low_levels = [n for n in levels.tolist() if share_of(n) >= NEARLY_ALL]
+    if not is_given and len(low_levels) < len(levels):
+        high = ~np.isin(level, low_levels)
+        lowest = high & (level == level[high].min())
+        size = np.bincount(sheet[lowest], count[lowest], minlength=len(reached))
+        reached = np.arange(len(reached)) == size.argmax()
+    is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[sheet]])
+    voids[sheet[is_void]] = True
+    voids[sheet[~is_void]] = False
+    return reached, voids
+
+
+def _count_low(site: Site, asked: Bool) -> list[int]:
+    """How many surfaces of each sheet nobody can stand upright on, as something hangs over them."""
+    found = []
+    for members in map(site.sheets.members, np.flatnonzero(asked).tolist()):
+        low = np.zeros(len(members.cell), dtype=np.bool_)
+        band = members.z + site.agent.height - TOUCH, members.z + UPRIGHT
+        crossings = site.columns.at(members.cell).crossings
+        run_in_bands(lines_blocked, len(low), members.cell, *band, crossings, low, least=1000)
+        found.append(int(np.count_nonzero(low)))
+    return found
 
 
 def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:

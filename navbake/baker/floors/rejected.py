@@ -20,7 +20,10 @@ DROP_SHARE = 0.25
 ROOM_SHARE = 0.5
 # Beds, counters and desks are smaller. A larger top has to lie on a floor that is larger [m²]
 LARGE_TOP = 6.0
-
+# Of a top and a floor beside it that has more than this share of its size, the top is none
+EQUAL = 0.9
+# What is nowhere wider is the top of a wall, however large it is [m]
+WIDE_TOP = 3.0
 # The share of a roof that lies open to the sky: a higher one's eaves may cover a lower one's side,
 # and a carport's roof goes on over the tops of walls that are under the roof of the house
 SKY_SHARE = 0.5
@@ -79,11 +82,12 @@ def _find_tops(site: Site) -> Bool:
     - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
       (see `find_endings`): a house's floor on its plinth is none, because it ends at walls. Holes
       in a sheet belong to its outline only where they drop;
-    - it has at most 6 m², or the largest floor that it drops to is larger than itself: what is
-      larger than all that lies lower is the ground, and what lies lower a pool, a ditch, a track
-      bed or a yard in front of a dock. A floor that winds through the sheet makes it a block with
-      corridors nevertheless, whatever their sizes: the rim of a hole that it drops to is longer
-      there than its outer outline, which a pit's is not;
+    - it has at most 6 m², or is nowhere wider than 3 m, as the walls of a labyrinth are, or the
+      largest floor that it drops to is larger than itself, where sizes that differ by less than a
+      tenth are equal: what is larger than all that lies lower is the ground, and what lies lower a
+      pool, a ditch, a track bed or a yard in front of a dock. A floor that winds through the sheet
+      makes it a block with corridors nevertheless, whatever their sizes: the rim of a hole that it
+      drops to is longer there than its outer outline, which a pit's is not;
     - there is no room for an agent under most of it, from the height of that floor up: so a
       mezzanine is none, because one can stand below.
     """
@@ -97,12 +101,22 @@ def _find_tops(site: Site) -> Bool:
         may_drop &= drops >= DROP_SHARE * 2 * (height + width)
     found = site.facts.of("top", may_drop, lambda asked: _judge_tops(site, asked), site.near)
     area = sheets.lattice.cell_size**2
+    large = np.zeros_like(result)
     for sheet, (floors, winds) in zip(np.flatnonzero(may_drop).tolist(), found, strict=True):
         if floors:
             size, others = sheets.size[sheet], np.searchsorted(sheets.key, floors)
-            lies = size * area <= LARGE_TOP or sheets.size[others].max() > size
-            result[sheet] = lies or winds
-    return result
+            lies = size * area <= LARGE_TOP or sheets.size[others].max() > EQUAL * size
+            result[sheet], large[sheet] = lies or winds, not lies and not winds
+    return result | (large & ~_are_wide(site, large, WIDE_TOP))
+
+
+def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
+    """Which sheets are somewhere wider than a width [m]."""
+    wide = {"min_area": site.sheets.lattice.cell_size**2, "shrink": width / 2}
+    settings = site.settings.model_copy(update=wide)
+    return site.facts.mask(
+        f"wider than {width}", asked, lambda some: site.sheets.left(some, settings)
+    )
 
 
 def _judge_tops(site: Site, asked: Bool) -> list[tuple[list[int], bool]]:
@@ -225,11 +239,7 @@ def _find_shelves(site: Site, candidates: Bool) -> Bool:
     deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
     left to stand in of an attic. What is open to the sky is left to `_find_roofs`.
     """
-    deep = {"min_area": site.sheets.lattice.cell_size**2, "shrink": SHELF_DEPTH / 2}
-    settings = site.settings.model_copy(update=deep)
-    candidates = candidates & ~site.facts.mask(
-        "deep", candidates, lambda asked: site.sheets.left(asked, settings)
-    )
+    candidates = candidates & ~_are_wide(site, candidates, SHELF_DEPTH)
 
     def open_at_sides(asked: Bool) -> Bool:
         edges = _outer_edges(site, asked, site.reach)

@@ -86,6 +86,7 @@ class Sheets:
     """All sheets of a scene, kept up to date; numbered by their first surfaces.
 
     Attributes:
+        joining: what joins surfaces to sheets.
         now: the number of the update.
         last: in which update each block last had other surfaces.
         of_part: the sheet of each part, shape (parts,), int32.
@@ -106,7 +107,8 @@ class Sheets:
     def __init__(self, store: SurfaceStore, blocks: Blocks, agent: AgentSettings) -> None:
         self.lattice, self.blocks, self.store = store.lattice, blocks, store
         by_slopes = slopes_may_join(store.lattice, agent)
-        self.labels = Labels(blocks, Joining(agent.traversable_floor_height, by_slopes=by_slopes))
+        self.joining = Joining(agent.traversable_floor_height, by_slopes=by_slopes)
+        self.labels = Labels(blocks, self.joining)
         nothing = np.empty((0, 4), dtype=np.int64)
         columns = nothing[:, 0], nothing[:, 0], nothing[:, 0], nothing, np.empty(0, np.uint64)
         self._parts = BlockTable(blocks.num, *columns)

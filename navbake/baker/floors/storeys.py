@@ -11,8 +11,18 @@ from navbake.baker.blocks import BlockTable, Seen, fit
 from navbake.baker.floors.kernels import levels as kernels
 from navbake.baker.floors.kernels.labels import PLATEAU, Joining, tally
 from navbake.baker.floors.kernels.levels import EVERY, LOST, LOWEST, Kept
-from navbake.baker.floors.kernels.members import AreaTest
-from navbake.baker.floors.sheets import NO_HEIGHTS, NO_KEY, NO_ROWS, Labels, Sheets, area_test
+from navbake.baker.floors.kernels.members import AreaTest, Members
+from navbake.baker.floors.sheets import (
+    NO_HEIGHTS,
+    NO_KEY,
+    NO_ROWS,
+    Labels,
+    Patch,
+    Sheets,
+    area_test,
+    describe_members,
+    is_large,
+)
 from navbake.baker.kernels.constants import SLACK
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.threads import run_in_bands
@@ -20,6 +30,8 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
+# A level of its own takes in what lies so little below its ground on the same sheet [m]
+FLAT = 1e-4
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
@@ -50,6 +62,7 @@ class Placed(NamedTuple):
         number: what becomes of these numbers, as levels without surfaces are left out.
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
         changed: the blocks where any of that may be other than before.
+        spare: the surfaces that found all levels of their columns taken and are left out.
     """
 
     grounds: list[float]
@@ -58,6 +71,7 @@ class Placed(NamedTuple):
     number: Int
     counts: Int
     changed: Bool
+    spare: list[Patch]
 
 
 class Storeys:
@@ -290,9 +304,10 @@ class Storeys:
 
         A surface belongs to the highest ground at or below it (the lowest ones to the first). Where
         two of a column would be on one level, its surfaces are placed on the levels in their order,
-        treads and landings of stairs moved rather than floors (see `place_blocks`). Only where a
-        column has more surfaces than there are levels, a level of its own is opened at the lowest
-        surface that found no place.
+        treads and landings of stairs moved rather than floors (see `place_blocks`). Where columns
+        have more surfaces than there are levels, those that found no place are left out if nobody
+        needs them, see `_are_spare`. Else a level of its own is opened at the lowest of them, or at
+        what lies up to 0.1 mm below it on its sheet, so that rounding divides no flat floor.
 
         Args:
             names: the levels' names, None for those without; empty if none has one.
@@ -304,12 +319,17 @@ class Storeys:
             level, table = self._place(kept, grounds, tolerance)
             block, (rows, low) = table.take()
             part, _, on, count = rows.T
-            if not (on <= LOST).any():
+            lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
+            members = [sheets.members(sheet) for sheet in lost]
+            if self._are_spare(kept, level, members):
                 break
             own = float(low[on == LOST].min(initial=np.inf))
+            z = np.concatenate([one.z[kept.key[one.place] >= 0] for one in members])
+            own = float(z[(z >= own - FLAT) & (z <= own)].min(initial=own))
             # where all are grounds, their columns are taken on every level: open one above all
             ground = max(grounds) + 1.0 if own == np.inf else round(own, DECIMALS)
             grounds = [*grounds, ground]
+        block, part, on, count = (column[on >= 0] for column in (block, part, on, count))
         used = np.bincount(on, minlength=len(grounds)) > 0
         number = np.cumsum(used, dtype=np.int64) - 1
         is_new = ("places", tolerance, *grounds) not in self._kept
@@ -317,7 +337,36 @@ class Storeys:
         labels = _label([named.get(ground) for ground in grounds])
         counts = np.stack([sheets.sheet_at(block, part), number[on], count], axis=1)
         changed = sheets.blocks.all() if is_new else self._last == self._now
-        return Placed(grounds, labels, level, number, counts, changed)
+        spare = [one.only(level[one.place] <= LOST) for one in members]
+        patches = [describe_members(sheets.lattice, one) for one in spare]
+        return Placed(grounds, labels, level, number, counts, changed, patches)
+
+    def _are_spare(self, kept: Kept, level: Int32, members: list[Members]) -> bool:
+        """Whether surfaces that found no place are left out, as no storey is opened for them.
+
+        So it is where they are rims of floors, nowhere wider than floors are shrunk by, and no walk
+        is cut: without them, steps join the others to no more parts.
+
+        Args:
+            level: of each surface.
+            members: of the sheets of those that found no place.
+        """
+        lattice, size = self._sheets.lattice, self._sheets.lattice.cell_size
+        rim = {"min_area": size**2, "shrink": self._settings.shrink / 2}
+        settings = self._settings.model_copy(update=rim)
+        for one in members:
+            marked = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+            marked[one.cell[level[one.place] <= LOST]] = True
+            if is_large(lattice, settings, marked):
+                return False
+        without = np.where(level <= LOST, np.int32(-1), kept.key)
+        return not members or self._count_walks(without) <= self._count_walks(kept.key)
+
+    def _count_walks(self, key: Int32) -> int:
+        """Count the parts that steps join, of the surfaces with a key."""
+        labels = Labels(self._sheets.blocks, self._sheets.joining)
+        labels.update(self._sheets.surfaces, self._sheets.blocks.all(), key)
+        return int(labels.merge()[0].max(initial=-1)) + 1
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:

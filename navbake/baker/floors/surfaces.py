@@ -119,14 +119,14 @@ class SurfaceStore:
         """The floor-like surfaces of some cells: where those of each begin, and their arrays."""
         num, few = len(cells), {"least": LEAST_CELLS}
         marks, count = np.empty(len(crossings.z), dtype=np.uint8), np.zeros(num + 1, dtype=np.int64)
-        asked = self.lattice, cells, crossings, planes, self._limits, marks, count[1:]
-        run_in_bands(kernels.mark_surfaces, num, *asked, **few)
+        asked = self.lattice, cells, crossings, planes
+        run_in_bands(kernels.mark_surfaces, num, *asked, self._limits, marks, count[1:], **few)
         start = np.cumsum(count)
         total = int(start[-1])
         normal = np.empty((total if self._has_slopes else 0, 3), dtype=np.float32)
         ids, kept = np.empty(total, np.int32), np.empty(total, np.uint8)
         found: list[NDArray[Any]] = [start, np.empty(total), ids, kept, normal]
-        run_in_bands(kernels.list_surfaces, num, crossings, marks, *found, **few)
+        run_in_bands(kernels.list_surfaces, num, *asked, marks, *found, **few)
         return found
 
 

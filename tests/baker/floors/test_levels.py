@@ -445,7 +445,7 @@ def test_a_pit_as_deep_as_the_endless_ground_shows_it(tmp_path):
     """Its floor is found in rows that the first look at floors leaves out."""
     path = tmp_path / "pit.xml"
     plane = '<geom name="ground" type="plane" size="0 0 1"/>'
-    parts = (-4, 4, -4, -2), (-4, 4, 2, 4), (-4, -2, -2, 2), (2, 4, -2, 2)
+    parts = (-7, 7, -7, 1), (-7, 7, 5, 7), (-7, -2, 1, 5), (2, 7, 1, 5)
     plinth = "".join(box(*part, 0, 0.3) for part in parts)
     path.write_text(f"<mujoco><worldbody>{plane}{plinth}</worldbody></mujoco>")
     result = run_bake(parse_config({"scene": {"path": str(path)}}))

@@ -166,7 +166,7 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
     links = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
     patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), np.array(cells)) for cells in ([0, 4], [4, 5])]
     unreached = [Unreached(level, patches[1], True) for level in (1, 2)]
-    whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1])
+    whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
     window = crop_floors(whole, (slice(0, 2), slice(1, 4)))
     assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
     assert [level.ground for level in window.levels] == [0, 6, 9]

@@ -30,7 +30,7 @@ class Surfaces(NamedTuple):
         length: (cells,) int32.
         room: how long each run may become where it is, (cells,) int32.
         z: heights, ascending in a cell, (n,) float64 [m].
-        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, the mesh's that holds them.
+        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane that does.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
         normal: unit normals, (n, 3) float32; (0, 3) where no slope rises more than a step a cell.
     """
@@ -45,9 +45,9 @@ class Surfaces(NamedTuple):
 
 
 @part(**UNCOUNTED)
-def count_planes_over(planes, x, y, z):
-    """How many infinite planes have a point behind them."""
-    count = 0
+def planes_over(planes, x, y, z):
+    """How many infinite planes have a point behind them, and the geom of one, -1 for none."""
+    count, geom = 0, np.int32(-1)
     for p in range(planes.geom.shape[0]):
         depth = (
             planes.mat[p, 2] * (x - planes.pos[p, 0])
@@ -55,8 +55,8 @@ def count_planes_over(planes, x, y, z):
             + planes.mat[p, 8] * (z - planes.pos[p, 2])
         )
         if depth < -SAME:
-            count += 1
-    return count
+            count, geom = count + 1, planes.geom[p]
+    return count, geom
 
 
 @part(**UNCOUNTED)
@@ -90,9 +90,9 @@ def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin
     Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher; held where it is so but
-    for closed meshes around. Of several surfaces at one height the lowest counts. Looks at the
-    columns ``range(begin, end)``, which belong to ``cells``; `count`, int64, receives how many of
-    each are floor-like.
+    for closed meshes around, or for infinite planes over it. Of several surfaces at one height the
+    lowest counts. Looks at the columns ``range(begin, end)``, which belong to ``cells``; `count`,
+    int64, receives how many of each are floor-like.
     """
     for n in range(begin, end):
         first, last = crossings.start[n], crossings.start[n + 1]
@@ -106,13 +106,13 @@ def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin
                 marks[i], gentle = FLOOR_LIKE, z
                 surfaces, others, above = look_up(crossings, i, last)
                 if z - previous > SAME and above - z >= limits.headroom - SLACK:
-                    behind = count_planes_over(planes, x, y, z)
+                    behind, _ = planes_over(planes, x, y, z)
                     if surfaces + others + behind <= 0:
                         marks[i] |= STANDS
                         previous = z
                         if crossings.z[last - 1] - z <= SLACK:
                             marks[i] |= TOP
-                    elif surfaces > 0 and others <= 0 and behind == 0 and z - held > SAME:
+                    elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME:
                         marks[i] |= HELD
                         held = z
             if marks[i]:
@@ -136,7 +136,9 @@ def _find_holder(crossings, i, last):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_surfaces(crossings, marks, start, z, geom, kept, normal, begin, end):
+def list_surfaces(
+    lattice, cells, crossings, planes, marks, start, z, geom, kept, normal, begin, end
+):  # fmt: skip
     """Write the marked crossings of the columns ``range(begin, end)`` from ``start`` on.
 
     Surfaces that are HELD receive the geom that holds them.
@@ -148,6 +150,9 @@ def list_surfaces(crossings, marks, start, z, geom, kept, normal, begin, end):
                 z[at], geom[at], kept[at] = crossings.z[i], crossings.geom[i], marks[i]
                 if marks[i] & HELD:
                     geom[at] = _find_holder(crossings, i, last)
+                    if geom[at] < 0:
+                        x, y = cell_center(lattice, cells[n])
+                        _, geom[at] = planes_over(planes, x, y, z[at])
                 if normal.shape[0]:
                     for axis in range(3):
                         normal[at, axis] = crossings.normal[i, axis]

@@ -1,0 +1,131 @@
+"""Seams: vertical faces of two geoms, one from either side, in which the lines of cells run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
+from navbake.baker.connect import ranges
+from navbake.baker.kernels.constants import BOX
+from navbake.baker.kernels.hits import RIM
+from navbake.baker.kernels.tiles import tile_of
+from navbake.types import Bool, Float, Int, Int32
+
+BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]
+
+
+def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None) -> Columns:
+    """Give the lines that run in two faces at once to the geoms on one side.
+
+    On round coordinates the centres of cells often lie where one geom ends and the next one
+    begins; both are in the column then, a tread and the slab beside it. As by the top-left rule of
+    rasterizers, such a line belongs to what lies east of the seam, and north of it: its column is
+    that of a line 1e-6 m further on. Lines in an outer face, with nothing from the other side,
+    stay. Faces are those of boxes and triangles that run along the axes; of others the centres of
+    cells hit no two by chance.
+
+    Args:
+        cells: those whose columns are known, ascending; those of the columns' rows if None.
+    """
+    lattice = columns.lattice
+    tiles = tiles_of_rows(lattice, columns.known_rows) if cells is None else tile_of(lattice, cells)
+    tiles = np.unique(np.asarray(tiles, dtype=np.int64))
+    boxes, corners = _boxes(tiled, tiles), _upright(tiled, tiles)
+    known = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+    known[slice(*columns.known_rows.cells(lattice)) if cells is None else cells] = True
+    seams = [_find_seams(tiled, axis, boxes, corners, known) for axis in (0, 1)]
+    asked = np.union1d(*seams)
+    if not len(asked):
+        return columns
+    points = lattice.positions(*np.divmod(asked, lattice.width))
+    for axis, on_seam in enumerate(seams):
+        points[np.isin(asked, on_seam), axis] += BESIDE
+    found, old = cast_points(tiled, asked, points), columns.crossings
+    first, last = old.start[asked], old.start[asked + 1]
+    start, begin = old.start.copy(), columns.known_rows.cells(lattice)[0]
+    more = np.zeros(len(start), dtype=np.int64)
+    more[asked + 1] = np.diff(found.start) - (last - first)
+    start[begin:] += np.cumsum(more[begin:])
+    layers: Any = zip(old[1:], found[1:], strict=True)
+    arrays = (splice(array, first, last, new, found.start) for array, new in layers)
+    return replace(columns, crossings=type(old)(start, *arrays))
+
+
+def _boxes(tiled: TiledShapes, tiles: Int) -> Float:
+    """The bounds of the boxes over some tiles that stand along the axes, shape (n, 6) [m]."""
+    solids = tiled.shapes.solids
+    over = _items(tiled.tiles.solid_start, tiled.tiles.solid_item, tiles, len(solids.geom))
+    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
+    bounds: Float = solids.bounds[over & (solids.kind == BOX) & (turned < RIM)]
+    return bounds
+
+
+def _upright(tiled: TiledShapes, tiles: Int) -> Float:
+    """The corners of the triangles over some tiles that stand along an axis, (n, 3, 3) [m]."""
+    bounds = tiled.facets.bounds
+    over = _items(tiled.tiles.triangle_start, tiled.tiles.triangle_item, tiles, len(bounds))
+    flat = (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
+    return tiled.facets.corners[over & flat]
+
+
+def _items(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
+    mask = np.zeros(num, dtype=np.bool_)
+    mask[item[ranges(start[tiles], start[tiles + 1])[1]]] = True
+    return mask
+
+
+def _find_seams(tiled: TiledShapes, axis: int, boxes: Float, corners: Float, known: Bool) -> Int:
+    """The known cells whose lines run in faces that look both ways along x or y, ascending."""
+    other = 1 - axis
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # the normal along the axis, whose sign says where the face looks
+    looks = (one[:, other] * two[:, 2] - one[:, 2] * two[:, other]) * (1 - 2 * axis)
+    flat = high[:, axis] - low[:, axis] <= RIM
+    marks = []
+    for is_upper in (False, True):
+        is_side = flat & (looks > 0 if is_upper else looks < 0)
+        at = np.concatenate([boxes[:, axis + 3 * is_upper], low[is_side, axis]])
+        begin = np.concatenate([boxes[:, other], low[is_side, other]])
+        end = np.concatenate([boxes[:, other + 3], high[is_side, other]])
+        marks.append(_mark_lines(tiled, axis, at, begin, end))
+    return np.flatnonzero(marks[0] & marks[1] & known).astype(np.int64)
+
+
+def _mark_lines(tiled: TiledShapes, axis: int, at: Float, begin: Float, end: Float) -> Bool:
+    """Mark the cells whose centres lie on lines along y or x, shape (cells,).
+
+    Args:
+        axis: 0 for lines at an x, 1 for lines at a y.
+        at: where each is [m].
+        begin, end: from where to where it goes along the other axis [m].
+    """
+    lattice = tiled.lattice
+    centers = lattice.center_x(), lattice.center_y()[::-1]  # ascending
+    marked = np.zeros((len(centers[axis]), len(centers[1 - axis])), dtype=np.bool_)
+    index = np.searchsorted(centers[axis], at - 2 * RIM)
+    hit = index < len(centers[axis])
+    hit[hit] = centers[axis][index[hit]] <= at[hit] + 2 * RIM
+    first = np.searchsorted(centers[1 - axis], begin[hit] - 2 * RIM)
+    last = np.searchsorted(centers[1 - axis], end[hit] + 2 * RIM, side="right")
+    which, place = ranges(first, last)
+    marked[index[hit][which], place] = True
+    return np.asarray((marked.T if axis == 0 else marked)[::-1]).ravel()
+
+
+def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
+    """Replace runs of rows: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
+
+    The runs ascend. Where they are few, copying what lies between them is faster than numpy's
+    masks and indices.
+    """
+    ends = zip([0, *last.tolist()], [*first.tolist(), len(old)], strict=True)
+    pieces = [new[:0]] * (2 * len(first) + 1)
+    pieces[::2] = [old[begin:end] for begin, end in ends]
+    pieces[1::2] = [new[begin:end] for begin, end in pairwise(start.tolist())]
+    return np.concatenate(pieces)

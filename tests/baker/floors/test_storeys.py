@@ -1,0 +1,187 @@
+"""Storeys on round coordinates: seams, treads without room, voids, floors in planes, equal tops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from box_worlds import box, stages_of_xml, world
+from navbake.baker.columns import tile_shapes
+from navbake.baker.pipeline import run_bake
+from navbake.baker.seams import settle_seams, splice
+from navbake.baker.stages import Stages
+from navbake.baker.warn import collect_warnings
+from navbake.config.settings import parse_config
+from navbake.runtime.path_finder import PathFinder
+
+GROUND = '<geom name="ground" type="plane" size="0 0 1"/>'
+
+
+def two_storeys(under: float = 0.0) -> str:
+    """Two storeys of 8.2 x 6.2 m; a stair that fills its opening, or reaches under its edges."""
+    slabs = [(0, 1.5, 0, 6.2), (5, 8.2, 0, 6.2), (1.5, 5, 0, 0.25), (1.5, 5, 1.25, 6.2)]
+    geoms = [box("", 0, 0, -0.2, 8.2, 6.2, 0), box("", 0, 0, 5.3, 8.2, 6.2, 5.5)]
+    geoms += [box("", x0, y0, 2.6, x1, y1, 2.8) for x0, x1, y0, y1 in slabs]
+    for k in range(14):
+        x, z = 1.5 + 0.25 * k, 0.2 * (k + 1)
+        geoms.append(box(f"tread{k}", x, 0.25 - under, z - 0.05, x + 0.25, 1.25 + under, z))
+    for x0, y0, x1, y1 in [
+        (0, 0, 8.2, 0.15), (0, 6.05, 8.2, 6.2), (0, 0, 0.15, 6.2), (8.05, 0, 8.2, 6.2),
+    ]:  # fmt: skip
+        geoms.append(box("", x0, y0, 0, x1, y1, 5.3))
+    return world("".join(geoms))
+
+
+def grounds(stages: Stages) -> list[float]:
+    return [round(level.ground, 6) for level in stages.floors.levels]
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.08, 0.1, 0.11])
+def test_stair_that_fills_its_opening_is_no_storey(tmp_path: Path, cell):
+    path = tmp_path / "scene.xml"
+    path.write_text(two_storeys())
+    done = run_bake(parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell}}))
+    assert [level.ground for level in done.grid.levels] == pytest.approx([0, 2.8], abs=1e-6)
+    assert PathFinder(done.grid).find_path([7, 3, 0], [7, 3, 2.8]) is not None
+    assert done.warnings == []
+
+
+def test_treads_without_room_in_their_columns_are_left_out(tmp_path: Path):
+    stages = stages_of_xml(tmp_path, two_storeys(under=0.06))
+    assert grounds(stages) == [0, 2.8]
+    [warning] = [text for text in collect_warnings(stages) if "more floors than there are" in text]
+    count = sum(len(patch.cells) for patch in stages.floors.spare)
+    assert 0 < count < 40
+    assert f"{count} cells of 'tread" in warning
+
+
+def test_what_a_walk_needs_opens_a_level(tmp_path: Path):
+    """Two turns of a stair between two storeys: without the upper turn, nobody gets up."""
+    geoms = [box("", -4, -4, -0.2, 4, 4, 0)]
+    sides = [(-4, -4, -1, 4), (1, -4, 4, 4), (-1, -4, 1, -1), (-1, 1, 1, 4)]
+    geoms += [box("", x0, y0, 4.6, x1, y1, 4.8) for x0, y0, x1, y1 in sides]
+    around = [(0, -1), (0.5, -1), (0.5, -0.5), (0.5, 0), (0.5, 0.5), (0, 0.5)]
+    around += [(-0.5, 0.5), (-1, 0.5), (-1, 0), (-1, -0.5), (-1, -1), (-0.5, -1)]
+    for k in range(24):
+        (x, y), z = around[k % 12], 0.2 * (k + 1)
+        geoms.append(box("", x, y, z - 0.05, x + 0.5, y + 0.5, z))
+    stages = stages_of_xml(tmp_path, world("".join(geoms)))
+    assert len(stages.floors.levels) > 2
+    assert stages.floors.spare == []
+    assert stages.floors.unreached == []
+
+
+def cast(folder: Path, xml: str) -> Stages:
+    return stages_of_xml(folder, xml, grid={"cell_size": 0.1, "bounds": [[0, 0], [1, 1]]})
+
+
+def column(stages: Stages, x: float, y: float) -> list[tuple[float, int]]:
+    columns = stages.judged_columns.at(np.arange(stages.judged_columns.lattice.width))
+    lattice = columns.lattice
+    row, col = (int(i[0]) for i in lattice.rows_cols([[x, y]]))
+    first, end = columns.start[[row * lattice.width + col, row * lattice.width + col + 1]]
+    z, geom = columns.z[first:end], columns.geom[first:end]
+    return list(zip(z.round(6).tolist(), geom.tolist(), strict=True))
+
+
+def test_line_in_a_common_face_belongs_to_the_eastern_and_northern_geom(tmp_path: Path):
+    # of cells of 0.1 m that begin at 0, centres lie at 0.05, 0.15, …
+    west, east = box("", 0, 0, 0, 0.45, 1, 0.2), box("", 0.45, 0, 0, 1, 1, 0.7)
+    stages = stages_of_xml(tmp_path, world(west + east))
+    assert column(stages, 0.45, 0.95) == [(0.0, 1), (0.7, 1)]
+    assert column(stages, 0.35, 0.95) == [(0.0, 0), (0.2, 0)]
+    south, north = box("", 0, 0, 0, 1, 0.45, 0.2), box("", 0, 0.45, 0, 1, 1, 0.7)
+    stages = stages_of_xml(tmp_path, world(south + north))
+    columns = stages.judged_columns.at(np.arange(100))
+    cell = 5 * 10 + 3  # of the row whose centre is at y = 0.45
+    first, end = columns.start[cell], columns.start[cell + 1]
+    assert columns.geom[first:end].tolist() == [1, 1]
+
+
+def test_line_in_an_outer_face_keeps_its_geom(tmp_path: Path):
+    west, floor = box("", 0, 0, 0, 0.45, 1, 0.2), box("", 0, 0, -0.2, 1, 1, -0.1)
+    stages = stages_of_xml(tmp_path, world(west + floor))
+    assert (0.2, 0) in column(stages, 0.45, 0.95)
+
+
+def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
+    boxes = stages_of_xml(tmp_path, two_storeys())
+    tiled = tile_shapes(boxes.scene.shapes, boxes.judged_columns.lattice, 0.1)
+    once = boxes.judged_columns.at(np.arange(3))
+    assert settle_seams(once, tiled).z.tolist() == once.z.tolist()
+
+
+def test_splice_is_numpys_insert_and_delete():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        old, new = rng.integers(0, 99, 30), rng.integers(100, 199, 12)
+        cuts = np.sort(rng.choice(31, 8, replace=False)).reshape(4, 2)
+        start = np.sort(rng.integers(0, 13, 5))
+        start[[0, -1]] = 0, 12
+        wanted: list[int] = []
+        at = 0
+        for k, (first, last) in enumerate(cuts.tolist()):
+            wanted += [*old[at:first], *new[start[k] : start[k + 1]]]
+            at = last
+        wanted += old[at:].tolist()
+        assert splice(old, cuts[:, 0], cuts[:, 1], new, start).tolist() == wanted
+
+
+def plenum(gap: float) -> str:
+    """A room of 10 x 8 m with a suspended ceiling, `gap` [m] under its slab."""
+    high = 2.68 + gap
+    geoms = [box("", 0, 0, -0.3, 10, 8, 0), box("ceiling", 0.2, 0.2, 2.66, 9.8, 7.8, 2.68)]
+    geoms += [box("", 0, 0, high, 10, 8, high + 0.3)]
+    sides = [(0, 0, 0.2, 8), (9.8, 0, 10, 8), (0, 0, 10, 0.2), (0, 7.8, 10, 8)]
+    return world("".join(geoms + [box("", x0, y0, 0, x1, y1, high) for x0, y0, x1, y1 in sides]))
+
+
+def test_void_is_no_level(tmp_path: Path):
+    stages = stages_of_xml(tmp_path, plenum(1.34))
+    assert grounds(stages) == [0]
+    [warning] = collect_warnings(stages)
+    assert "the void over 'ceiling' (73.0 m² at 2.68 m); `floors.voids: true` keeps all" in warning
+    assert grounds(stages_of_xml(tmp_path, plenum(1.34), floors={"voids": True})) == [0, 2.68]
+    assert grounds(stages_of_xml(tmp_path, plenum(1.9))) == [0, 2.68]
+
+
+def test_crawl_space_below_is_no_level_and_not_where_one_starts(tmp_path: Path):
+    geoms = [box("", 0, 0, -1.8, 10, 8, -1.6), box("floor", 0, 0, -0.2, 10, 8, 0)]
+    geoms += [box("", 0, 0, 2.6, 10, 8, 2.8)]
+    sides = [(0, 0, 0.2, 8), (9.8, 0, 10, 8), (0, 0, 10, 0.2), (0, 7.8, 10, 8)]
+    geoms += [box("", x0, y0, -1.6, x1, y1, 2.6) for x0, y0, x1, y1 in sides]
+    stages = stages_of_xml(tmp_path, world("".join(geoms)))
+    assert grounds(stages) == [0]
+    assert stages.floors.unreached == []
+    assert [round(patch.area) for patch in stages.floors.voids] == [73]
+
+
+def test_floor_inside_an_endless_plane_is_told(tmp_path: Path):
+    geoms = [GROUND, box("", 0, 0, -2.9, 8, 7, -2.7), box("", 0, 0, -0.2, 8, 7, 0.1)]
+    stages = stages_of_xml(tmp_path, world("".join(geoms)))
+    [warning] = [text for text in collect_warnings(stages) if "endless plane" in text]
+    assert "56.0 m² at -2.70 m under 'ground'" in warning
+    assert "scene.exclude.geoms" in warning
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.08, 0.1, 0.13])
+def test_of_equal_terraces_the_upper_ones_are_tops(tmp_path: Path, cell):
+    geoms = [box("", 0, 1.5 * k, -1, 8, 1.5 * (k + 1), 0.4 * k) for k in range(5)]
+    stages = stages_of_xml(tmp_path, world("".join(geoms)), grid={"cell_size": cell})
+    [level] = stages.floors.levels
+    assert np.nanmax(level.floor[level.standable]) == 0
+    assert len(stages.floors.tops) == 4
+    assert any("and 3 more); `floors.from:" in text for text in collect_warnings(stages))
+
+
+@pytest.mark.parametrize(("wide", "num_tops"), [(2.0, 1), (3.4, 0)])
+def test_top_that_is_nowhere_wide_is_none_however_large(tmp_path: Path, wide, num_tops):
+    """A comb of walls, larger than the floor between them."""
+    geoms = [box("", 0, 0, -0.2, 40, 6 + wide, 0), box("", 0, 6, 0, 40, 6 + wide, 2)]
+    for k in range(6):
+        geoms.append(box("", 6.5 * k, 0, 0, 6.5 * k + wide * 2.2 / 2 - 0.2, 6, 2))
+    stages = stages_of_xml(tmp_path, world("".join(geoms)))
+    top = sum(len(patch.cells) for patch in stages.floors.tops) > 0
+    assert top == bool(num_tops)
