@@ -155,10 +155,10 @@ def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) ->
 def find_bottleneck(
     grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, free: Bool, lost: Bool, corners: bool
 ) -> int:
-    """The cell, of those that a larger agent loses, at which the widest agent only just fits.
+    """Find the bottleneck: the cell where the widest agent only just fits, by its flat id.
 
-    Its way goes round such cells wherever it can. The first row of them that is left on it is the
-    bottleneck, and the middle one of the row is its place.
+    Its route avoids the cells that are `lost` to a larger agent wherever it can. Of the first run
+    of them on it, the middle one is returned; if there is none, one beside a diagonal step.
     """
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
     route = find_route(with_weights(grid, weights), origin, goals, corners)
