@@ -133,6 +133,16 @@ def test_writes_the_grid_that_inflate_gives(inflate):
     )
 
 
+def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate):
+    inflate("house.json.gz", 0.4, "-o", "a.json")
+    status, out, err = inflate("a.json", 0.2, "-o", "b.json")
+    warning = "a.json stays inflated for 0.4 m: inflate the grid as it was baked"
+    assert (status, err) == (0, f"navbake: warning: {warning}\n")
+    assert "(100.0%) for an agent of radius 0.4 m" in out
+    assert inflate("a.json", 0.4, "-o", "b.json")[2] == ""
+    assert inflate("a.json", 0.2, "--mode", "minos", "-o", "b.json")[2] == ""
+
+
 def test_takes_modes_and_costs(inflate):
     house = navbake.load("house.json.gz")
     assert inflate("house.json.gz", "--radius", 0.3, "--mode", "minos", "-o", "a.json")[0] == 0

@@ -20,7 +20,7 @@ from navbake.cli.options import (
     refuse_unused,
     write_stdout,
 )
-from navbake.cli.printing import print_json, say_unless_quiet
+from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
@@ -169,7 +169,7 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius  # loads numpy
 
     given = [value for value in (metres, radius) if value is not None]
     if len(given) != 1:
@@ -184,6 +184,9 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
+    held = exact_radius(before) if mode == "exact" else 0.0
+    if held > radius:
+        print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if output == STDOUT:
         write_stdout(dumps_navgrid(after))
@@ -197,7 +200,7 @@ def inflate(
     with beside_output(output):
         say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
-            f"for an agent of radius {radius:g} m ({mode})"
+            f"for an agent of radius {max(radius, held):g} m ({mode})"
         )
 
 
