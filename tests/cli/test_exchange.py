@@ -98,6 +98,14 @@ def test_each_way_there_and_back(convert):
     assert convert("house.json.gz", "stay.yml", "--to", "nav2-keepout", "--zone", "1")[0] == 0
 
 
+def test_the_maps_of_levels_are_named_where_there_is_none_of_the_whole(convert):
+    assert convert("house.json.gz", "map.yaml", "--to", "nav2")[0] == 0
+    status, _, err = convert("map.yaml", "a.json")
+    assert status == 1 and "No such file" in err
+    assert "map_0.yaml is there: each level has a file of its own" in err
+    assert "map_0" not in convert("plan.yaml", "a.json")[2]
+
+
 def test_an_image_is_never_written_over_an_input(convert):
     convert("house.json.gz", "map.yaml", "--level", 1, "--image", "png")
     convert("house.json.gz", "plan.png", "--level", 1)

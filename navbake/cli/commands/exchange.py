@@ -92,6 +92,10 @@ def convert(
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
     check_output(output, inputs=inputs)
+    of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
+    if not source.exists() and of_level.is_file():
+        missing = f"cannot read {source}: No such file or directory"
+        raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
