@@ -128,7 +128,7 @@ def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) 
 
 
 def place_columns(lattice: Lattice, cells: Int, crossings: Crossings) -> Columns:
-    """Columns that are numbered as some cells are, ascending, by the ids of these."""
+    """Turn crossings listed per cell in `cells` (ascending ids) into columns indexed by cell id."""
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
     start[cells], start[cells + 1] = crossings.start[:-1], crossings.start[1:]
     rows = (0, 0) if not len(cells) else (cells[[0, -1]] // lattice.width).tolist()

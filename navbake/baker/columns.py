@@ -273,7 +273,7 @@ def take_columns(crossings: Crossings, cells: Int) -> Crossings:
 
 
 def take_runs(arrays: Sequence[NDArray[Any]], first: Int, counts: Int) -> Crossings:
-    """Columns out of arrays of crossings, by the place of each and how many it has."""
+    """Copy `counts[i]` crossings from `first[i]` on, for each column i."""
     start = np.concatenate([[0], np.cumsum(counts)])
     taken = np.repeat(first - start[:-1], counts) + np.arange(start[-1])
     return Crossings(start, *(array[taken] for array in arrays))

@@ -35,7 +35,7 @@ def touching(cells: Int, width: int) -> Int:
 
 
 def ranges(begin: Int, end: Int) -> tuple[Int, Int]:
-    """List the numbers of ranges, one after the other: which range each is of, and the number."""
+    """Concatenate ranges begin[i]:end[i]; returns the range index and the value of each entry."""
     count = np.maximum(end - begin, 0)
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) + np.repeat(begin - np.cumsum(count) + count, count)

@@ -113,12 +113,12 @@ def level_from_values(
 def lay_along_axes(
     values: Values, origin: tuple[float, float, float], resolution: float
 ) -> tuple[Values, float, float]:
-    """Lay a map on cells along the world's axes.
+    """Resample a map with any yaw onto cells along the world's axes.
 
-    A map that is turned by quarters is turned exactly. Else a cell takes the value at its centre,
-    -1 beside the map; but it is occupied wherever an occupied cell of the map reaches into its
-    square. `origin` is the outer corner of the map's lower left cell, world x, y [m], and its yaw,
-    counter-clockwise [rad].
+    A yaw of whole quarter turns only permutes the cells. Otherwise a new cell has the value of the
+    map at its centre, or -1 outside of the map; but if an occupied cell of the map overlaps it, it
+    is occupied. `origin` is the outer corner of the map's lower left cell, world x, y [m], and its
+    yaw, counter-clockwise [rad].
 
     Returns:
         The values, and world x, y of their lower left corner: that of the box around the turned

@@ -33,10 +33,11 @@ def place_crowd(
     rng: np.random.Generator,
     words: tuple[str, str],
 ) -> Int:
-    """Draw the cells of n agents: as many from each part, give or take one, as far as they fit.
+    """Draw a cell for each of n agents, by flat ids in random order; QueryError if they don't fit.
 
-    What doesn't fit into a part is drawn from the others. `apart` are `reach` and `height`, `words`
-    what a message calls the agents, and all parts together. Flat ids, in random order.
+    Each part, an array of flat ids, gets the same number of agents, give or take one; those that
+    don't fit into their part go into others. `apart` are `reach` and `height`, see the module's
+    head; `words` are for the error: which agents they are, and where they were to stand.
     """
     agents, where = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}", words[1]
     found = most = 0

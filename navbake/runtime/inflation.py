@@ -247,10 +247,11 @@ def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float
 
 
 def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
-    """Find the cells clear enough to step diagonally, and those clear off their centres.
+    """Find the cells with room for more than standing on their centres, in an inflated grid.
 
-    Of the latter, first those that are clear, then with those where only squares of their own
-    level may be in the way. Of cells that are not free they say nothing. None without a radius.
+    Returns three masks over flat cells: (1) room for a diagonal step; (2) room at any position in
+    the cell; (3) as 2, but also cells blocked only by occupied squares of their own level. False
+    beside a step of the floor, meaningless in cells that are not free. None if the radius is 0.
     """
     radius = exact_radius(grid)
     if radius == 0.0:

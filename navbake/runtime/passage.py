@@ -26,6 +26,7 @@ from navbake.types import Bool, Float, Int
 spatial = lazy("scipy.spatial")  # few need it
 
 NARROW = 1000.0  # weight of a cell that a larger agent loses: a way goes round it if it can
+SHUT = 10_000.0  # of a cell that a door shuts: 10 km are walked rather than 1 m through doors
 MAX_NAMES = 4  # of what blocks, listed in a sentence
 RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
 BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises
@@ -155,10 +156,10 @@ def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) ->
 def find_bottleneck(
     grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, free: Bool, lost: Bool, corners: bool
 ) -> int:
-    """The cell, of those that a larger agent loses, at which the widest agent only just fits.
+    """Find the bottleneck: the cell where the widest agent only just fits, by its flat id.
 
-    Its way goes round such cells wherever it can. The first row of them that is left on it is the
-    bottleneck, and the middle one of the row is its place.
+    Its route avoids the cells that are `lost` to a larger agent wherever it can. Of the first run
+    of them on it, the middle one is returned; if there is none, one beside a diagonal step.
     """
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
     route = find_route(with_weights(grid, weights), origin, goals, corners)
@@ -291,17 +292,24 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
 
 
 def _doors(search: Search, origin: int, goals: Int) -> str | None:
-    """The doors that would join start and goal if they weren't there."""
+    """The doors in the way: those on the route through the fewest cells that doors shut."""
     grid, flat = search.grid, search.flat
     if not grid.doors:
         return None
     radius = inflation.exact_radius(grid)
     without = deflated(grid.without_blocks()).with_doors("removed")
+    free = np.concatenate([level.free.ravel() for level in without.levels])
+    without = with_weights(without, np.where(free, np.where(flat.free, 1.0, SHUT), np.inf))
     if radius:
         without = without.inflate(radius, ledges=inflation.ledges_of(grid))
     route = find_route(without, origin, goals, search.cut_corners)
     blocked = NO_CELLS if route is None else route[~flat.free[route]]
-    names = list(dict.fromkeys(doors_on(search.doors, blocked)))
+    # a door shuts what the agent's disc reaches, not only the cells that it stands in
+    stands = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
+    reach = inflation.agent_radius(grid) + 1.5 * float(flat.layout.cell_size.max())
+    tree = spatial.cKDTree(flat.positions(stands))
+    near = tree.query(flat.positions(blocked), distance_upper_bound=reach)[1]
+    names = list(dict.fromkeys(doors_on(search.doors, stands[near[near < len(stands)]])))
     if not names:
         return None
     states = {door.id: door.state for door in grid.doors}

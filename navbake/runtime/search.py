@@ -117,7 +117,7 @@ class Search:
         )  # fmt: skip
 
     def keep(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
-        """What `make` finds of the cells as they are now; the last few of a kind are kept."""
+        """Return `make()`, cached per kind, key and grid version; keeps the `most` last used."""
         kept, key = self._kept.setdefault(kind, {}), (self.version, key)
         value: Kept = kept.pop(key) if key in kept else make()
         kept[key] = value  # last in the row, so the first is the one unused for longest

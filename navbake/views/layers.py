@@ -178,7 +178,7 @@ def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -
 
 
 def nice_step(least: float) -> float:
-    """The first of 1, 2, 5, 10, 20, … that is no less, whatever its power of ten."""
+    """Smallest of 1, 2 or 5 times a power of ten that is at least `least`."""
     power = 10.0 ** math.floor(math.log10(least))
     return next((n * power for n in (1, 2, 5) if n * power >= least * (1 - 1e-9)), 10 * power)
 

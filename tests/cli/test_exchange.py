@@ -98,6 +98,14 @@ def test_each_way_there_and_back(convert):
     assert convert("house.json.gz", "stay.yml", "--to", "nav2-keepout", "--zone", "1")[0] == 0
 
 
+def test_the_maps_of_levels_are_named_where_there_is_none_of_the_whole(convert):
+    assert convert("house.json.gz", "map.yaml", "--to", "nav2")[0] == 0
+    status, _, err = convert("map.yaml", "a.json")
+    assert status == 1 and "No such file" in err
+    assert "map_0.yaml is there: each level has a file of its own" in err
+    assert "map_0" not in convert("plan.yaml", "a.json")[2]
+
+
 def test_an_image_is_never_written_over_an_input(convert):
     convert("house.json.gz", "map.yaml", "--level", 1, "--image", "png")
     convert("house.json.gz", "plan.png", "--level", 1)
@@ -131,6 +139,16 @@ def test_writes_the_grid_that_inflate_gives(inflate):
         f"big.json: {after:.2f} of {before:.2f} m² free ({after / before:.1%}) "
         "for an agent of radius 0.3 m (exact)\n"
     )
+
+
+def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate):
+    inflate("house.json.gz", 0.4, "-o", "a.json")
+    status, out, err = inflate("a.json", 0.2, "-o", "b.json")
+    warning = "a.json stays inflated for 0.4 m: inflate the grid as it was baked"
+    assert (status, err) == (0, f"navbake: warning: {warning}\n")
+    assert "(100.0%) for an agent of radius 0.4 m" in out
+    assert inflate("a.json", 0.4, "-o", "b.json")[2] == ""
+    assert inflate("a.json", 0.2, "--mode", "minos", "-o", "b.json")[2] == ""
 
 
 def test_takes_modes_and_costs(inflate):

@@ -30,8 +30,9 @@ CASES = [
     ("geoms x.json.gz", 2, "x.json.gz is a grid, not a scene"),
     ("init x.grid.json", 2, "is a grid, not a scene"),
     ("voxelize x.grid.json -o a.npz", 2, "is a grid, not a scene"),
-    ("why house.json.gz", 2, "expected one place"),
-    ("why house.json.gz 1,1 --at 1,1", 2, "expected one place"),
+    ("why house.json.gz", 2, "expected one place, X,Y[,Z|,LEVEL], got none"),
+    ("why house.json.gz 1,1 --at 1,2", 2, "got '1,2' and '1,1'"),
+    ("why house.json.gz --at 1.5 0.2", 2, "got '1.5' and '0.2'"),
     ("inflate house.json.gz -o a.json", 2, "expected one radius"),
     # files that are not there, or something else
     ("info none.json", 1, "none.json"),

@@ -5,6 +5,7 @@ import pytest
 
 import navbake
 from navbake.navgrid.cells import Cells
+from navbake.navgrid.doors import to_runs
 from navbake.runtime.path_finder import PathFinder
 from oracles.ways import make_level, stack
 from project_paths import GOLDEN
@@ -181,3 +182,34 @@ def test_a_gap_beside_a_diagonal_step():
     finder = PathFinder(from_map(["#..", "...", "..#"]).inflate(0.1))
     reason = finder.why_not((0.05, -0.25), (0.25, -0.05))
     assert_says(reason, "the gap between", "0.10 m wide, the agent 0.20 m")
+
+
+def with_letters_as_doors(rows):
+    """A map whose letters are closed doors."""
+    grid, letters = from_map(rows), np.array([list(row) for row in rows]).ravel()
+    doors = []
+    for name in sorted(set("".join(rows)) - set("#. ")):
+        cells = [[0, to_runs(np.flatnonzero(letters == name))]]
+        of_door = {"id": name, "joint": None, "rooms": [], "state": "closed"}
+        doors.append({**of_door, "cells": {"closed": cells, "open": []}})
+    grid.metadata["navbake"] = {"doors": doors}
+    return grid
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.1, 0.2])
+def test_only_doors_that_have_to_be_opened_are_named(radius):
+    rooms, ways = ["....#....#...."] * 2, ["....a....b...."] * 5
+    rows = [part.replace("....", "." * 9) for part in [*rooms, *ways, *rooms]]
+    rows += [f"##ccccc{'#' * 13}{'.' * 9}", *["." * 29] * 7]
+    grid = with_letters_as_doors(rows)
+    start, goal = (0.45, -0.45), (2.45, -0.45)
+
+    def reason(**states):
+        changed = grid.with_doors(states)
+        return PathFinder(changed.inflate(radius) if radius else changed).why_not(start, goal)
+
+    # the short way leads through two doors, the way round through one
+    assert_says(reason(), "; door 'c' (closed) is in the way")
+    assert_says(reason(a="open"), "; door 'b' (closed) is in the way")
+    assert reason(c="open") is None
+    assert reason(a="open", b="open") is None

@@ -47,10 +47,14 @@ def find_carriers(
 ) -> Carriers:
     """Classify geoms that carry floors as parts of the building or things on its floors.
 
-    A thing (a rug, a pallet, a low box, a boulder) is at most 4 m² large together with what
-    continues at its height, lies over another floor, at most 1 m higher or solid down to it, and
-    no step leads from it to a higher floor of the building. All else is the building's: floors,
-    stairs, ramps, platforms, terrain.
+    A geom is a thing (a rug, a pallet, a low box, a boulder) if all of these hold:
+
+    a. Its floor, with the floors that continue it at the same height, covers at most 4 m².
+    b. In at least 90 % of its cells there is another floor below it,
+    c. which is at most 1 m lower, or down to which it is solid.
+    d. It covers 90 % of its cells by at most 3 cm, or no step leads up from it to the building.
+
+    All else is the building's: floors, stairs, ramps, platforms, terrain.
     """
     num = len(extents.thin)
     counts, stood_on = np.zeros((3, num), dtype=np.int64), np.zeros(num, dtype=np.bool_)

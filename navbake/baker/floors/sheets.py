@@ -293,10 +293,11 @@ class SheetFacts:
         """A fact about each chosen sheet, in their order.
 
         Args:
+            name: of the fact; facts of other names are kept apart.
             chosen: the sheets, shape (sheets,), bool.
             find: finds the fact about some sheets, in their order.
-            changed: the update in which what the fact rests on beside the sheet last changed, by
-                sheet; None where that is nothing.
+            changed: for each sheet, the number of the last update that changed anything else the
+                fact depends on, shape (sheets,); None if it depends on the sheet alone.
         """
         asked, names = np.zeros_like(chosen), list[tuple[str, int]]()
         for sheet in np.flatnonzero(chosen).tolist():

@@ -90,9 +90,11 @@ def why(
     """
     from navbake.views.describe import describe_column
 
-    given = place if at is None else at
-    if given is None or (place is not None and at is not None):
-        raise BadParameter(f"expected one place, {PLACE}", param_hint="--at")
+    places = [text for text in (at, place) if text is not None]
+    if len(places) != 1:
+        got = " and ".join(map(repr, places)) or "none"
+        raise BadParameter(f"expected one place, {PLACE}, got {got}", param_hint="--at")
+    given = places[0]
     x, y, z, level = parse_place(given, "--at")
     content = navbake.load(grid)
     if z is not None:

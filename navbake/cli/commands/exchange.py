@@ -20,7 +20,7 @@ from navbake.cli.options import (
     refuse_unused,
     write_stdout,
 )
-from navbake.cli.printing import print_json, say_unless_quiet
+from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
@@ -92,6 +92,10 @@ def convert(
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
     check_output(output, inputs=inputs)
+    of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
+    if not source.exists() and of_level.is_file():
+        missing = f"cannot read {source}: No such file or directory"
+        raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
@@ -169,7 +173,7 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius  # loads numpy
 
     given = [value for value in (metres, radius) if value is not None]
     if len(given) != 1:
@@ -184,6 +188,9 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
+    held = exact_radius(before) if mode == "exact" else 0.0
+    if held > radius:
+        print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if output == STDOUT:
         write_stdout(dumps_navgrid(after))
@@ -197,7 +204,7 @@ def inflate(
     with beside_output(output):
         say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
-            f"for an agent of radius {radius:g} m ({mode})"
+            f"for an agent of radius {max(radius, held):g} m ({mode})"
         )
 
 

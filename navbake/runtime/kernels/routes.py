@@ -112,7 +112,11 @@ def _joined(a, b, free, floor, max_step, slopes):
 
 
 def bucket_width(size: float, least: float, most: float, longest_link: float) -> tuple[float, int]:
-    """Width of the buckets, and how many of them a circle needs: a power of two; in metres."""
+    """Return the width of a bucket, a cost [m], and the number of buckets, a power of two.
+
+    A bucket is `SHARE` of the cheapest step wide, wider where that would take over `MAX_BUCKETS`.
+    `size` is the smallest cell's edge [m], `least` and `most` bound the weights of cells.
+    """
     farthest = 2.0 * most * max(DIAGONAL * size, longest_link)  # from a bucket to a new entry
     width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything

@@ -79,10 +79,15 @@ def _joins(lattice, surfaces, key, joining, a, b, way):
 def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``.
 
-    Surfaces of one group (`key`, (n,) int32, less than 0 for none; those that one can stand on if
-    it is empty) in neighbouring cells hang together when they are at most a step apart, or where
-    slopes join them. `part`, (n,) int32, receives their numbers, from 0 by their first members in
-    the order of cells, -1 for surfaces of no group; `count`, by block, how many parts there are.
+    Surfaces of one group in neighbouring cells are connected if they are at most a step apart, or
+    if slopes join them.
+
+    Args:
+        key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
+            that one can stand on are one group.
+        part: receives the part of each surface, numbered by the parts' first members in the order
+            of cells, -1 for surfaces of no group, (n,) int32.
+        count: receives the number of parts of each block.
     """
     first, length, width = surfaces.first, surfaces.length, lattice.width
     for k in range(begin, end):

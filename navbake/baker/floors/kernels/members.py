@@ -119,10 +119,7 @@ def near_offsets(limit: float, shorter: int) -> Int:
 
 
 def east_rim(offsets: Int) -> Int:
-    """The offsets that are none of the offsets one cell further west, nor the cell there itself.
-
-    East of a cell all of whose neighbours belong to a set, only these are not known yet.
-    """
+    """The offsets still to test for a cell when its west neighbour passed for all of them."""
     reach = int(np.abs(offsets).max(initial=0))
     known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
     known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
