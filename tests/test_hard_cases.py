@@ -332,3 +332,38 @@ def test_window_joins_no_rooms(bake, name):
     # what the window parts is told of, and nothing else
     [warning] = result.warnings
     assert "no step leads to 15.6 m² of 'level 0'" in warning
+
+
+# ---------------------------------------------------------------- axes and scans
+
+MORE = SHARED.parent / "hard_cases_2"
+
+
+def bake_more(name: str, **scene) -> BakeResult:
+    if not MORE.is_dir():
+        pytest.skip(f"no scenes in {MORE}")
+    return run_bake(parse_config({"scene": {"path": str(MORE / name), **scene}}))
+
+
+def test_a_house_as_gltf_stands_upright():
+    level = level_of(bake_more("25_house_y_up.glb"))
+    assert level.shape == (60, 80)
+    assert (level.floor_height == 0).all()
+    assert level.room_index.max() == 2
+
+
+@pytest.mark.parametrize("up", ["auto", "-y"])
+def test_a_scan_with_y_down_has_its_floor_and_no_holes(up):
+    level = level_of(bake_more("26_scan_y_down.ply", up=up, scan=True))
+    assert np.nanmax(np.abs(level.floor_height)) < 0.03
+    assert level.free.sum() * 0.01 > 20
+    assert level.free[level.attributes["unseen"] == 1].all()
+    assert 1.0 < level.attributes["unseen"].sum() * 0.01 < 2.0
+
+
+def test_a_scan_upside_down_is_told_to_have_a_ceiling_for_a_floor():
+    warnings = bake_more("26_scan_y_down.ply", up="y").warnings
+    assert any("may be a ceiling" in text and "`scene.up: -y`" in text for text in warnings)
+    auto = bake_more("26_scan_y_down.ply")
+    assert any("is taken with -y up" in text for text in auto.warnings)
+    assert np.nanmax(np.abs(level_of(auto).floor_height)) < 0.03

@@ -58,7 +58,7 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "nav_test": {"scene": {"path": "recast_meshes/nav_test.obj", "up": "y"}},
     "dungeon": {"scene": {"path": "recast_meshes/dungeon.obj", "up": "y"}},
-    "simple_room": {"scene": {"path": "habitat_simple_room/simple_room.glb"}},
+    "simple_room": {"scene": {"path": "habitat_simple_room/simple_room.glb", "up": "z"}},
     "stage_floor1": {"scene": {"path": "habitat_simple_room/stage_floor1.glb", "up": "y"}},
 }
 

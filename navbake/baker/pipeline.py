@@ -23,7 +23,7 @@ from navbake.baker.stages import Stages, settle_doors, take_first_look
 from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
-from navbake.errors import BakeWarning
+from navbake.errors import BakeWarning, printable
 from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
@@ -119,9 +119,16 @@ def bake(
     """
     limits = CompileLimits() if isolate else None
     config, opened = take_input(scene, data, settings, exclude, robot, limits)
-    grid = run_bake(config, threads=threads, limits=limits, opened=opened).grid
+    told = list[str]()
+
+    def tell(hint: str) -> None:
+        told.append(hint)
+        warnings.warn(hint, BakeWarning, stacklevel=4)
+
+    grid = run_bake(config, threads=threads, limits=limits, opened=opened, tell=tell).grid
     for warning in grid.warnings:
-        warnings.warn(warning, BakeWarning, stacklevel=2)
+        if warning not in told:
+            warnings.warn(warning, BakeWarning, stacklevel=2)
     return grid
 
 
@@ -132,14 +139,22 @@ def run_bake(
     progress: Progress | None = None,
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> BakeResult:
     """Bake a scene, `opened` where its model is in memory, into a navigation grid.
 
-    With `limits`, MuJoCo compiles the scene in a child process, within these.
+    With `limits`, MuJoCo compiles the scene in a child process, within these. `tell` is called with
+    the warnings that say that axes or units look wrong, before anything that takes long.
     """
     clock = StageClock(progress)
     with limit_threads(threads):
-        stages = settle_doors(take_first_look(config, clock, limits, opened))
+        stages = take_first_look(config, clock, limits, opened)
+        hints = [printable(hint) for hint in stages.scene.hints]
+        for hint in hints:
+            LOG.warning("%s: %s", stages.scene.id, hint)
+            if tell is not None:
+                tell(hint)
+        stages = settle_doors(stages)
         stages.free_geometry()
         with clock.stage("grid"):
             grid = build_grid(stages)
@@ -148,7 +163,8 @@ def run_bake(
                 grid = _verified(grid, stages, config.verify.sample)
     grid.timings = clock.to_json()
     for warning in grid.warnings:
-        LOG.warning("%s: %s", stages.scene.id, warning)
+        if warning not in hints:
+            LOG.warning("%s: %s", stages.scene.id, warning)
     return BakeResult(grid, stages.scene.geoms, clock.seconds)
 
 
@@ -210,6 +226,8 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
     }
     if stages.occupancy.solid is not None:
         attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
+    if level.unseen is not None:
+        attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
     user_data = UserData()
     if stages.contents is not None and stages.config.names.enabled:
         named = stages.contents.user_data(number, window)

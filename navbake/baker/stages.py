@@ -176,7 +176,8 @@ class Stages:
                     floors = crop_floors(floors, self.judged[1])
             except SceneError as error:
                 path = config.scene.path
-                raise SceneError(f"{path}: {error}{_describe_extent(self.doorless)}") from error
+                where = _describe_extent(self.doorless, config)
+                raise SceneError(f"{path}: {error}{where}") from error
             return floors, finder
 
     def occupancy_test(self, columns: ColumnSource) -> OccupancyTest:
@@ -289,14 +290,18 @@ class Stages:
             self.__dict__.pop(name, None)
 
 
-def _describe_extent(scene: Scene) -> str:
-    """What is added to an error: often the scene's unit or the bounds are wrong."""
+def _describe_extent(scene: Scene, config: BakeConfig) -> str:
+    """What is added to an error: often the scene's axes, its unit or the bounds are wrong."""
     if scene.bounds is None:
         return ""
+    hint = "; ".join(scene.hints)
+    if scene.parts and not hint:
+        up, unit = config.scene.up, config.scene.unit
+        hint = f"check which way is up (`scene.up` is {up}) and the unit (`scene.unit` is {unit:g})"
     sides = zip("xyz", *scene.bounds.tolist(), strict=True)
     spans = ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)
     endless = scene.shapes.planes.geom
     if len(endless):
         spans += f" without {scene.geoms[endless[0]].name!r}, which is endless"
         spans += ": `grid.margin` or `grid.bounds` shows more of it"
-    return f"; the scene spans, in m, {spans}"
+    return f"; the scene spans, in m, {spans}{'; ' if hint else ''}{hint}"

@@ -91,6 +91,13 @@ class ExcludeSettings(Settings):
     movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
 
 
+SCAN_HOLES = 2.0  # `floors.fill` of scans [m²]
+
+
+def _is_nowhere(direction: list[float]) -> bool:
+    return sum(value * value for value in direction) < 1e-12
+
+
 class SceneSettings(Settings):
     """The scene, which of its geoms count, and its pose."""
 
@@ -98,7 +105,22 @@ class SceneSettings(Settings):
     path: ScenePath = Field(
         description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
     )
-    up: Literal["z", "y"] = setting("z", "axis that points up in mesh files: z or y")
+    up: Annotated[
+        Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"]
+        | Annotated[
+            list[float], Field(min_length=3, max_length=3), AfterValidator(refuse_if(_is_nowhere))
+        ],
+        expects("auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z]"),
+    ] = setting(
+        "auto",
+        "what is up in mesh files: an axis (x, -x, y, -y, z, -z), a direction [x, y, z], level (as "
+        "what stands on its flat surfaces says), or auto: as the file says, else z",
+    )
+    scan: bool = setting(
+        False,
+        "whether the mesh is a scan: true (up: level where the file says no axis, "
+        "floors.fill: 2.0) or false",
+    )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
@@ -298,6 +320,11 @@ class FloorSettings(Settings):
     crack: NotNegative = setting(
         0.03, "distance under which floors on both sides of a cell's centre have no gap [m], >= 0"
     )
+    fill: NotNegative = setting(
+        0.0,
+        "largest hole that is closed where floor surrounds it, for scans [m2], >= 0",
+        "0.0, or 2.0 with `scene.scan`",
+    )
     tops: bool = setting(
         False, "keep large tops of what stands on a floor (beds, blocks): true or false"
     )
@@ -409,6 +436,17 @@ class BakeConfig(Settings):
         None, "file to write, relative to the current folder", "<id>.grid.json"
     )
     _named: tuple[Path, ...] = PrivateAttr(())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_scans(cls, data: Any) -> Any:
+        """Take `floors.fill` of scans, unless it is given."""
+        if isinstance(data, Mapping):
+            scene, floors = data.get("scene"), data.get("floors") or {}
+            is_scan = isinstance(scene, Mapping) and scene.get("scan") is True
+            if is_scan and isinstance(floors, Mapping) and "fill" not in floors:
+                return {**data, "floors": {**floors, "fill": SCAN_HOLES}}
+        return data
 
     @property
     def inputs(self) -> tuple[Path, ...]:

@@ -78,6 +78,8 @@ class FloorCheck:
         Columns whose floor is off, or beside the centre, are not asked for more.
         """
         findings, shift = list[Finding](), shift_between(sample.level.lattice, self._lattice)
+        # floors over holes of a scan are no surfaces
+        unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
             x, y, z = place = sample.place(k)
             line, off = self._lines.at(x, y), rounding(x, y, z)
@@ -86,6 +88,7 @@ class FloorCheck:
             is_gap = all(abs(s.z - z) > self._agent.step for s in standable)
             min_up = self._agent.min_up if is_gap else np.inf
             counts.floors += not has_none
+            has_none |= bool(unseen[sample.rows[k], sample.cols[k]])
             if has_none or line.faces_up(z - off, z + off):
                 row, col = int(sample.rows[k]) + shift[0], int(sample.cols[k]) + shift[1]
                 for s in standable:

@@ -14,6 +14,7 @@ from box_worlds import FLOOR, box, world
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings, parse_config
+from navbake.errors import SceneError
 from project_paths import SHARED_DATA
 
 DUNGEON = SHARED_DATA / "recast_meshes" / "dungeon.obj"
@@ -142,7 +143,7 @@ def building(path, up: str) -> str:
 def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
     lying = building(tmp_path / f"lying.{suffix}", "y")
     hints = load_scene(SceneSettings(path=lying)).warnings
-    assert any("`scene.up` is z" in hint and "set it to y" in hint for hint in hints)
+    assert any("lowest along y" in hint and "set `scene.up` to y" in hint for hint in hints)
     for up in ("y", "z"):  # whoever says which axis is up knows
         assert not any(
             "scene.up" in h for h in load_scene(SceneSettings(path=lying, up=up)).warnings
@@ -151,13 +152,23 @@ def test_a_mesh_that_lies_on_its_side_gets_a_hint(tmp_path, suffix):
     assert not any("scene.up" in h for h in load_scene(SceneSettings(path=upright)).warnings)
 
 
-@pytest.mark.parametrize(("scale", "is_told"), [(1.0, False), (100.0, True), (1000.0, True)])
-def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, is_told):
+@pytest.mark.parametrize(
+    ("scale", "told"),
+    [
+        (1.0, ()),
+        (100.0, ("is 250 m high", "to 0.01")),
+        (1000.0, ("is 2500 m high", "to 0.01")),
+        (0.05, ("is only 0.4 m large", "1000 for kilometres")),
+        ((1000.0, 1000.0, 1.0), ("is 8000 m large", "to 0.01")),
+    ],
+)
+def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, told):
     path = tmp_path / "flat.ply"
     trimesh.creation.box((8, 6, 2.5)).apply_scale(scale).export(path)
-    hints = [text for text in load_scene(SceneSettings(path=path)).warnings if "unit" in text]
-    assert len(hints) == is_told
-    assert all(f"{2.5 * scale:g} m high" in hint and "to 0.01" in hint for hint in hints)
+    scene = load_scene(SceneSettings(path=path))
+    hints = [text for text in scene.warnings if "unit" in text]
+    assert len(hints) == bool(told) and scene.hints == hints
+    assert all(text in hint for text in told for hint in hints)
     # whoever says the unit knows
     said = load_scene(SceneSettings(path=path, unit=1.0)).warnings
     assert not any("unit" in text for text in said)
@@ -165,7 +176,23 @@ def test_a_mesh_that_is_probably_not_in_metres_gets_a_hint(tmp_path, scale, is_t
 
 @pytest.mark.skipif(not DUNGEON.exists(), reason="needs the meshes of Recast")
 def test_recasts_dungeon_lies_on_its_side():
-    assert any("`scene.up`" in hint for hint in load_scene(SceneSettings(path=DUNGEON)).warnings)
+    warnings = load_scene(SceneSettings(path=DUNGEON)).warnings
+    assert any("is taken with y up" in text and "`scene.up: y`" in text for text in warnings)
+
+
+def test_wrong_units_are_told_before_the_bake_and_named_in_its_error(tmp_path):
+    path, told = tmp_path / "flat.ply", []
+    trimesh.creation.box((0.08, 0.06, 0.025)).export(path)
+    with pytest.raises(SceneError, match=r"only 0\.08 m large: set `scene\.unit`"):
+        run_bake(
+            parse_config({"scene": {"path": path}, "grid": {"cell_size": 0.01}}), tell=told.append
+        )
+    assert len(told) == 1 and "`scene.unit`" in told[0]
+    trimesh.creation.box((1.0, 0.8, 0.6)).export(path)
+    with pytest.raises(
+        SceneError, match=r"`scene\.up` is auto\) and the unit \(`scene\.unit` is 1\)"
+    ):
+        run_bake(parse_config({"scene": {"path": path}}))
 
 
 STOREYS = "".join(

@@ -64,6 +64,7 @@ def test_defaults(house):
         "min_area": 1.0,
         "shrink": 0.3,
         "crack": 0.03,
+        "fill": 0.0,
         "tops": False,
         "roofs": False,
         "reach": "all",
@@ -72,6 +73,13 @@ def test_defaults(house):
     assert config.names.model_dump() == {"enabled": True, "walls": []}
     assert config.attributes == []
     assert config.output is None
+
+
+def test_scans_have_their_holes_closed(house):
+    scan = load_config(house("scene: {path: a.ply, scan: true}"))
+    assert (scan.scene.up, scan.floors.fill) == ("auto", 2.0)
+    given = load_config(house("scene: {path: a.ply, scan: true}\nfloors: {fill: 0.5}"))
+    assert given.floors.fill == 0.5
 
 
 def test_every_key(house):
@@ -252,7 +260,12 @@ REFUSED_IN_SCENE = [
     ("path: a.xml, id: 7", "got 7 at `scene.id`"),
     ("path: a.xml, id: ..", 'got ".." at `scene.id`'),
     ('path: a.xml, id: "a\\nb"', 'got "a\\nb" at `scene.id`'),
-    ("path: a.xml, up: x", 'expected z or y, got "x" at `scene.up`'),
+    (
+        "path: a.xml, up: north",
+        "expected auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z], "
+        'got "north" at `scene.up`',
+    ),
+    ("path: a.xml, up: [0, 0, 0]", "or a direction [x, y, z], got [0, 0, 0] at `scene.up`"),
     ("path: a.xml, unit: 0", "expected a number > 0, got 0 at `scene.unit`"),
     ("path: a.xml, geoms: some", "expected auto, collision, visual or all"),
     ("path: a.xml, meshes: soup", "expected auto, hull, surface, shell or {pattern: one of these}"),

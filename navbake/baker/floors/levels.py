@@ -26,6 +26,7 @@ from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
 from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
 from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
@@ -46,12 +47,15 @@ class LevelFloor:
         ground: ground height [m].
         floor: floor heights, shape (height, width), float64, NaN for none [m].
         standable: where the floor is a standable surface, shape (height, width), bool.
+        unseen: where it was closed over a hole that nobody saw, shape (height, width), bool, a part
+            of `standable`; None where holes stay.
     """
 
     name: str
     ground: float
     floor: Float
     standable: Bool
+    unseen: Bool | None = None
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ class FloorFinder:
     @property
     def changed(self) -> Int | None:
         """The cells where the last update changed a floor; None where all may be new."""
-        return self._growth.changed
+        return None if self._settings.fill else self._growth.changed
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
@@ -179,7 +183,9 @@ class FloorFinder:
             placed.labels, placed.grounds, self._growth.levels, strict=True
         ):
             standable = (ring == 0).reshape(shape)
-            levels.append(LevelFloor(name, ground, floor.reshape(shape), standable))
+            level = LevelFloor(name, ground, floor.reshape(shape), standable)
+            fill = settings.fill / self._lattice.cell_size**2
+            levels.append(fill_holes(level, fill, is_occupied) if fill else level)
         held = self._find_enclosed(stale)
         is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
@@ -284,6 +290,38 @@ def find_floors(
     return finder.find(columns, shapes, is_occupied, every), finder
 
 
+def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) -> LevelFloor:
+    """Close the holes of a floor that floor surrounds, up to `largest` cells each.
+
+    Heights there are interpolated from those round the hole (linearly, over Delaunay's triangles).
+    Holes that nobody gets to from the floor, such as the inside of a pillar, stay.
+    """
+    from scipy.interpolate import griddata  # scipy loads slowly, and few ask for this
+    from scipy.ndimage import binary_dilation, label
+
+    holes, _ = label(np.isnan(level.floor))  # by their edges
+    size = np.bincount(holes.ravel())
+    for edge in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
+        size[edge] = holes.size + 1
+    size[0] = holes.size + 1
+    unseen: Bool = (size <= largest + SLACK)[holes]
+    if not unseen.any():
+        return replace(level, unseen=unseen)
+    near = binary_dilation(unseen, np.ones((3, 3)))
+    rim, floor = near & ~unseen & ~np.isnan(level.floor), level.floor.copy()
+    floor[unseen] = griddata(np.argwhere(rim), floor[rim], np.argwhere(unseen))
+    near &= ~np.isnan(floor)
+    free = near.copy()
+    free[near] = ~is_occupied(np.flatnonzero(near), floor[near], None)
+    # what is free and hangs together with floor that was seen, and what stands in such a hole
+    reached = np.zeros_like(free)
+    open_part, _ = label(free)
+    reached = free & np.isin(open_part, open_part[free & rim])
+    unseen &= reached | (np.isin(holes, holes[reached & unseen]) & ~free)
+    floor[~unseen & (holes > 0)] = np.nan
+    return replace(level, floor=floor, standable=level.standable | unseen, unseen=unseen)
+
+
 def crop_floors(floors: Floors, window: Window) -> Floors:
     """Cut a window out of the floors of a whole scene.
 
@@ -303,7 +341,8 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
         level = floors.levels[old]
         name = f"level {new}" if level.name == f"level {old}" else level.name
         floor, standable = level.floor[window].copy(), level.standable[window].copy()
-        levels.append(replace(level, name=name, floor=floor, standable=standable))
+        unseen = None if level.unseen is None else level.unseen[window].copy()
+        levels.append(LevelFloor(name, level.ground, floor, standable, unseen))
     width = floors.levels[0].floor.shape[1]
 
     def is_shown(patch: Patch) -> bool:

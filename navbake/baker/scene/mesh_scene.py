@@ -15,7 +15,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import unquote
 
 import numpy as np
@@ -33,16 +33,18 @@ trimesh = lazy("trimesh")
 
 MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
-Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # nothing mirrored
+AXES = {sign + axis: (np.eye(3)[k] * way).tolist()
+        for sign, way in (("", 1.0), ("-", -1.0)) for k, axis in enumerate("xyz")}  # fmt: skip
 NO_AREA = 5e-15  # of triangles that are no larger [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
-# Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
-# is to be taken for one that lies on its side
-LYING = 1.5
 # How trimesh reads a format
 PLAIN: dict[str, Any] = {"skip_materials": True}
 OPTIONS = {".glb": PLAIN, ".gltf": PLAIN}
 OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_material": False}
+
+
+Direction: TypeAlias = str | Sequence[float] | Float
+"""One of `AXES` by its name, or a vector of any length, in the frame of a file."""
 
 
 class MeshPart(NamedTuple):
@@ -53,16 +55,16 @@ class MeshPart(NamedTuple):
     faces: Int32
 
 
-def read_mesh_parts(path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
+def read_mesh_parts(path: Path, up: Direction = "z", unit: float = 1.0) -> list[MeshPart]:
     """Read a mesh file as named parts in the world frame: its objects, groups, solids and nodes.
 
-    A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`. What the file says of
-    its vertical axis counts for nothing, as files are wrong about it too often. Triangles without
-    area, unused vertices and parts without triangles are dropped.
+    A DAE's own ``<unit meter>`` is applied first, then `unit`, then `up`, whatever the file says of
+    its vertical axis (see `stated_up`). Triangles without area, unused vertices and parts without
+    triangles are dropped.
     """
     try:
         found = _read_parts(path)
-        scale = unit * (_dae_unit(path) if path.suffix.lower() == ".dae" else 1.0)
+        scale = unit * (_dae_asset(path)[0] if path.suffix.lower() == ".dae" else 1.0)
     except OSError as error:
         raise SceneError(f"cannot read the mesh {path}: {error.strerror or error}") from error
     return _to_world(found, path, up, scale)
@@ -75,7 +77,9 @@ def is_mesh_scene(scene: Any) -> bool:
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
 
-def take_mesh_parts(scene: Any, path: Path, up: str = "z", unit: float = 1.0) -> list[MeshPart]:
+def take_mesh_parts(
+    scene: Any, path: Path, up: Direction = "z", unit: float = 1.0
+) -> list[MeshPart]:
     """Take a trimesh.Scene or trimesh.Trimesh, which stays as it is, as `read_mesh_parts` a file.
 
     Parts are named by the scene graph's nodes, or by the stem of the path, which errors name.
@@ -98,25 +102,6 @@ def box_of(parts: Collection[MeshPart]) -> Float:
     axes = [[part.vertices[:, axis] for part in parts] for axis in range(3)]
     ends = [(min(a.min() for a in axis), max(a.max() for a in axis)) for axis in axes]
     return np.array(ends).T
-
-
-def lies_on_side(parts: Collection[MeshPart]) -> bool:
-    """Whether a mesh in the world frame looks as if its y axis were the vertical one.
-
-    It does where its box is lowest along y, and the surface within 45° of facing along y has
-    `LYING` times the area of that facing along z, as floors and ceilings have of walls.
-    """
-    low, high = box_of(parts)
-    width, depth, height = np.subtract(high, low)
-    if not depth < min(width, height):
-        return False
-    corners = np.concatenate([part.vertices[part.faces] for part in parts])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    faces_y, faces_z = (
-        size[np.abs(normal[:, axis]) >= size * np.sqrt(0.5)].sum() for axis in (1, 2)
-    )
-    return bool(faces_y > LYING * faces_z)
 
 
 def _read_parts(path: Path) -> list[MeshPart]:
@@ -198,24 +183,50 @@ def _silence() -> Iterator[None]:
         logger.setLevel(before)
 
 
-def _dae_unit(path: Path) -> float:
-    """Metres per unit as a DAE states it; 1 where it doesn't."""
+def stated_up(path: Path) -> str | None:
+    """The axis that is up in a mesh file, as its format or the file itself says; None for neither.
+
+    That of glTF is y by its specification; a DAE states its own.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".dae" and path.is_file():
+        return _dae_asset(path)[1]
+    return "y" if suffix in (".glb", ".gltf") else None
+
+
+def turn_up(up: Direction) -> Float:
+    """The rotation that turns a direction to +z by the least angle, exact for axes, (3, 3)."""
+    vector = AXES[up] if isinstance(up, str) else up
+    x, y, z = np.divide(vector, np.linalg.norm(vector)).tolist()
+    if z < -0.5:  # over the opposite direction, as near that no axis is the best
+        return np.asarray(turn_up((x, -y, -z)) @ np.diag([1.0, -1.0, -1.0]) + 0.0)
+    across = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])  # Rodrigues' formula
+    return np.asarray(np.eye(3) + across + across @ across / (1.0 + z) + 0.0)
+
+
+def _dae_asset(path: Path) -> tuple[float, str | None]:
+    """Metres per unit as a DAE states it, 1 where it doesn't; and its axis that is up, or None."""
+    meters, up = 1.0, None
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
         if event == "start" and tag == "unit":
             meter = element.get("meter", "1")
+            meters = 0.0
             with suppress(ValueError):
-                if 0 < float(meter) < float("inf"):
-                    return float(meter)
-            raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
+                meters = float(meter)
+            if not 0 < meters < float("inf"):
+                raise SceneError(f"expected a number > 0 as <unit meter> in {path}, got {meter!r}")
+        if event == "end" and tag == "up_axis":
+            axis = (element.text or "").strip()[:1].lower()
+            up = axis if axis in AXES else None
         if event == "end" and tag == "asset":
             break
-    return 1.0
+    return meters, up
 
 
-def _to_world(found: list[MeshPart], path: Path, up: str, scale: float) -> list[MeshPart]:
+def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
     """Turn parts into the world frame, and name each by a name of its own."""
-    turn = scale * (Y_UP_TO_Z_UP if up == "y" else np.eye(3))
+    turn = scale * turn_up(up)
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]
     named = [part._replace(name=unique_name(part.name, taken)) for part in parts if len(part.faces)]

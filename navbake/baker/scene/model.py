@@ -21,6 +21,7 @@ from navbake.baker.scene.mesh_scene import (
 )
 from navbake.baker.scene.names import name_at, unique_name
 from navbake.baker.scene.pose import data_with_joints
+from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.scene_files import mesh_places
@@ -75,7 +76,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             kind = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {kind} at {path}")
         if suffix in MESH_SUFFIXES:
-            found = read_mesh_parts(path, settings.up, settings.unit)
+            found = stand_up(partial(read_mesh_parts, path, unit=settings.unit), settings, warnings)
             model, parts = model_of_parts(found, path, ground, warnings)
         elif suffix == MJB_SUFFIX:
             if ground is not None:
@@ -341,7 +342,8 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
         elif isinstance(scene, mujoco.MjSpec):
             model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))
         else:
-            found = take_mesh_parts(scene, path, settings.up, settings.unit)
+            read = partial(take_mesh_parts, scene, path, unit=settings.unit)
+            found = stand_up(read, settings, warned)
             model, parts = model_of_parts(found, path, ground, warned)
     opened = OpenScene(model, parts, ground_of(model, settings), warned)
     if data is None:

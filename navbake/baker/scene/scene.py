@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.isolated import CompileLimits, load_isolated
-from navbake.baker.scene.mesh_scene import MeshPart, box_of, lies_on_side
+from navbake.baker.scene.mesh_scene import MeshPart, box_of
 from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
@@ -25,7 +24,8 @@ from navbake.threads import run_beside
 from navbake.types import Float
 
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
-HIGH_MESH = 100.0  # a mesh that is higher is probably not in metres [m]
+# A mesh that is higher, wider or smaller is probably not in metres [m]
+HIGH_MESH, WIDE_MESH, SMALL_MESH = 100.0, 5000.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Scene:
     bounds: Float | None  # corners of all counted finite geoms, (2, 3) [m]; None without
     digest: str  # sha256 of the posed model: what its geoms are, where, and what they can do
     warnings: list[str]  # one line each
+    hints: list[str]  # those of them that say that axes or units look wrong
     # The compiled mujoco.MjModel; of a mesh file it has the names, the bodies and the ground, but a
     # tetrahedron in place of each part
     model: Any
@@ -81,7 +82,6 @@ def load_scene(
     with catch_warnings() as warned:
         data = pose_model(model, settings) if data is None else data
     digest = run_beside(lambda: start_digest(model, data, parts)())
-    lying = run_beside(_warn_lying, settings, parts)
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     try:
@@ -99,8 +99,9 @@ def load_scene(
             f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
         )
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
-    warnings += [*warn_out_of_range(model, settings), *lying()]
+    warnings += warn_out_of_range(model, settings)
     warnings += [*_warn_geometry(model, settings, parts), *notes, *collected.notes]
+    hints = [text for text in warnings if parts and ("`scene.up" in text or "`scene.unit`" in text)]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
@@ -111,7 +112,7 @@ def load_scene(
     ]  # fmt: skip
     return Scene(
         settings.id or stem_of(settings.path), geoms, collected.shapes, collected.shapes.bounds,
-        digest(), warnings, model, data, choices, parts, meshes,
+        digest(), warnings, hints, model, data, choices, parts, meshes,
     )  # fmt: skip
 
 
@@ -123,20 +124,6 @@ def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> O
         return load_isolated(settings, limits, warned)
 
 
-def _warn_lying(settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
-    """Warn of a mesh scene that is probably y up, unless the settings say which axis is."""
-    if not parts or "up" in settings.model_fields_set:
-        return []
-    if Path(settings.path).suffix.lower() in (".glb", ".gltf"):
-        reason = "glTF files are y up by their specification"
-    elif lies_on_side(parts.values()):
-        reason = "the mesh is lowest along y, and most of its surface faces along y"
-    else:
-        return []
-    hint = "if the scene lies on its side, set it to y (z silences this)"
-    return [f"{reason}, and `scene.up` is z: {hint}"]
-
-
 def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
     """Warn of geometry that can't be baked, of settings for mesh files, and of a probable unit."""
     notes = [
@@ -146,15 +133,21 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
         if len(starts)
     ]
     if not parts:
-        given = {"up": settings.up != "z", "unit": settings.unit != 1.0}
+        given = {"up": settings.up not in ("auto", "z"), "unit": settings.unit != 1.0}
         text = "is for mesh files and does nothing here"
         return [*notes, *(f"`scene.{name}` {text}" for name, is_given in given.items() if is_given)]
-    low, high = box_of(parts.values())[:, 2].tolist()
-    if high - low > HIGH_MESH and "unit" not in settings.model_fields_set:
-        notes.append(
-            f"the mesh is {high - low:.6g} m high: if it is in centimetres, set `scene.unit` to "
-            "0.01, in millimetres to 0.001 (1 silences this)"
-        )
+    sides = np.diff(box_of(parts.values()), axis=0)[0]
+    width, height = float(sides.max()), float(sides[2])
+    text = ""
+    if height > HIGH_MESH:
+        text = f"{height:.6g} m high"
+    elif not SMALL_MESH <= width <= WIDE_MESH:
+        text = f"{'only ' if width < SMALL_MESH else ''}{width:.6g} m large"
+    if text and "unit" not in settings.model_fields_set:
+        hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
+        if width < SMALL_MESH:
+            hint = "set `scene.unit` to the metres that one unit of it is, as 1000 for kilometres"
+        notes.append(f"the mesh is {text}: {hint} (1 silences this)")
     return notes
 
 

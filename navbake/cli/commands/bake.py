@@ -379,7 +379,10 @@ def _bake_one(
     stated = {name: value for name, value in given if value is not None}
     limits = CompileLimits(**stated) if isolation.isolate else None
     with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
-        result = run_bake(config, threads=threads, progress=progress, limits=limits)
+        asked: Any = {"threads": threads, "progress": progress, "limits": limits}
+        # with --quiet, all warnings follow on the bake
+        tell = None if VOLUME.quiet else lambda hint: print_warnings([hint])
+        result = run_bake(config, **asked, tell=tell)
     if not with_timings:
         result.grid.timings = {}
     begin = time.perf_counter()

@@ -595,16 +595,6 @@ def test_real_files():
     assert {3, 6, 9} <= set(np.round(points[:, 2], 6))
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "is_told"),
-    [("a.glb", {}, True), ("a.glb", {"up": "z"}, False), ("a.ply", {}, False)],
-)
-def test_tells_that_gltf_is_y_up(tmp_path, name, given, is_told):
-    trimesh.creation.box((1, 2, 3)).export(tmp_path / name)
-    warnings = load_scene(SceneSettings(path=tmp_path / name, **given)).warnings
-    assert any("set it to y" in warning for warning in warnings) == is_told
-
-
 # ---------------------------------------------------------------- bounds
 
 

@@ -1,0 +1,218 @@
+"""Which way a mesh is up: by its largest flat surfaces, and by what stands on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from navbake.baker.scene.mesh_scene import AXES, Direction, MeshPart, box_of, stated_up, turn_up
+from navbake.config.settings import SceneSettings
+from navbake.types import Bool, Float
+
+MOST_TRIANGLES = 30_000  # that are looked at; of more, each second one, or third, …
+# Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
+# is to be taken for one that lies on its side
+LYING = 1.5
+UNCLEAR = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
+NUM_AXES = 400  # of the hemisphere's directions in which surfaces are counted, 7° apart
+FACING = np.cos(np.radians(30.0))  # of a triangle, along its plane's normal: scans are noisy
+APART = np.cos(np.radians(40.0))  # of two directions that are looked at
+THICK = 0.08  # of what is one flat surface, on both sides [m]
+STANDING = 0.12, 1.1  # heights over a floor at which most furniture is [m]
+PLANES = 4  # flat surfaces that are looked at in a direction
+FLOOR, WALL = 0.5, 0.25  # shares of the largest one that floors have, and that is no furniture
+AWAY = 0.2  # of a floor's surface that may face down, beside what faces up
+SIZE_WEIGHT = 0.1  # of a flat surface, beside what stands on it
+LEAST = 4.0  # area of a floor; a mesh whose flat surfaces are smaller may be furniture [m²]
+CLEAR = 0.1, 1.3  # of its size, and times what is so in any other direction, that stands on it
+
+
+class Upright(NamedTuple):
+    """A direction that may be up.
+
+    Attributes:
+        direction: of unit length, in the frame of the mesh.
+        size: area of the largest flat surface that faces along it [m²].
+        standing: area of what stands on such surfaces: of no wall, at heights `STANDING` [m²].
+    """
+
+    direction: Float
+    size: float
+    standing: float
+
+
+def stand_up(
+    read: Callable[..., list[MeshPart]], settings: SceneSettings, warnings: list[str]
+) -> list[MeshPart]:
+    """Take the parts of a mesh in the world frame, as `scene.up` says; warn where that looks wrong.
+
+    `auto` is the axis that the file says, else z; but where a file that says nothing looks as if it
+    lay on its side, and what stands in it says so, too, it is that axis.
+
+    Args:
+        read: takes ``up``, a direction in the file, and gives the parts [m].
+    """
+    said = stated_up(Path(settings.path)) if settings.up == "auto" else None
+    is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)
+    up = (said or "z") if settings.up in ("auto", "level") else settings.up
+    parts = read(up=up)
+    ups, is_clear = find_up(parts)
+    if is_level:
+        if not is_clear:
+            warnings.append(
+                f"{UNCLEAR}: `scene.up: {_name(-ups[0].direction)}` turns the mesh over"
+            )
+        return _turned(parts, ups[0].direction)
+    turn = turn_up(up).T
+    best = turn @ ups[0].direction
+    lies = settings.up == "auto" and lies_on_side(parts)
+    if is_clear and lies and said is None and abs(ups[0].direction[1]) > FACING:
+        axis = _name(best)
+        warnings.append(
+            f"the mesh lies on its side, and is taken with {axis} up, as things stand on what "
+            f"faces that way: `scene.up: {axis}` silences this, `z` leaves it as it is"
+        )
+        return _turned(parts, AXES[axis])
+    if is_clear and ups[0].direction[2] < -FACING:
+        warnings.append(
+            f"this floor may be a ceiling: next to nothing stands on it, and "
+            f"{ups[0].standing:.1f} m² hang from a surface like it above: "
+            f"`scene.up: {_name(best)}` turns the mesh over"
+        )
+    elif lies:
+        axis = _name(np.abs(turn[:, 1]))
+        warnings.append(
+            f"the mesh is lowest along {axis}, and most of its surface faces along {axis}: if it "
+            f"lies on its side, set `scene.up` to {axis} ({up} silences this)"
+        )
+    return parts
+
+
+def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
+    turn = turn_up(up)
+    return [part._replace(vertices=part.vertices @ turn.T) for part in parts]
+
+
+def lies_on_side(parts: Collection[MeshPart]) -> bool:
+    """Whether a mesh in the world frame looks as if its y axis were the vertical one.
+
+    It does where its box is lowest along y, and the surface within 45° of facing along y has
+    `LYING` times the area of that facing along z, as floors and ceilings have of walls.
+    """
+    low, high = box_of(parts)
+    width, depth, height = np.subtract(high, low)
+    if not depth < min(width, height):
+        return False
+    _, normal, area = _take_triangles(parts)
+    faces_y, faces_z = (area[np.abs(normal[:, axis]) >= np.sqrt(0.5)].sum() for axis in (1, 2))
+    return bool(faces_y > LYING * faces_z)
+
+
+def _name(direction: Float) -> str:
+    """A direction as `scene.up` takes it: the axis that it is near to, or its numbers."""
+    name, axis = max(AXES.items(), key=lambda item: float(np.dot(item[1], direction)))
+    if np.dot(axis, direction) >= np.cos(np.radians(10.0)):
+        return name
+    return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"
+
+
+def find_up(parts: Collection[MeshPart]) -> tuple[list[Upright], bool]:
+    """The directions that may be up, the likeliest first, and whether that is clearly it.
+
+    Those in which large flat surfaces face, both ways, levelled by the planes fitted to them. Up is
+    where the most stands on these: things gather on floors, and spread along walls. It is clear
+    where as much is in no other direction. Of two that are alike, that nearer to +z comes first.
+    """
+    center, normal, area = _take_triangles(parts)
+    found = [_find_planes(axis, center, normal, area) for axis in _find_axes(normal, area)]
+    largest = max((planes[0].size for planes in found if planes), default=0.0)
+    rest = np.ones(len(area), dtype=np.bool_)
+    for plane in (plane for planes in found for plane in planes if plane.size > WALL * largest):
+        rest &= ~plane.own
+    center, area = center[rest], area[rest]
+    ups = list[Upright]()
+    for planes in found:
+        flats = [plane for plane in planes if plane.size >= FLOOR * largest]
+        for way in (1.0, -1.0):
+            floors = [plane for plane in flats if way * plane.facing >= -AWAY * plane.size]
+            if not floors:
+                continue
+            up, stands = way * floors[0].normal, np.zeros(len(area), dtype=np.bool_)
+            for plane in floors:
+                height = (center - plane.middle) @ up
+                stands |= (height >= STANDING[0]) & (height <= STANDING[1])
+            ups.append(Upright(up, floors[0].size, float(area[stands].sum())))
+    ups.sort(
+        key=lambda one: -round(one.standing + SIZE_WEIGHT * one.size, 3) - 1e-6 * one.direction[2]
+    )
+    least = [CLEAR[0] * ups[0].size, *(CLEAR[1] * one.standing for one in ups[1:])]
+    return ups, ups[0].size >= LEAST and ups[0].standing > max(least)
+
+
+def _take_triangles(parts: Collection[MeshPart]) -> tuple[Float, Float, Float]:
+    """Centres, unit normals and areas of triangles, or of so many as say enough."""
+    step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
+    corners = np.concatenate([part.vertices[part.faces[::step]] for part in parts])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    return corners.mean(axis=1), normal / np.maximum(size, 1e-300)[:, None], size / 2 * step
+
+
+def _find_axes(normal: Float, area: Float) -> list[Float]:
+    """Up to four directions in which most of the surface faces, either way."""
+    number = np.arange(NUM_AXES)
+    up = (number + 0.5) / NUM_AXES  # Fibonacci's lattice on a hemisphere
+    turn, wide = np.pi * (3.0 - np.sqrt(5.0)) * number, np.sqrt(1.0 - up * up)
+    axes = np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
+    nearest = np.concatenate([
+        np.abs(some @ axes.T).argmax(axis=1)
+        for some in np.array_split(normal, max(1, len(normal) // 8192))
+    ])  # fmt: skip
+    count = (np.abs(axes @ axes.T) >= FACING) @ np.bincount(nearest, area, NUM_AXES)
+    found: list[Float] = []
+    for _ in range(4):
+        best = start = axes[count.argmax()]
+        for _ in range(4):  # to the mean direction of what faces that way
+            own = np.abs(normal @ best) >= FACING
+            best = np.linalg.eigh((normal[own] * area[own, None]).T @ normal[own])[1][:, 2]
+        if all(abs(best @ other) < FACING for other in found):
+            found.append(best)
+        count[(np.abs(axes @ best) >= APART) | (np.abs(axes @ start) >= APART)] = 0.0
+        if not count.any():
+            break
+    return found
+
+
+class _Plane(NamedTuple):
+    size: float
+    facing: float  # the part of it that faces along the normal, less what faces away [m²]
+    middle: Float
+    normal: Float
+    own: Bool  # its triangles
+
+
+def _find_planes(axis: Float, center: Float, normal: Float, area: Float) -> list[_Plane]:
+    """The largest flat surfaces that face along an axis, the largest first."""
+    left, planes = np.abs(normal @ axis) >= FACING, list[_Plane]()
+    for _ in range(PLANES):
+        if not left.any():
+            break
+        slot, of = np.unique(np.floor(center[left] @ axis / THICK), return_inverse=True)
+        middle = axis * slot[np.bincount(of, area[left]).argmax()] * THICK
+        best, own = axis, left & (np.abs((center - middle) @ axis) <= 2 * THICK)
+        for _ in range(4):  # fitted to what lies near it
+            total = area[own].sum()
+            middle = area[own] @ center[own] / total
+            apart = center[own] - middle
+            spread, ways = np.linalg.eigh((apart * area[own, None]).T @ apart)
+            if spread[1] > 0.04 * total:  # a strip says little of its normal
+                best = ways[:, 0] if ways[:, 0] @ axis > 0 else -ways[:, 0]
+            near = left & (np.abs((center - middle) @ best) <= THICK)
+            own = near if near.any() else own
+        facing = float(area[own] @ np.sign(normal[own] @ best))
+        planes.append(_Plane(float(area[own].sum()), facing, middle, best, own))
+        left &= ~own
+    return sorted(planes, key=lambda plane: -plane.size)
