@@ -332,3 +332,13 @@ def test_window_joins_no_rooms(bake, name):
     # what the window parts is told of, and nothing else
     [warning] = result.warnings
     assert "no step leads to 15.6 m² of 'level 0'" in warning
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.08, 0.1])
+@pytest.mark.parametrize("name", ["20_doorway_0.9", "20b_doorway_1.0", "20c_room_split"])
+def test_flats_have_nine_rooms_at_any_size_of_cells(name, cell_size):
+    path = SHARED.parent / "hard_cases_2" / f"{name}.xml"
+    if not path.is_file():
+        pytest.skip(f"no scene {path}")
+    settings = {"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}}
+    assert len(run_bake(parse_config(settings)).grid.rooms) == 9
