@@ -367,3 +367,13 @@ def test_a_scan_upside_down_is_told_to_have_a_ceiling_for_a_floor():
     auto = bake_more("26_scan_y_down.ply")
     assert any("is taken with -y up" in text for text in auto.warnings)
     assert np.nanmax(np.abs(level_of(auto).floor_height)) < 0.03
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.08, 0.1])
+@pytest.mark.parametrize("name", ["20_doorway_0.9", "20b_doorway_1.0", "20c_room_split"])
+def test_flats_have_nine_rooms_at_any_size_of_cells(name, cell_size):
+    path = SHARED.parent / "hard_cases_2" / f"{name}.xml"
+    if not path.is_file():
+        pytest.skip(f"no scene {path}")
+    settings = {"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}}
+    assert len(run_bake(parse_config(settings)).grid.rooms) == 9

@@ -65,6 +65,8 @@ def test_runs_are_as_long_as_lines_go_on(angle):
             for way in (-1, 1):
                 c = col + way
                 while 0 <= c < len(shift) and 0 <= line[c] < len(run) and is_open[line[c], c]:
+                    if not (is_open[line[c], c - way] or is_open[line[c - way], c]):
+                        break  # between two closed cells that touch at their corners
                     length += 1
                     c += way
         assert run[row, col] == length
@@ -197,10 +199,11 @@ def share_of(scan, gaps, k, side, depth, whole):
             if here and whole[here] != own:
                 met.add(int(whole[here]))
                 break
-            middle = cell((top + bottom) // 2, col)
+            between = [cell(row, col) for row in range(top, bottom + 1)]
             far = cell((bottom if side == 0 else top) + down, col - lean)
-            if middle and far and scan.is_open[middle] and scan.label[far]:
-                if whole[scan.label[far]] == other:
+            is_through = far and all(at and scan.is_open[at] for at in between)
+            if is_through and scan.is_open[far]:
+                if whole[scan.label[far]] in (other, 0):
                     opened += 1
                 else:
                     met.add(int(whole[scan.label[far]]))

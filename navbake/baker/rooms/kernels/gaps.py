@@ -97,12 +97,16 @@ def measure_runs(is_open, shift):
             if is_open[row, col]:
                 before = row if col == 0 else row - shift[col] + shift[col - 1]
                 goes_on = col > 0 and 0 <= before < rows and is_open[before, col - 1]
+                # two lines of cells that touch at corners only don't cross
+                goes_on = goes_on and (is_open[before, col] or is_open[row, col - 1])
                 length[line] = length[line] + 1 if goes_on else 1
                 run[row, col] = length[line]
     for col in range(cols - 2, -1, -1):
         for row in range(rows):
             after = row - shift[col] + shift[col + 1]
-            if run[row, col] > 0 and 0 <= after < rows and run[after, col + 1] > 0:
+            if run[row, col] == 0 or not 0 <= after < rows or run[after, col + 1] == 0:
+                continue
+            if is_open[after, col] or is_open[row, col + 1]:
                 run[row, col] = run[after, col + 1]
     return run
 
@@ -269,11 +273,16 @@ def _measure_line(scan, gaps, k, line, whole, met):
                 met.append((k, here))
                 break
             if 0 <= col < cols and 0 <= far < cols:
-                middle = (top + bottom) // 2 + shift[col] - shift[start]
+                on = shift[col] - shift[start]
                 opposite = far_row - down + shift[far] - shift[start]
-                if 0 <= middle < rows and 0 <= opposite < rows and is_open[middle, col]:
+                is_through = top + on >= 0 and bottom + on < rows and 0 <= opposite < rows
+                # no wall anywhere between: one row may miss a thin wall at an angle
+                for middle in range(top + on, bottom + on + 1 if is_through else 0):
+                    is_through &= is_open[middle, col]
+                if is_through and is_open[opposite, far]:
                     there = np.int64(whole[label[opposite, far]])
-                    if there == other:
+                    # another gap that ends here has no label: the line goes on beyond it
+                    if there == other or there == 0:
                         opened += 1
                     elif there > 0 and met[-1] != (k, there):
                         met.append((k, there))
