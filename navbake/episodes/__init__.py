@@ -15,16 +15,32 @@ from navbake.episodes.episode import (
     digest_of,
 )
 from navbake.episodes.files import read_episodes, write_episodes
+from navbake.episodes.sampler import (
+    PRESETS,
+    Rules,
+    Splits,
+    Task,
+    make_episodes,
+    make_rules,
+    make_task,
+)
 
 __all__ = [
+    "PRESETS",
     "Agent",
     "Episode",
     "EpisodeSet",
     "Goal",
     "GridEntry",
     "Header",
+    "Rules",
+    "Splits",
+    "Task",
     "ViewPoint",
     "digest_of",
+    "make_episodes",
+    "make_rules",
+    "make_task",
     "read_episodes",
     "write_episodes",
 ]
