@@ -177,6 +177,12 @@ def make_task(name: str = "point", **given: Any) -> Task:
     return task
 
 
+def make_splits(shares: Mapping[str, float], by: str = "scene") -> Splits:
+    """Parts of a set; raises a ConfigError for what doesn't fit, see `Splits`."""
+    splits: Splits = _convert({"shares": shares, "by": by}, Splits)
+    return splits
+
+
 def _convert(values: Mapping[str, Any], kind: Any) -> Any:
     try:
         return msgspec.convert(dict(values), kind, strict=False)
