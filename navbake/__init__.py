@@ -22,7 +22,7 @@ from navbake.errors import (
 from navbake.lazy import resolve
 
 if TYPE_CHECKING:
-    from navbake import samples, tensors
+    from navbake import episodes, samples, scores, tensors
     from navbake.arena.explored import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
@@ -61,6 +61,7 @@ __all__ = [
     "audit",
     "bake",
     "create_voxel_grid",
+    "episodes",
     "from_nav2",
     "from_npz",
     "from_procthor",
@@ -68,6 +69,7 @@ __all__ = [
     "load_voxels",
     "report",
     "samples",
+    "scores",
     "tensors",
     "verify",
     "view",
@@ -96,7 +98,12 @@ _LAZY = {
     "view": "navbake.views.viewer.view:view",
 }
 
-_MODULES = ("samples", "tensors")  # of navbake, loaded when they are first asked for
+_MODULES = (
+    "episodes",
+    "samples",
+    "scores",
+    "tensors",
+)  # of navbake, loaded when they are first asked for
 
 
 def __getattr__(name: str) -> Any:

@@ -41,9 +41,10 @@ VERIFIER_SHARES += ("navbake.baker.scene.model",)
 # what the scene has besides, made by code that is checked
 VERIFIER_LEAVES = ("shapes", "bounds")
 LIGHT = ("navgrid", "formats", "runtime", "voxels", "arena", "views", "files", "errors", "types")
-LIGHT += ("auditor", "tensors")
+LIGHT += ("auditor", "tensors", "episodes", "scores")
 # from below: what pictures and pages are made of knows nothing of them
 BELOW_VIEWS = ("navgrid", "formats", "runtime", "tensors", "voxels", "arena", "auditor", "verifier")
+BELOW_VIEWS += ("episodes", "scores")
 NEVER_AT_RUN_TIME = ("mujoco", "fcl", "trimesh", "navbake.baker")
 
 

@@ -19,6 +19,7 @@ from navbake._version import __version__
 from navbake.cli.commands.ask import audit, info, path, rooms, verify, why
 from navbake.cli.commands.bake import bake, geoms, init, samples, voxelize
 from navbake.cli.commands.batch import batch, warm_up
+from navbake.cli.commands.episodes import episodes, score
 from navbake.cli.commands.exchange import convert, inflate, map_descriptor
 from navbake.cli.commands.look import plot, report, view
 from navbake.cli.options import Command, prepared
@@ -36,6 +37,7 @@ COMMANDS = {
     "Ask": (info, rooms, why, path),
     "Look": (plot, report, view),
     "Exchange": (convert, inflate, map_descriptor),
+    "Benchmark": (episodes, score),
     "Check": (verify, audit),
     "Many": (batch, warm_up),
 }

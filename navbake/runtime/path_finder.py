@@ -1,6 +1,5 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
@@ -90,10 +89,11 @@ class PathFinder(DrawQuestions):
     def distances(
         self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
     ) -> Float:
-        """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path."""
-        cells = self._search.flat.cells_at(starts, level)
-        field = find_field(self.search, goal, level, weighted=weighted)
-        return np.where(cells >= 0, field[cells], np.inf)
+        """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path.
+
+        `many.distances` has those to several goals, one by one.
+        """
+        return self.many.distances(starts, [goal], level=level, weighted=weighted)[..., 0]
 
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"

@@ -4,6 +4,7 @@ Everything is answered for arrays of positions; the answer for one is that for a
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime import flat_grid
 from navbake.runtime.flat_grid import REAL, FlatGrid
-from navbake.runtime.paths import Goal, Path, cells_named, find_path
+from navbake.runtime.paths import Goal, Path, cells_named, find_field, find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
@@ -120,6 +121,27 @@ class ManyPlaces:
             find_path(self._search, start, goal, level, smooth=smooth)
             for start, goal in zip(p, targets, strict=True)
         ]
+
+    def distances(
+        self,
+        starts: ArrayLike,
+        goals: Sequence[Goal],
+        *,
+        level: int | None = None,
+        weighted: bool = True,
+    ) -> Float:
+        """`PathFinder.distances` from each start to each of several goals, one field a goal.
+
+        Each of the `goals` is one as in `PathFinder`: of an array of shape (m, 3), each row.
+        Returns shape (..., m), float64, for starts of shape (..., 3), inf where no path leads.
+        """
+        self._search.update()
+        cells = self._search.flat.cells_at(starts, level)
+        found = np.full((*cells.shape, len(goals)), np.inf)
+        for k, goal in enumerate(goals):
+            field = find_field(self._search, goal, level, weighted=weighted)
+            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
+        return found
 
 
 class PlaceQuestions:

@@ -1,0 +1,199 @@
+"""The commands `episodes` and `score`: sets of episodes from grids, and how agents did in them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from typer import Argument, BadParameter
+
+import navbake
+from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option
+from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
+from navbake.errors import ConfigError, QueryError
+from navbake.views.tables import make_table
+
+# Functions import what reads grids when they run: --help stays quick.
+
+SETS = (".jsonl", ".jsonl.gz", ".parquet")
+
+
+class Goals(NamedTuple):
+    """Options that say what is to be reached."""
+
+    task: str = option(
+        "TASK", "point, object, room, sequence or explore.", "--task", default="point"
+    )
+    objects: list[str] | None = option(
+        "PATTERN", "Objects by name. May be repeated.  [default: all, by category]", "--object"
+    )
+    categories: Path | None = option("YAML", "Patterns of objects' names by category.")
+    rooms: list[str] | None = option(
+        "PATTERN", "Rooms by id or name. May be repeated.  [default: all]", "--room"
+    )
+    reach: float | None = option("METRES", "How near to the goal counts as reached [m].")
+    length: int = option("N", "Goals of a sequence.", default=3, min=2)
+    share: float = option("SHARE", "Of the free area to explore.", default=0.9)
+
+
+class Drawn(NamedTuple):
+    """Options that say how episodes are drawn."""
+
+    sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform")
+    rule: list[str] | None = option(
+        "KEY=VALUE", "Another rule of the sampler, e.g. min_distance=2. May be repeated."
+    )
+    total: int | None = option(
+        "N", "Episodes in all.  [default: 100 for each scene]", "--count", min=1
+    )
+    per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1)
+    seed: int = option("N", "Seed of the draw.", default=0, min=0)
+    split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated.")
+    split_by: str = option("scene|room", "What is in one part whole.", default="scene")
+
+
+class Robot(NamedTuple):
+    """Options of the agent."""
+
+    radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m].")
+    height: float | None = option("METRES", "Of the agent, at most the grid's [m].")
+    speed: float | None = option("M/S", "Of the agent, as a note [m/s].")
+
+
+def episodes(
+    grids: Annotated[list[Path], Argument(metavar="GRID…", help="NavGrid files.")],
+    goals: Goals,
+    drawn: Drawn,
+    robot: Robot,
+    output: Path = option(
+        "SET", "File to write (.jsonl, .jsonl.gz or .parquet).", *OUTPUT, default=...
+    ),
+) -> None:
+    """Draw episodes on grids: starts, goals and distances; all can be solved.
+
+    Example: navbake episodes house.grid.json -o house.jsonl --count 50 --sampler habitat
+    """
+    if drawn.total is not None and drawn.per_scene is not None:
+        raise BadParameter("expected one of them", param_hint="--count, --per-scene")
+    check_output(output, *SETS, inputs=grids)
+    from navbake.episodes import sampler  # loads numpy
+    from navbake.episodes.files import write_episodes  # loads numpy
+
+    given: dict[str, Any] = {"radius": goals.reach, "rooms": goals.rooms or ()}
+    given |= {"length": goals.length, "share": goals.share, "objects": goals.objects or ()}
+    if goals.categories is not None:
+        given["objects"] = _read_categories(goals.categories)
+    pairs = [text.partition("=") for text in drawn.rule or []]
+    for key, mark, _ in pairs:
+        if not mark:
+            raise BadParameter(f"expected KEY=VALUE, got {key!r}", param_hint="--rule")
+    values = {k: v.split(",") if k == "edges" else v for k, _, v in pairs}
+    shares = sampler.shares_of(drawn.split or [])
+    count = drawn.total or (drawn.per_scene or 100) * len(grids)
+    content = sampler.make_episodes(
+        [navbake.load(grid) for grid in grids],
+        sampler.make_task(goals.task, **given),
+        sampler.make_rules(drawn.sampler, **values),
+        count=count,
+        seed=drawn.seed,
+        **robot._asdict(),
+        splits=sampler.make_splits(shares, drawn.split_by),
+        files=[grid.name for grid in grids],
+    )
+    write_episodes(content, output)
+    refused = content.header.rejected
+    say_unless_quiet(f"{output}: {len(content)} episodes, {sum(refused.values())} draws refused")
+    for reason, number in refused.items():
+        say_unless_quiet(f"  {number:>8} {reason}")
+    if len(content) < count:
+        say(f"only {len(content)} of {count}: the rules refuse the rest")
+
+
+def _read_categories(path: Path) -> Any:
+    """Read patterns of names by category."""
+    import yaml  # --help does without it
+
+    try:
+        found = yaml.safe_load(path.read_bytes())
+    except (OSError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
+    if not isinstance(found, dict) or not found:
+        raise ConfigError(f"expected CATEGORY: [PATTERN, …] in {path}")
+    return {str(k): [v] if isinstance(v, str) else v for k, v in found.items()}
+
+
+def score(
+    content: Annotated[Path, Argument(metavar="SET", help="The episodes.")],
+    trajectories: Annotated[Path, Argument(metavar="TRAJECTORIES", help=".jsonl or .npz.")],
+    grids: Annotated[
+        list[Path] | None,
+        Argument(metavar="GRID…", help="Grids of the set.  [default: those it names, beside it]"),
+    ] = None,
+    by: str = option("GROUP", "all, distance, room, scene or split.", default="all"),
+    threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
+    seed: int = option("N", "Seed of the intervals.", default=0, min=0),
+    partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
+    force: bool = flag("--force", "Score on another grid, or for another agent."),
+    as_json: AsJson = False,
+    output: Path | None = option("CSV", "Write a row for each episode.", *OUTPUT),
+) -> None:
+    """Score trajectories in a set of episodes, with intervals of 95 %.
+
+    Example: navbake score house.jsonl runs.jsonl house.grid.json -o scores.csv
+    """
+    if output is not None:
+        check_output(output, ".csv", inputs=[content, trajectories, *(grids or [])])
+    from navbake import scores  # loads numpy
+    from navbake.episodes import read_episodes  # loads numpy
+    from navbake.formats.source import write_bytes  # loads numpy
+
+    wanted = read_episodes(content)
+    files = grids or [_find(content, entry.file) for entry in wanted.header.grids if entry.file]
+    if not files:
+        raise QueryError(f"expected the grids of {content}, which names none: give them")
+    runs = scores.read_trajectories(trajectories)
+    rows = scores.score_set(
+        wanted, runs, [navbake.load(file) for file in files], threshold=threshold, force=force,
+        partial=partial,
+    )  # fmt: skip
+    groups = scores.summarize(rows, by, seed=seed)
+    if as_json:
+        print_json([_plain(group) for group in groups])
+    else:
+        for group in groups:
+            say(f"{group['group']}: {group['episodes']} episodes")
+            known = [(key, group[key]) for key in scores.MEANS if group[key].known]
+            cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
+            print_tables(make_table(("measure", "mean", "95 %"), cells))
+    if output is not None:
+        write_bytes(_as_csv(rows), output)
+
+
+def _find(content: Path, name: str) -> Path:
+    """A grid that a set names: beside it, or in the current folder."""
+    beside = content.parent / name
+    return beside if beside.exists() else Path(name)
+
+
+def _plain(group: dict[str, Any]) -> dict[str, Any]:
+    """A group's means as JSON has them: null for what is not known."""
+    return {
+        key: {k: None if math.isnan(v) else v for k, v in value._asdict().items()}
+        if hasattr(value, "_asdict")
+        else value
+        for key, value in group.items()
+    }
+
+
+def _as_csv(rows: Sequence[dict[str, Any]]) -> bytes:
+    """Rows as CSV; what is not known stays empty."""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, list(rows[0]) if rows else ["episode"], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
+    return file.getvalue().encode()

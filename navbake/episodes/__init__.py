@@ -1,0 +1,46 @@
+"""Tasks for agents in baked scenes: sets of episodes, made, read, written and converted.
+
+`make_episodes` draws a set on grids, `read_episodes` and `write_episodes` keep it in a file.
+`navbake.scores` says how well an agent did.
+"""
+
+from navbake.episodes.episode import (
+    Agent,
+    Episode,
+    EpisodeSet,
+    Goal,
+    GridEntry,
+    Header,
+    ViewPoint,
+    digest_of,
+)
+from navbake.episodes.files import read_episodes, write_episodes
+from navbake.episodes.sampler import (
+    PRESETS,
+    Rules,
+    Splits,
+    Task,
+    make_episodes,
+    make_rules,
+    make_task,
+)
+
+__all__ = [
+    "PRESETS",
+    "Agent",
+    "Episode",
+    "EpisodeSet",
+    "Goal",
+    "GridEntry",
+    "Header",
+    "Rules",
+    "Splits",
+    "Task",
+    "ViewPoint",
+    "digest_of",
+    "make_episodes",
+    "make_rules",
+    "make_task",
+    "read_episodes",
+    "write_episodes",
+]

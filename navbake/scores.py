@@ -1,0 +1,468 @@
+"""How well agents did: measures of trajectories against the episodes of a set.
+
+The functions of arrays take numpy's; with `xp` they compute by ``jax.numpy`` or ``torch`` instead,
+without branches on values. `Measures` follows one episode step by step, and `score_set` scores a
+set's trajectories by it.
+
+Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
+of the goal; where a position is in a cell in which no agent can stand, from the nearest place where
+one can, and the way to it. Success and SPL use the same distances.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from navbake.episodes.episode import Episode, EpisodeSet, scene_of
+from navbake.episodes.files import decode, read_text
+from navbake.episodes.goals import SNAP, cells_of, fit_grid
+from navbake.episodes.sampler import EDGES
+from navbake.errors import FormatError, QueryError
+from navbake.formats.source import read_bytes
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.paths import run_of
+from navbake.types import Float, Json
+
+THRESHOLD = 3.0  # of nDTW, as VLN-CE has it [m]
+SPACING = 0.25  # of the points of a path that nDTW compares with, where the episode has none [m]
+SAMPLES = 1000  # of a bootstrap
+ARRIVED = 1e-6  # metres by which a step may miss its end
+MEANS = (
+    "success", "spl", "soft_spl", "distance", "oracle_success", "ndtw", "length", "collisions",
+    "time", "coverage",
+)  # fmt: skip
+"""The measures of an episode of which a table has means."""
+GROUPS = ("all", "distance", "room", "scene", "split")
+
+
+# ---------------------------------------------------------------- functions of arrays
+
+
+def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
+    """1.0 where the agent stopped within the radius, else 0.0; a NaN distance is no success."""
+    one, none = xp.ones_like(distance), xp.zeros_like(distance)
+    return xp.where((distance <= radius) & stopped, one, none)
+
+
+def spl(succeeded: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
+    """Success weighted by path length: S l / max(l, p).
+
+    0 where S is 0, whatever l and p are; S where l is 0; NaN where S is 1 and l is not finite.
+
+    Args:
+        succeeded: S, 0 or 1, float, shape (...).
+        shortest: l, of the shortest path from the start [m].
+        length: p, that the agent went [m].
+        xp: the module that computes.
+
+    Source: Anderson et al., "On Evaluation of Embodied Navigation Agents" (2018).
+    """
+    return xp.where(succeeded > 0, succeeded * _efficiency(shortest, length, xp), succeeded * 0.0)
+
+
+def soft_spl(distance: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
+    """Progress weighted by path length: max(0, 1 - d / l) l / max(l, p).
+
+    d is the distance at the end [m]; the others as in `spl`. Where l is 0, 1 if d is, else 0. NaN
+    where l or d is not known.
+
+    Source: Datta et al., "Integrating Egocentric Localization" (2020).
+    """
+    whole = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
+    progress = 1.0 - xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
+    progress = xp.where(progress < 0, xp.zeros_like(progress), progress)
+    return progress * _efficiency(shortest, length, xp)
+
+
+def _efficiency(shortest: Any, length: Any, xp: Any) -> Any:
+    """L / max(l, p), 1 where l is 0, NaN where l is not finite."""
+    is_known = xp.isfinite(shortest)
+    least = xp.where(is_known & (shortest > 0), shortest, xp.ones_like(shortest))
+    ratio = least / xp.where(length > least, length, least)
+    ratio = xp.where(shortest > 0, ratio, xp.ones_like(ratio))
+    return xp.where(is_known, ratio, xp.full_like(ratio, math.nan))
+
+
+def path_length(positions: ArrayLike) -> float:
+    """Length of the straight moves between positions, shape (n, 3) [m]; 0 for one or none."""
+    p = np.asarray(positions, dtype=np.float64)
+    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum()) if len(p) > 1 else 0.0
+
+
+def ndtw(path: ArrayLike, reference: ArrayLike, threshold: float = THRESHOLD) -> float:
+    """exp(-DTW / (n threshold)) of a path and a reference of n points, shapes (m, 3) and (n, 3).
+
+    DTW sums the distances of points in the best order-keeping match; NaN where one has no points.
+
+    Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
+    Dynamic Time Warping" (2019).
+    """
+    p, q = (np.asarray(v, dtype=np.float64) for v in (path, reference))
+    if not len(p) or not len(q):
+        return math.nan
+    apart = np.linalg.norm(p[:, None] - q, axis=-1)
+    total = np.full((len(p) + 1, len(q) + 1), np.inf)
+    total[0, 0] = 0.0
+    # cells of one anti-diagonal depend on the two before it alone
+    for diagonal in range(2, len(p) + len(q) + 1):
+        i = np.arange(max(1, diagonal - len(q)), min(len(p), diagonal - 1) + 1)
+        j = diagonal - i
+        best = np.minimum(np.minimum(total[i - 1, j], total[i, j - 1]), total[i - 1, j - 1])
+        total[i, j] = apart[i - 1, j - 1] + best
+    return float(math.exp(-total[-1, -1] / (len(q) * threshold)))
+
+
+class Interval(NamedTuple):
+    """A mean and where it lies with some certainty; NaN for nothing."""
+
+    mean: float
+    low: float
+    high: float
+    known: int  #: How many values are known.
+
+
+def bootstrap(
+    values: ArrayLike, *, seed: int = 0, samples: int = SAMPLES, certainty: float = 0.95
+) -> Interval:
+    """Mean of values and its percentile bootstrap interval; NaN values are left out."""
+    known = np.asarray(values, dtype=np.float64).ravel()
+    known = known[~np.isnan(known)]
+    if not len(known):
+        return Interval(math.nan, math.nan, math.nan, 0)
+    rng = np.random.default_rng(seed)
+    means = [known[rng.integers(len(known), size=len(known))].mean() for _ in range(samples)]
+    low, high = np.quantile(means, [(1 - certainty) / 2, (1 + certainty) / 2])
+    return Interval(float(known.mean()), float(low), float(high), len(known))
+
+
+# ---------------------------------------------------------------- one episode
+
+
+class Measures:
+    """Follows one episode step by step.
+
+    ``step`` takes where the agent is now, ``scores`` says how it did up to now. The way counts from
+    the episode's start, whether or not that is the first position.
+
+    Args:
+        finder: asks the grid of the set, inflated for its agent.
+        episode: the task.
+        threshold: of nDTW [m].
+
+    Raises:
+        QueryError: no agent can get to the goal on this grid, or the start is in no cell.
+    """
+
+    def __init__(
+        self, finder: PathFinder, episode: Episode, *, threshold: float = THRESHOLD
+    ) -> None:
+        self.finder, self.episode, self.threshold = finder, episode, threshold
+        self.explores = episode.goals[0].share is not None
+        self.radius = episode.goals[0].radius
+        in_order = [[g] for g in episode.goals] if episode.task == "sequence" else [episode.goals]
+        cells = [] if self.explores else [
+            np.unique(np.concatenate([cells_of(finder, goal) for goal in goals]))
+            for goals in in_order
+        ]  # fmt: skip
+        if any(not len(each) for each in cells):
+            raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
+        self._places = [finder.search.flat.positions(each) for each in cells]
+        self._fields = [finder.search.field(each, weighted=False) for each in cells]
+        legs = [f[c].min() for f, c in zip(self._fields[1:], cells, strict=False)]
+        # what is left after each goal
+        self._rest = np.append(np.cumsum(legs[::-1])[::-1], 0.0) if cells else np.zeros(1)
+        self._passed = 0
+        self._positions, self._distances = [np.array(episode.start)], [math.nan]
+        self._times: list[float] = []
+        self.shortest = self._distances[0] = self._look(self._positions[0][None], "start")[0]
+
+    @property
+    def distance(self) -> float:
+        """What is left of the shortest path to the goal, through all that are still ahead [m]."""
+        return self._distances[-1]
+
+    def step(self, position: ArrayLike, time: float | None = None) -> float:
+        """Take where the agent is now, world x, y, z [m], and when [s]; returns `distance`."""
+        self.steps(np.asarray(position, dtype=np.float64)[None], None if time is None else [time])
+        return self.distance
+
+    def steps(self, positions: ArrayLike, times: Sequence[float] | None = None) -> None:
+        """Take many positions, shape (n, 3)."""
+        p = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+        self._distances += self._look(p, "position")
+        self._positions += list(p)
+        self._times += [] if times is None else [float(t) for t in times]
+
+    def _look(self, p: Float, what: str) -> list[float]:
+        """The distance at each position; moves on to the next goal where one is reached."""
+        bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
+        flat, name = self.finder.search.flat, self.episode.id
+        if len(bad):
+            raise QueryError(f"expected finite numbers at {what} {bad[0]} of episode {name!r}")
+        cells = flat.cells_at(p)
+        if (cells < 0).any():
+            k = int(np.argmax(cells < 0))
+            where = ", ".join(f"{v:g}" for v in p[k])
+            raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
+        if self.explores:
+            return [math.nan] * len(p)
+        aside = np.zeros(len(p))
+        blocked = np.flatnonzero(~flat.free[cells])
+        if len(blocked):
+            near = self.finder.many.snap(p[blocked], max_distance=SNAP)
+            found = ~np.isnan(near[:, 0])
+            cells[blocked[found]] = flat.cells_at(near[found])
+            aside[blocked] = np.linalg.norm(near - p[blocked], axis=1)  # NaN where there is none
+        distances = []
+        for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
+            left = float(self._fields[self._passed][cell]) + more
+            while left <= self.radius and self._passed < len(self._fields) - 1:
+                self._passed += 1
+                left = float(self._fields[self._passed][cell]) + more
+            distances.append(left + float(self._rest[self._passed]))
+        return [math.inf if math.isnan(d) else d for d in distances]
+
+    def scores(self, *, stopped: bool) -> Json:
+        """All measures up to now; NaN where one has no meaning for the task."""
+        way, ends = np.array(self._positions), self.distance
+        best = float(np.min(self._distances))
+        if self.episode.extra.get("success") == "planar":
+            to_goal = [np.hypot(*(self._places[-1] - p)[:, :2].T).min() for p in way]
+            ends_at, best_at = float(to_goal[-1]), float(min(to_goal))
+        else:
+            ends_at, best_at = ends, best
+        coverage, length = math.nan, path_length(way)
+        if self.explores:
+            coverage = self._coverage(way)
+            is_done = stopped and coverage >= (self.episode.goals[0].share or 0.0)
+            reached, oracle = float(is_done), float(coverage >= (self.episode.goals[0].share or 0))
+        else:
+            reached = float(success(np.array(ends_at), self.radius, np.array(stopped)))
+            oracle = float(success(np.array(best_at), self.radius, np.array(True)))
+        times = self._times
+        shortest = np.array(math.nan if self.explores else self.shortest)
+        return {
+            "success": reached,
+            "spl": math.nan if self.explores else float(spl(np.array(reached), shortest, length)),
+            "soft_spl": float(soft_spl(np.array(ends), shortest, np.array(length))),
+            "distance": ends,
+            "oracle_success": oracle,
+            "ndtw": math.nan if self.explores else ndtw(way, self._reference(), self.threshold),
+            "length": length,
+            "collisions": float(self._collisions(way)),
+            "time": times[-1] - times[0] if times else math.nan,
+            "coverage": coverage,
+            "shortest": float(shortest),
+        }
+
+    def _collisions(self, way: Float) -> int:
+        """Moves that no agent can make straight, as they meet a cell that isn't free."""
+        flat, many = self.finder.search.flat, self.finder.many
+        starts, ends = way[:-1], way[1:]
+        is_free = flat.free[flat.cells_at(starts)]
+        arrived = many.try_step(starts[is_free], ends[is_free], slide=False)
+        off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
+        return int((~is_free).sum() + (off > ARRIVED).sum())
+
+    def _coverage(self, way: Float) -> float:
+        """Share of the start's island within the radius along the floor of where the agent was."""
+        search = self.finder.search
+        flat, number = search.flat, search.islands.number
+        home = number[flat.cells_at(way[0])]
+        cells = np.unique(flat.cells_at(way))
+        cells = cells[number[cells] == home] if home else cells[:0]
+        if not len(cells):
+            return 0.0
+        near = (search.field(cells, weighted=False) <= self.radius) & (number == home)
+        size = flat.layout.cell_size[flat.level_of(np.flatnonzero(near))]
+        return float((size**2).sum() / search.islands.areas[home])
+
+    def _reference(self) -> Float:
+        """The path to compare with: the episode's, or the shortest, in points `SPACING` apart."""
+        if self.episode.path:
+            return np.array(self.episode.path)
+        here, points = np.array(self.episode.start), [np.array([self.episode.start])]
+        for places in self._places:
+            path = self.finder.find_path(here, places)
+            if path is None:
+                return np.empty((0, 3))
+            run = run_of(path.positions)
+            at = np.linspace(0.0, run[-1], max(1, math.ceil(run[-1] / SPACING)) + 1)[1:]
+            points.append(np.stack([np.interp(at, run, v) for v in path.positions.T], axis=1))
+            here = path.positions[-1]
+        return np.concatenate(points)
+
+
+# ---------------------------------------------------------------- a set
+
+
+class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where an agent was in one episode.
+
+    Attributes:
+        episode: the episode's id.
+        positions: world x, y, z [m]; maybe none.
+        stop: whether the agent said that it is done.
+        times: of the positions [s].
+    """
+
+    episode: str
+    positions: Sequence[tuple[float, float, float]]
+    stop: bool = True
+    times: Sequence[float] | None = None
+
+
+def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
+    """Read trajectories: JSON lines, one each with the fields of `Trajectory`, or an ``.npz``.
+
+    The archive has the arrays ``episode`` (ids, shape (k,)), ``start`` (int, shape (k + 1,)),
+    ``positions`` (shape (n, 3); those of trajectory i are ``start[i]:start[i + 1]``), and maybe
+    ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
+
+    Raises:
+        FormatError: it is neither.
+    """
+    if os.fspath(path).lower().endswith(".npz"):
+        return _read_npz(path)
+    text, name = read_text(path)
+    lines = [line for line in text.splitlines() if line.strip()]
+    return [
+        decode(line, Trajectory, f"{name}, line {number}")
+        for number, line in enumerate(lines, start=1)
+    ]
+
+
+def _read_npz(path: str | os.PathLike[str]) -> list[Trajectory]:
+    data, name = read_bytes(path)
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = dict(file)
+        ids, start, points = (arrays[key] for key in ("episode", "start", "positions"))
+        stop = arrays.get("stop", np.ones(len(ids), dtype=np.bool_))
+        times = arrays.get("times")
+        fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
+        fits &= len(stop) == len(ids) and (times is None or len(times) == len(points))
+        if not fits or start[0] != 0 or start[-1] != len(points) or (np.diff(start) < 0).any():
+            raise ValueError("arrays of other shapes")
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
+        raise FormatError(f"expected {wanted} in {name}, got {error}") from error
+    return [
+        Trajectory(
+            episode=str(ids[k]), positions=points[a:b].tolist(), stop=bool(stop[k]),
+            times=None if times is None else times[a:b].tolist(),
+        )
+        for k, (a, b) in enumerate(pairwise(start.tolist()))
+    ]  # fmt: skip
+
+
+def score_set(
+    content: EpisodeSet,
+    trajectories: Iterable[Trajectory],
+    grids: NavGrid | Sequence[NavGrid],
+    *,
+    threshold: float = THRESHOLD,
+    force: bool = False,
+    partial: bool = False,
+) -> list[Json]:
+    """Score trajectories: a row for each of the set's episodes, in its order.
+
+    Args:
+        content: the set.
+        trajectories: one for each episode.
+        grids: that the set was made on; they are inflated for its agent if need be.
+        threshold: of nDTW [m].
+        force: score on other grids, or for another agent.
+        partial: leave out episodes without a trajectory; else they are an error.
+
+    Returns:
+        Rows with ``episode``, ``scene``, ``room``, ``split``, ``ratio`` and `Measures.scores`.
+
+    Raises:
+        QueryError: a grid isn't the set's, a trajectory has no episode, or the other way round, or
+            leaves the map.
+    """
+    by_id: dict[str, Trajectory] = {}
+    for trajectory in trajectories:
+        if trajectory.episode in by_id:
+            raise QueryError(f"expected one trajectory of episode {trajectory.episode!r}, got two")
+        by_id[trajectory.episode] = trajectory
+    chosen = [e for e in content.episodes if e.id in by_id]
+    if unknown := by_id.keys() - {e.id for e in chosen}:
+        raise QueryError(f"the set has no episode {min(unknown)!r} as a trajectory has")
+    if len(chosen) < len(content) and not partial:
+        first = next(e.id for e in content.episodes if e.id not in by_id)
+        raise QueryError(
+            f"{len(content) - len(chosen)} of {len(content)} episodes have no trajectory, as "
+            f"{first!r}: a run that failed counts as an empty one, or score a part of the set"
+        )
+    agent = content.header.agent
+    finders: dict[str, PathFinder] = {}
+    for given in [grids] if not isinstance(grids, Sequence) else grids:
+        grid = given if agent is None or force else fit_grid(given, agent.radius)
+        if not force:
+            content.check_grid(grid)
+        finders[scene_of(grid)] = PathFinder(grid)
+    rows = []
+    for episode in chosen:
+        if episode.scene not in finders:
+            raise QueryError(f"no grid of {episode.scene!r}, the scene of episode {episode.id!r}")
+        trajectory = by_id[episode.id]
+        times = trajectory.times
+        if times is not None and len(times) != len(trajectory.positions):
+            raise QueryError(f"expected a time for each position of episode {episode.id!r}")
+        measures = Measures(finders[episode.scene], episode, threshold=threshold)
+        measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
+        facts: Json = {"episode": episode.id, "scene": episode.scene, "room": episode.room}
+        facts |= {"split": episode.split, "ratio": episode.ratio}
+        rows.append(facts | measures.scores(stopped=trajectory.stop))
+    return rows
+
+
+def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int = 0) -> list[Json]:
+    """Means with their intervals, of all rows or of classes of them: `Interval` by measure.
+
+    Each has the name of its class as ``group``, and the number of its ``episodes``. ``distance``
+    makes classes of the shortest path's length. Infinite distances are left out.
+
+    Raises:
+        QueryError: there are no such classes.
+    """
+    if by not in GROUPS:
+        raise QueryError(f"expected one of {', '.join(GROUPS)} to group by, got {by!r}")
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in sorted(rows, key=lambda row: row["shortest"]) if by == "distance" else rows:
+        name = by if by == "all" else str(row.get(by))
+        if by == "distance":
+            name = _class_of(row["shortest"])
+        groups.setdefault(name, []).append(row)
+    found = []
+    for name, members in groups.items():
+        columns = {key: np.array([row[key] for row in members], dtype=float) for key in MEANS}
+        means = {
+            key: bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
+            for key, values in columns.items()
+        }
+        found.append({"group": name, "episodes": len(members), **means})
+    return found
+
+
+def _class_of(distance: float) -> str:
+    """The class of a path's length, as a table names it."""
+    edges = [0.0, *EDGES["distance"]]
+    if math.isnan(distance):
+        return "-"
+    number = int(np.searchsorted(edges, distance, side="right"))
+    above = f" to {edges[number]:g}" if number < len(edges) else " and more"
+    return f"{edges[number - 1]:g}{above} m"

@@ -1,0 +1,103 @@
+"""The commands `episodes` and `score`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from navbake import PathFinder, load
+from navbake.episodes import read_episodes
+from project_paths import GOLDEN
+
+
+@pytest.fixture(autouse=True)
+def house(tmp_path, monkeypatch):
+    """The current folder, with a house in it."""
+    shutil.copy(GOLDEN / "house.grid.json.gz", tmp_path / "house.json.gz")
+    monkeypatch.chdir(tmp_path)
+
+
+def drive(name="set.jsonl"):
+    """The follower's trajectories: the shortest paths."""
+    content, finder = read_episodes(name), PathFinder(load("house.json.gz"))
+    lines = []
+    for e in content.episodes:
+        places = [view.position for goal in e.goals for view in goal.view_points]
+        path = finder.find_path(e.start, places or e.goals[0].position)
+        lines.append({"episode": e.id, "positions": path.positions.tolist()})
+    Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def test_a_set_is_made_and_scored(run):
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "20", "--seed", "4")
+    status, out, err = run(*args, "--sampler", "habitat", "--rule", "max_distance=12")
+    assert (status, err) == (0, "") and "20 episodes" in out and "too far" in out
+    content = read_episodes("set.jsonl")
+    assert len(content) == 20 and content.header.sampler["rules"]["max_distance"] == 12.0
+    assert content.header.grids[0].file == "house.json.gz"
+    drive()
+    status, out, err = run("score", "set.jsonl", "runs.jsonl", "-o", "scores.csv")
+    assert (status, err) == (0, "") and "all: 20 episodes" in out
+    with open("scores.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["episode"] for row in rows] == [e.id for e in content.episodes]
+    assert {row["success"] for row in rows} == {"1.0"} and rows[0]["time"] == ""
+    status, out, _ = run("score", "set.jsonl", "runs.jsonl", "house.json.gz", "--json")
+    (found,) = json.loads(out)
+    assert found["spl"]["mean"] > 0.95 and found["time"]["mean"] is None
+
+
+def test_objects_by_a_file_of_categories_and_splits(run):
+    Path("categories.yaml").write_text("seat: [chair*, sofa*]\ntable: '*table*'\n")
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl.gz", "--task", "object", "-q")
+    split = ("--split", "train=2", "--split", "val=1", "--split-by", "room")
+    status, out, err = run(*args, "--per-scene", "30", *split, "--categories", "categories.yaml")
+    if status:
+        assert "no object of category" in err
+        pytest.skip("the house has no such objects")
+    content = read_episodes("set.jsonl.gz")
+    assert {e.split for e in content.episodes} <= {"train", "val"}
+    assert {e.goals[0].category for e in content.episodes} <= {"seat", "table"}
+    assert (status, out, err) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--task", "fly"), "expected one of point"),
+        (("--sampler", "hab"), "no sampler 'hab'"),
+        (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: it has name, min_distance"),
+        (("--split", "train"), "expected NAME=SHARE as a split, got 'train'"),
+        (("--split", "train=0"), "shares"),
+        (("--split-by", "floor", "--split", "a=1"), "expected scene or room to split by"),
+        (("--categories", "none.yaml", "--task", "object"), "cannot read none.yaml"),
+        (("--task", "object", "--object", "unicorn"), "no object 'unicorn' in 'house'"),
+        (("--height", "9"), "agents up to"),
+    ],
+)
+def test_wrong_options_are_one_line(run, arguments, message):
+    status, _, err = run("episodes", "house.json.gz", "-o", "set.jsonl", *arguments)
+    assert status == 1 and message in err and err.count("\n") == 1
+    assert not Path("set.jsonl").exists()
+
+
+def test_another_grid_is_refused(run):
+    assert run("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "5")[0] == 0
+    drive()
+    grid = load("house.json.gz")
+    level = grid.levels[0]
+    free = level.free.nonzero()
+    level.weights[free[0][0], free[1][0]] = float("inf")
+    grid.save("other.json")
+    status, _, err = run("score", "set.jsonl", "runs.jsonl", "other.json")
+    assert status == 1 and "another grid of 'house'" in err and err.count("\n") == 1
+    assert run("score", "set.jsonl", "runs.jsonl", "other.json", "--force", "-q")[0] == 0
+    lines = Path("runs.jsonl").read_text().splitlines()
+    Path("runs.jsonl").write_text("\n".join(lines[1:]))
+    status, _, err = run("score", "set.jsonl", "runs.jsonl")
+    assert status == 1 and "1 of 5 episodes have no trajectory, as '0'" in err
+    assert run("score", "set.jsonl", "runs.jsonl", "--partial")[0] == 0

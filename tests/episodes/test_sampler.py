@@ -1,0 +1,263 @@
+"""Episodes drawn on grids: all can be solved, by the rules of their sampler, the same each time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import atan2
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from grid_maps import house_from, level_from, random_house, room
+from navbake import PathFinder
+from navbake.episodes import (
+    Splits,
+    make_episodes,
+    make_rules,
+    make_task,
+    write_episodes,
+)
+from navbake.errors import ConfigError, QueryError
+
+FLOOR = """
+....................
+....................
+....................
+..............######
+..............#.....
+.....###......#.....
+.....###......#.....
+.....###............
+....................
+"""
+
+
+def plan(scene="plan", text=None, cell_size=0.5):
+    rows = (text or FLOOR).strip("\n").split("\n")
+    width = max(map(len, rows))
+    grid = level_from("\n".join(row.ljust(width, "#") for row in rows), cell_size=cell_size)
+    grid.metadata["sceneId"] = scene
+    index = np.zeros(grid.shape, dtype=np.uint16)
+    index[grid.free] = 1
+    index[4:, 15:] = 2 * grid.free[4:, 15:]
+    grid.attributes["roomIndex"] = index
+    table = room(0, 1, "0:1", "hall"), room(0, 2, "0:2", "kitchen")
+    grid.metadata["navbake"] = {"rooms": list(table)}
+    top = {row * grid.width + col for row in (5, 6, 7) for col in (5, 6, 7)}
+    table_top = {cell: {"objects": ["table_1"]} for cell in sorted(top)}
+    shut_in = {6 * grid.width + 6: {"objects": ["table_1", "lamp_2"]}}
+    wall = {3 * grid.width + 17: {"objects": ["wall"], "walls": ["wall"]}}
+    rug = {4 * grid.width + 18: {"objects": ["rug_7"]}}
+    grid.user_data = {**table_top, **shut_in, **wall, **rug}
+    return grid
+
+
+def replay(grid, episodes):
+    """Each episode's distance by `find_path` along cells, None where there is no path."""
+    finder = PathFinder(grid)
+    for e in episodes:
+        places = [v.position for goal in e.goals for v in goal.view_points]
+        goal = places or (f"room:{e.goals[0].room}" if e.goals[0].room else e.goals[0].position)
+        here, total = e.start, 0.0
+        for stop in [goal] if e.task != "sequence" else [g.position for g in e.goals]:
+            path = finder.find_path(here, stop, smooth=False)
+            total += path.length
+            here = path.positions[-1]
+        yield total
+
+
+@pytest.mark.parametrize("task", ["point", "object", "room", "sequence"])
+@pytest.mark.parametrize("sampler", ["uniform", "habitat", "stratified", "minos"])
+def test_all_can_be_solved_and_distances_are_those_of_paths(task, sampler):
+    grid = plan()
+    rules = make_rules(sampler, edges=(1.0, 2.0, 4.0)) if sampler == "stratified" else sampler
+    found = make_episodes(grid, task, rules, count=40)
+    assert len(found) > 10
+    distances = [e.distance for e in found.episodes]
+    np.testing.assert_allclose(list(replay(grid, found.episodes)), distances, rtol=1e-6)
+    assert min(distances) >= 1.0
+    assert [e.id for e in found.episodes] == [str(k) for k in range(len(found))]
+    assert all(e.ratio is None or e.ratio >= 1 - 1e-9 for e in found.episodes)
+    if sampler == "minos":
+        assert all(e.rooms and e.doors is not None for e in found.episodes)
+        assert all(e.rooms[0] == e.room for e in found.episodes)
+
+
+def test_over_levels_and_links():
+    grid = random_house(np.random.default_rng(3), num_levels=3, share=0.9)
+    found = make_episodes(grid, "point", make_rules(min_distance=0.3), count=200)
+    np.testing.assert_allclose(
+        list(replay(grid, found.episodes)), [e.distance for e in found.episodes], rtol=1e-6
+    )
+    assert {abs(a - b) for a, b in (e.levels for e in found.episodes)} >= {0, 1}
+    same = make_episodes(grid, "point", make_rules("minos", min_distance=0.3), count=200)
+    assert {a - b for a, b in (e.levels for e in same.episodes)} == {0}
+    assert same.header.rejected["another level"] > 0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_other_scenes_change_nothing(tmp_path):
+    for name in ("a", "b"):
+        write_episodes(make_episodes(plan(), count=30, seed=7), tmp_path / f"{name}.jsonl.gz")
+    assert (tmp_path / "a.jsonl.gz").read_bytes() == (tmp_path / "b.jsonl.gz").read_bytes()
+    alone = make_episodes(plan(), count=30, seed=7).episodes
+    assert make_episodes(plan(), count=30, seed=8).episodes != alone
+    beside = make_episodes([plan("other"), plan()], count=60, seed=7).episodes[30:]
+    assert [msgspec.structs.replace(e, id="") for e in beside] == [
+        msgspec.structs.replace(e, id="") for e in alone
+    ]
+
+
+def test_rejections_are_counted():
+    text = FLOOR.replace(
+        ".....###............\n....................", 2 * (".............." + "######\n")
+    )
+    rules = make_rules("habitat", max_distance=6.0, min_island=1.5)
+    found = make_episodes(plan(text=text), sampler=rules, count=50)
+    assert found.header.rejected.keys() >= {"no path", "too near", "too far", "straight, by chance"}
+    with pytest.raises(QueryError, match=r"no episode of 'plan' keeps the rules: \d+ too near"):
+        make_episodes(plan(), sampler=make_rules(min_distance=99.0), count=5)
+
+
+def test_habitats_rule_has_its_distribution():
+    """Ratios and lengths against all pairs, each with its exact probability to be kept."""
+    grid = plan(cell_size=1.0)
+    finder = PathFinder(grid)
+    places = finder.search.flat.positions(np.flatnonzero(finder.search.flat.free))
+    length = finder.many.distances(places, places, weighted=False)
+    air = np.linalg.norm(places[:, None] - places, axis=-1)
+    ratio = length / np.where(air > 0, air, 1.0)
+    keep = np.where(ratio < 1.1, np.minimum(1.0, 20 * (ratio - 0.98) ** 2), 1.0)
+    keep *= (length >= 1) & (length <= 30)
+    # a goal has 10 tries, and one that is met is met by each start as its own chance has it
+    rate = keep.mean(axis=0)
+    expected = keep / keep.sum(axis=0) * (1 - (1 - rate) ** 10)
+    found = make_episodes(grid, sampler=make_rules("habitat", goals=3000), count=3000, seed=1)
+    for measure, values, edges in (
+        ("ratio", ratio, [0.0, 1.02, 1.05, 1.08, 1.1, 1.2, 1.4, 9.0]),
+        ("distance", length, [0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 99.0]),
+    ):
+        counted, _ = np.histogram([getattr(e, measure) for e in found.episodes], edges)
+        wanted, _ = np.histogram(values, edges, weights=expected)
+        used = wanted > 0
+        assert not counted[~used].any()
+        wanted = wanted[used] / wanted.sum() * counted.sum()
+        assert chisquare(counted[used], wanted).pvalue > 0.01, measure
+
+
+def test_strata_have_as_many_episodes_each():
+    for strata, edges in (("distance", (1.0, 3.0, 5.0)), ("rooms", (1.0, 2.0))):
+        rules = make_rules("stratified", strata=strata, edges=edges)
+        found = make_episodes(plan(), sampler=rules, count=60)
+        values = [len(e.rooms) if strata == "rooms" else e.distance for e in found.episodes]
+        counts = np.bincount(np.searchsorted(edges, values, side="right") - 1)
+        assert counts.tolist() == [60 // len(edges)] * len(edges)
+        assert found.header.rejected["stratum full"] > 0
+
+
+def test_objects_have_view_points_and_categories():
+    grid = plan()
+    found = make_episodes(grid, "object", count=30)
+    assert Counter(e.goals[0].category for e in found.episodes).keys() == {"table", "rug"}
+    assert found.header.rejected["not in sight"] > 0
+    finder = PathFinder(grid)
+    for e in found.episodes:
+        (goal,) = e.goals
+        for view in goal.view_points:
+            assert finder.is_navigable(view.position)
+            dx, dy = np.subtract(goal.position, view.position)[:2]
+            assert view.heading == pytest.approx(atan2(dy, dx))
+            assert view.iou is None
+    # the wall of the kitchen hides the rug from the hall
+    rug = next(e.goals[0] for e in found.episodes if e.goals[0].category == "rug")
+    assert {finder.room_at(view.position) for view in rug.view_points} == {"0:2"}
+
+
+@pytest.mark.parametrize(
+    ("objects", "names"),
+    [
+        (("tab*",), {"table_1"}),
+        (("table_1", "rug*"), {"table_1", "rug_7"}),
+        ({"flat": ("rug*", "table*")}, {"table_1", "rug_7"}),
+    ],
+)
+def test_objects_by_patterns(objects, names):
+    found = make_episodes(plan(), make_task("object", objects=objects), count=20)
+    assert {goal.name for e in found.episodes for goal in e.goals} == names
+    if isinstance(objects, dict):
+        assert {goal.category for e in found.episodes for goal in e.goals} == {"flat"}
+        assert all(len(e.goals) == 2 for e in found.episodes)
+
+
+def test_rooms_and_exploring():
+    found = make_episodes(plan(), make_task("room", rooms=("kit*",)), count=10)
+    assert {(e.goals[0].room, e.goals[0].name) for e in found.episodes} == {("0:2", "kitchen")}
+    assert all(e.room == "0:1" for e in found.episodes)
+    explore = make_episodes(plan(), make_task("explore", share=0.5), count=10)
+    assert {e.distance for e in explore.episodes} == {None}
+    assert {e.goals[0].share for e in explore.episodes} == {0.5}
+
+
+def test_splits_are_of_whole_scenes_or_rooms():
+    names = [f"scene {k}" for k in range(20)]
+    parts = Splits(shares={"train": 0.7, "val": 0.3})
+    found = make_episodes([plan(name) for name in names], count=60, splits=parts)
+    of = {name: {e.split for e in found.episodes if e.scene == name} for name in names}
+    assert all(len(splits) == 1 for splits in of.values())
+    assert set().union(*of.values()) == {"train", "val"}
+    parts = Splits(shares={"train": 1, "val": 1}, by="room")
+    found = make_episodes(plan(), count=60, splits=parts, seed=1)
+    by_room = {(e.room, e.split) for e in found.episodes}
+    assert len(by_room) == len({e.room for e in found.episodes}) == 2
+
+
+def test_the_agent():
+    found = make_episodes(plan(), radius=0.3, height=1.0, speed=0.5, count=5)
+    agent = found.header.agent
+    assert (agent.radius, agent.height, agent.speed) == (0.3, 1.0, 0.5)
+    found.check_grid(plan().inflate(0.3))
+    with pytest.raises(QueryError, match=r"agent of radius 0.3 m, the grid of 'plan' for 0 m"):
+        found.check_grid(plan())
+    with pytest.raises(QueryError, match=r"agents up to 1.14 m, got 2 m"):
+        make_episodes(plan(), height=2.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"task": "fly"}, "expected one of point, .*got 'fly'"),
+        ({"sampler": "habitatt"}, "no sampler 'habitatt': did you mean 'habitat'"),
+        ({"count": 0}, "expected a count >= 1, got 0"),
+        ({"seed": -1}, "expected a seed >= 0, got -1"),
+        ({"task": make_task("object", objects=("tible_1",))}, "no object 'tible_1' in 'plan': did"),
+        ({"task": make_task("object", objects={"cup": ("cup*",)})}, "no object of category 'cup'"),
+        ({"task": make_task("room", rooms=("kitchn",))}, "no room 'kitchn' in 'plan': did you"),
+        ({"grids": [plan(), plan()]}, "grids of different scenes, got plan, plan"),
+        ({"grids": [plan(), plan("b").inflate(0.6)]}, "agents of several sizes"),
+        ({"grids": plan(text="##\n##")}, "no agent can stand anywhere in 'plan'"),
+    ],
+)
+def test_wrong_questions(given, message):
+    with pytest.raises((QueryError, ConfigError), match=message):
+        make_episodes(**{"grids": plan(), **given})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"min_distanse": 1}, "no rule 'min_distanse' of a sampler: did you mean 'min_distance'"),
+        ({"min_distance": "far"}, r"\$.min_distance"),
+        ({"strata": "colour"}, "expected one of distance, .* as strata, got 'colour'"),
+        ({"edges": (2.0, 1.0)}, "expected ascending edges"),
+    ],
+)
+def test_wrong_rules(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        make_rules("uniform", **changes)
+
+
+def test_a_house_of_levels_without_a_name():
+    grid = house_from([level_from("." * 20 + "\n" + "." * 20, cell_size=0.5)])
+    del grid.metadata["sceneId"]
+    assert {e.scene for e in make_episodes(grid, count=3).episodes} == {"scene"}
