@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
-from navbake.files import write_whole
+from navbake.files import check_regular, write_whole
 from navbake.types import Json
 
 Folder: TypeAlias = Path | str
@@ -134,6 +134,7 @@ def read_file(path: str | Path) -> bytes:
         if isinstance(path, str) and is_url(path):
             system, inner = _open_store(path)
             return bytes(system.cat_file(inner))
+        check_regular(path)
         return Path(path).read_bytes()
 
 
