@@ -32,7 +32,9 @@ from navbake.batch.settings import Job, settings_of, urls_in
 from navbake.batch.store import (
     Folder,
     Mirror,
+    allow_hosts,
     as_folder,
+    check_host,
     describe_file,
     is_url,
     join,
@@ -67,6 +69,7 @@ class Plan(NamedTuple):
         products: what to make besides the grid, see `products.parse_products`.
         thumbnail: whether to make a small picture for the batch's page.
         has_table: whether the index is written as Parquet as well.
+        hosts: of the web, to which lists, settings and redirects there may lead besides their own.
     """
 
     folder: Folder
@@ -75,6 +78,7 @@ class Plan(NamedTuple):
     products: tuple[str, ...] = ()
     thumbnail: bool = False
     has_table: bool = False
+    hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> Folder:
         """The folder of what is made of a scene."""
@@ -83,6 +87,12 @@ class Plan(NamedTuple):
     def urls(self, job: Job) -> list[str]:
         """What a scene needs from stores, as far as it is named outside of files."""
         return urls_in(job.source, (self.settings, job.settings), self.overrides)
+
+    def named(self, job: Job) -> list[str]:
+        """The URLs of a scene that the user named, not a list on a store."""
+        if not job.list:
+            return self.urls(job)
+        return urls_in(job.list, (self.settings,), self.overrides)
 
 
 class Scene(NamedTuple):
@@ -116,11 +126,13 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
         job: the scene.
         whole: whether to copy all files from a store; else those that name others.
     """
+    allow_hosts(plan.hosts)
+    check_host(job.source, plan.named(job))
     if not plan.urls(job):
         yield _describe(plan, settings_of(job, plan.settings, plan.overrides), None)
         return
     with scratch_folder() as folder:
-        mirror = Mirror(folder)
+        mirror = Mirror(folder, plan.named(job))
         try:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
