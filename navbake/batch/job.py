@@ -35,6 +35,7 @@ from navbake.batch.store import (
     allow_hosts,
     as_folder,
     check_host,
+    check_inside,
     describe_file,
     is_url,
     join,
@@ -81,8 +82,10 @@ class Plan(NamedTuple):
     hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> Folder:
-        """The folder of what is made of a scene."""
-        return as_folder(join(self.folder, job.id))
+        """The folder of what is made of a scene; a NavbakeError if it is a link out of `folder`."""
+        place = as_folder(join(self.folder, job.id))
+        check_inside(self.folder, place)
+        return place
 
     def urls(self, job: Job) -> list[str]:
         """What a scene needs from stores, as far as it is named outside of files."""
@@ -180,10 +183,10 @@ def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) ->
         job: the scene.
         sizes: of a batch that writes into a store, the size of each file there.
     """
-    place = plan.place(job)
     if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
         return None
     try:
+        place = plan.place(job)
         row = read_record(place)
         if "key" not in row or row["id"] != job.id:
             return None

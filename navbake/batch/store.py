@@ -173,6 +173,21 @@ def _client_options() -> Json:
 # ---------------------------------------------------------------- files, here and on stores
 
 
+def check_inside(folder: Folder, path: Folder) -> None:
+    """Refuse what is in an output folder of this machine, but is a link that leads out of it.
+
+    Raises:
+        NavbakeError: nothing is written or removed there.
+    """
+    if isinstance(folder, Path):
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(os.path.realpath(folder)):
+            raise NavbakeError(
+                f"expected {path} in the output folder {folder}, got a link to {real}: remove it, "
+                "or choose another folder"
+            )
+
+
 def read_file(path: str | Path) -> bytes:
     """Read a file whole.
 
@@ -196,6 +211,7 @@ def write_file(folder: Folder, name: str, content: bytes) -> None:
     """
     with _naming("write", folder):
         if isinstance(folder, Path):
+            check_inside(folder, folder / name)
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, folder / name)
             return
