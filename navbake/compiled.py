@@ -196,7 +196,9 @@ def decode_type(value: Any) -> Any:
 def list_cold(entries: Iterable[Entry]) -> list[Entry]:
     """The entries of kernels that lack code on disk for some of their types."""
     entries = list(entries)
-    asked, cold = Counter(entry.name for entry in entries), set()
+    # a function that stands there twice with the same types has code on disk once
+    kinds = {(entry.name, json.dumps(entry.types)) for entry in entries}
+    asked, cold = Counter(name for name, _ in kinds), set()
     for entry in {entry.name: entry for entry in entries}.values():
         with suppress(ImportError, AttributeError):  # the list is out of date
             found = entry.find()

@@ -98,6 +98,20 @@ def check_writable(path: str | PathLike[str]) -> None:
             pass
 
 
+def check_regular(path: str | PathLike[str]) -> None:
+    """Raise an OSError for a pipe or a device, which may keep whoever reads it for ever.
+
+    For files that another file names: what users name themselves may be a pipe. What isn't there
+    passes, and folders do: whoever opens them says so.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise OSError(errno.EINVAL, "expected a file, got a pipe or a device", os.fspath(path))
+
+
 def remove_leftovers(folder: Path, age: float = OLD) -> None:
     """Remove the temporary files and folders of this user that killed processes left in a folder.
 

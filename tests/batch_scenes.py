@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -116,9 +115,10 @@ BROKEN: list[tuple[Callable[[Path, str], str], str]] = [
 
 
 def _write_hanging(folder: Path, stem: str) -> str:
-    """A scene that includes a pipe into which nobody writes."""
-    os.mkfifo(folder / f"{stem}-pipe.xml")
-    return _write(".xml", f'<mujoco><include file="{stem}-pipe.xml"/></mujoco>')(folder, stem)
+    """Copies of a body, which MuJoCo compiles for minutes: its time grows as their square."""
+    body = '<body><geom type="box" size="1 1 1"/></body>'
+    many = f'<replicate count="60000" offset="1 0 0">{body}</replicate>'
+    return _write(".xml", f"<mujoco><worldbody>{many}</worldbody></mujoco>")(folder, stem)
 
 
 def _write_taking(folder: Path, stem: str) -> str:

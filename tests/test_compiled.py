@@ -188,3 +188,9 @@ def test_the_list_has_what_a_bake_calls(tmp_path):
     called = json.loads(done.stdout.splitlines()[-1])
     missing = [k for k, n in called.items() if names.count(k.removeprefix("navbake.")) < n]
     assert missing == [] and list_cold(read_list()[0]) == []
+
+
+def test_an_entry_that_stands_twice_in_the_list_needs_no_code_twice():
+    bake, _ = read_list()
+    entry = next(each for each in bake if list_cold([each]) == [])
+    assert list_cold([entry, entry]) == []

@@ -17,6 +17,7 @@ from navbake.batch.store import (
     INSTALL,
     Folder,
     MissingFileError,
+    check_inside,
     join,
     read_file,
     refused,
@@ -42,6 +43,8 @@ def only_batch(folder: Path) -> Iterator[None]:
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
     lock = filelock.FileLock(folder / LOCK, timeout=0)
+    for name in (LOCK, NAME, TABLE):
+        check_inside(folder, folder / name)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()

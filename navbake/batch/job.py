@@ -32,7 +32,10 @@ from navbake.batch.settings import Job, settings_of, urls_in
 from navbake.batch.store import (
     Folder,
     Mirror,
+    allow_hosts,
     as_folder,
+    check_host,
+    check_inside,
     describe_file,
     is_url,
     join,
@@ -67,6 +70,7 @@ class Plan(NamedTuple):
         products: what to make besides the grid, see `products.parse_products`.
         thumbnail: whether to make a small picture for the batch's page.
         has_table: whether the index is written as Parquet as well.
+        hosts: of the web, to which lists, settings and redirects there may lead besides their own.
     """
 
     folder: Folder
@@ -75,14 +79,23 @@ class Plan(NamedTuple):
     products: tuple[str, ...] = ()
     thumbnail: bool = False
     has_table: bool = False
+    hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> Folder:
-        """The folder of what is made of a scene."""
-        return as_folder(join(self.folder, job.id))
+        """The folder of what is made of a scene; a NavbakeError if it is a link out of `folder`."""
+        place = as_folder(join(self.folder, job.id))
+        check_inside(self.folder, place)
+        return place
 
     def urls(self, job: Job) -> list[str]:
         """What a scene needs from stores, as far as it is named outside of files."""
         return urls_in(job.source, (self.settings, job.settings), self.overrides)
+
+    def named(self, job: Job) -> list[str]:
+        """The URLs of a scene that the user named, not a list on a store."""
+        if not job.list:
+            return self.urls(job)
+        return urls_in(job.list, (self.settings,), self.overrides)
 
 
 class Scene(NamedTuple):
@@ -116,11 +129,13 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
         job: the scene.
         whole: whether to copy all files from a store; else those that name others.
     """
+    allow_hosts(plan.hosts)
+    check_host(job.source, plan.named(job))
     if not plan.urls(job):
         yield _describe(plan, settings_of(job, plan.settings, plan.overrides), None)
         return
     with scratch_folder() as folder:
-        mirror = Mirror(folder)
+        mirror = Mirror(folder, plan.named(job))
         try:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
@@ -168,10 +183,10 @@ def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) ->
         job: the scene.
         sizes: of a batch that writes into a store, the size of each file there.
     """
-    place = plan.place(job)
     if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
         return None
     try:
+        place = plan.place(job)
         row = read_record(place)
         if "key" not in row or row["id"] != job.id:
             return None

@@ -100,6 +100,7 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
         show(number / len(missing))
         place = store.as_folder(store.join(folder, id))
         try:
+            store.check_inside(folder, place)
             picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID))))
             if record := read_record(place):  # so that it is removed with the grid
                 write_record(place, {**record, "more": [THUMBNAIL]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from navbake.batch.job import (
 from navbake.batch.settings import Job, check_settings
 from navbake.batch.store import FullError, is_url, shown, sizes_below
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, NavbakeError
 from navbake.files import remove_leftovers
 from navbake.types import Json
 
@@ -156,7 +156,8 @@ def _run(
         for job in left:
             # its worker may have been killed as it wrote; on a store, the next one removes that
             if job.id not in rows and isinstance(plan.folder, Path):
-                remove_leftovers(plan.folder / job.id, age=0)
+                with suppress(NavbakeError):
+                    remove_leftovers(Path(plan.place(job)), age=0)
         result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
         try:
             index.finish(result.rows, plan.has_table)

@@ -197,7 +197,7 @@ def _read_list(source: str) -> Iterator[Job]:
     is_empty = True
     for place, row in rows:
         is_empty = False
-        yield _entry(row, parent(source), place)
+        yield _entry(row, parent(source), place)._replace(list=source if is_url(source) else "")
     if is_empty:
         raise ConfigError(f"expected at least one scene in {name}, got none")
 

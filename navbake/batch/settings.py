@@ -26,12 +26,14 @@ class Job(NamedTuple):
         source: the path or URL of the scene, or of its settings (YAML).
         settings: what replaces the batch's settings for it, by section.
         place: where it stands in a list, for messages.
+        list: the URL of the list that names it; empty where the user does, or a list that is here.
     """
 
     id: str
     source: str
     settings: Json
     place: str
+    list: str = ""
 
 
 def read_shared(path: str | os.PathLike[str]) -> Json:

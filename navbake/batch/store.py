@@ -12,12 +12,13 @@ import posixpath
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
+from urllib.parse import urljoin, urlsplit
 
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
-from navbake.files import write_whole
+from navbake.files import check_regular, write_whole
 from navbake.types import Json
 
 Folder: TypeAlias = Path | str
@@ -51,6 +52,9 @@ REMEDIES = {
 }
 
 
+_hosts: set[str] = set()  # of the web, that files elsewhere may lead to, see `allow_hosts`
+
+
 class FullError(NavbakeError):
     """An output folder takes no more files, so that no scene can be kept in it."""
 
@@ -66,6 +70,10 @@ def is_url(path: object) -> bool:
     """Whether something is the URL of a file on a store; ``file://`` is this machine's own."""
     found = URL.match(path) if isinstance(path, str) else None
     return found is not None and found[1].lower() not in HERE
+
+
+def _is_web(url: str) -> bool:
+    return is_url(url) and url.partition("://")[0].lower() in WEB
 
 
 def plain_path(path: str) -> str:
@@ -118,10 +126,66 @@ def shown(url: str) -> str:
 
 
 def _without_query(url: str) -> str:
-    return url.partition("?")[0] if url.lower().startswith(WEB) else url
+    return url.partition("?")[0] if _is_web(url) else url
+
+
+def allow_hosts(hosts: Iterable[str]) -> None:
+    """Let lists and redirects of the web lead to these hosts as well, in this process."""
+    _hosts.update(map(str.lower, hosts))
+
+
+def check_host(url: str, named: Iterable[str]) -> None:
+    """Refuse a URL of the web whose host is none of those that somebody named.
+
+    Args:
+        url: what a list or settings on the web name.
+        named: URLs whose hosts may be asked, besides those of `allow_hosts`.
+
+    Raises:
+        NavbakeError: it leads elsewhere.
+    """
+    host, known = _host(url), {*map(_host, named), *_hosts}
+    if _is_web(url) and host not in known:
+        raise NavbakeError(
+            f"expected a file of {' or '.join(sorted(filter(None, known))) or 'no host'}, got "
+            f"{shown(url)}: --allow-hosts {host} lets lists and redirects lead there"
+        )
+
+
+def _host(url: str) -> str:
+    return (urlsplit(url).hostname or "") if _is_web(url) else ""
+
+
+@cache
+def _client_options() -> Json:
+    """What keeps a client of the web on the host that it was sent to."""
+    import aiohttp  # which fsspec needs for the web, in no extra
+
+    async def look(session: Any, context: Any, request: Any) -> None:
+        to = urljoin(str(request.url), request.response.headers.get("Location", ""))
+        check_host(to, [str(request.url)])
+
+    trace = aiohttp.TraceConfig()
+    trace.on_request_redirect.append(look)
+    return {"trace_configs": [trace]}
 
 
 # ---------------------------------------------------------------- files, here and on stores
+
+
+def check_inside(folder: Folder, path: Folder) -> None:
+    """Refuse what is in an output folder of this machine, but is a link that leads out of it.
+
+    Raises:
+        NavbakeError: nothing is written or removed there.
+    """
+    if isinstance(folder, Path):
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(os.path.realpath(folder)):
+            raise NavbakeError(
+                f"expected {path} in the output folder {folder}, got a link to {real}: remove it, "
+                "or choose another folder"
+            )
 
 
 def read_file(path: str | Path) -> bytes:
@@ -134,6 +198,7 @@ def read_file(path: str | Path) -> bytes:
         if isinstance(path, str) and is_url(path):
             system, inner = _open_store(path)
             return bytes(system.cat_file(inner))
+        check_regular(path)
         return Path(path).read_bytes()
 
 
@@ -146,6 +211,7 @@ def write_file(folder: Folder, name: str, content: bytes) -> None:
     """
     with _naming("write", folder):
         if isinstance(folder, Path):
+            check_inside(folder, folder / name)
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, folder / name)
             return
@@ -236,7 +302,9 @@ class Mirror:
     It is one of `scene_files.Files`: it has what the store has, and copies a file when it is read.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, named: Iterable[str] = ()) -> None:
+        """Make one for a folder; `named` as in `check_host`."""
+        self._named = [*named]
         self._folder = Path(os.path.realpath(folder))
         self._roots: dict[tuple[str, str], str] = {}  # `s3://user:password@host` by what it shows
         self._given: dict[Path, str] = {}  # URLs with a query, by place
@@ -281,7 +349,8 @@ class Mirror:
         path.write_bytes(read_file(url))
 
     def fetch(self, url: str) -> Path:
-        """Copy a file; returns where it is."""
+        """Copy a file; returns where it is. See `check_host` for what it raises."""
+        check_host(url, self._named)
         path = self.place(url)
         self.bring(path)
         return path
@@ -307,7 +376,7 @@ class Mirror:
         with _naming("read", url):
             system, path = _open_store(url)
             folder, _, name = path.rpartition("/")
-            is_web = url.lower().startswith(WEB)
+            is_web = _is_web(url)
             if not is_web and folder not in self._listed:
                 infos: list[Mapping[str, Any]] = []
                 with suppress(FileNotFoundError, NotADirectoryError):
@@ -354,7 +423,13 @@ def _open_store(url: str) -> tuple[Any, str]:
         scheme = url.partition("://")[0]
         message = f"paths such as {scheme}:// need fsspec: {INSTALL}"
         raise MissingDependencyError(message) from error
-    system, path = url_to_fs(url)
+    options: Json = {}
+    if _is_web(url):
+        try:
+            options["client_kwargs"] = _client_options()
+        except ImportError as error:
+            raise MissingDependencyError("https:// needs aiohttp: pip install aiohttp") from error
+    system, path = url_to_fs(url, **options)
     return system, str(path)
 
 

@@ -45,6 +45,7 @@ from navbake.config.field_types import (
 )
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
+from navbake.files import check_regular
 from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
@@ -198,7 +199,11 @@ def _read_polygons(value: Any, info: ValidationInfo) -> Any:
     if info.context:
         info.context.setdefault("inputs", []).append(path)
     try:
+        check_regular(path)
         return read_room_outlines(path)
+    except OSError as error:
+        message = f"cannot read {path}: {error.strerror}, named at `rooms.polygons`"
+        raise ConfigError(message) from error
     except FormatError as error:
         raise ConfigError(f"{error}, named at `rooms.polygons`") from error
 

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
+from navbake.files import check_regular
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
 from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
@@ -177,6 +178,11 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     rules = read_rules(path)
     if not os.path.exists(rules.image):  # Path.exists raises for names that are too long
         raise FormatError(f"the image that `image` in {path} names isn't there: {rules.image}")
+    try:
+        check_regular(rules.image)
+    except OSError as error:
+        message = f"cannot read the image that `image` in {path} names: {error.strerror}"
+        raise FormatError(f"{message} at {rules.image}") from error
     values = read_values(read_pixels(rules.image), rules)
     values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
     stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}

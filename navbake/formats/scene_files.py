@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote
 
+from navbake.errors import SceneError
+from navbake.files import check_regular
+
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
 LOOKS = ("texture", "skin")  # elements that change how a scene looks, and no cell
@@ -36,6 +39,29 @@ class Files(Protocol):
 
     def bring(self, path: Path) -> None:
         """Make a file that is there ready for reading."""
+
+
+class _Regular:
+    """The files of this machine; a pipe or a device that a scene names is an error."""
+
+    def has(self, path: Path) -> bool:
+        try:
+            check_regular(path)
+        except OSError as error:
+            raise SceneError(f"cannot read {path}: {error.strerror}") from error
+        return os.path.isfile(path)
+
+    def bring(self, path: Path) -> None:
+        """All are there."""
+
+
+def check_inputs(scene: Path) -> None:
+    """Refuse a scene that names a pipe or a device, which MuJoCo would wait for, for ever.
+
+    Raises:
+        SceneError: it does, itself or by way of a file that it includes.
+    """
+    find_inputs(scene, _Regular(), looks=True)
 
 
 _Element = tuple[str, dict[str, str]]  # tag and attributes

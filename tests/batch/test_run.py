@@ -649,6 +649,34 @@ def test_the_output_folder_may_be_a_link_to_another_depth(scenes, here):
     assert run(*ALL)[0] == ["meshed.mjcf"]
 
 
+@pytest.mark.parametrize("name", ["index.jsonl", "index.parquet", ".navbake-batch.lock"])
+def test_an_index_that_is_a_link_out_of_the_output_folder_is_refused(here, scenes, name):
+    Path("mine").write_text("mine\n")
+    Path("out").mkdir()
+    Path("out", name).symlink_to(Path("mine").absolute())
+    with pytest.raises(NavbakeError, match=rf"expected out/{name} in .*, got a link to .*/mine"):
+        run(ALL[0])
+    assert Path("mine").read_text() == "mine\n"
+
+
+def test_a_folder_that_is_a_link_out_of_the_output_folder_fails_its_scene_alone(here, scenes):
+    for name in ("elsewhere", "out"):
+        Path(name).mkdir()
+    run(ALL[0], out="elsewhere")
+    before = digests("elsewhere")
+    Path("out/first").symlink_to(Path("elsewhere/first").absolute())
+    for _ in range(2):
+        rows = {row["id"]: row for row in run(*ALL[:2])[1].rows}
+        assert (rows["first"]["status"], rows["second"]["status"]) == ("failed", "ok")
+        assert "expected out/first in the output folder out, got a link" in rows["first"]["error"]
+    Path("out/first").unlink()
+    Path("out/first").mkdir()
+    Path("out/first/grid.json.gz").symlink_to(Path("mine").absolute())
+    Path("mine").write_text("mine\n")
+    assert run(ALL[0])[1].count("ok") == 1  # the link goes, what it led to stays
+    assert Path("mine").read_text() == "mine\n" and digests("elsewhere") == before
+
+
 def test_scenes_may_be_reached_through_links(scenes, here):
     text = MESHED.replace("chest.obj", "../chest.obj")
     for name in ("deep/one", "deep/two"):

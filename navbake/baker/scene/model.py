@@ -24,7 +24,7 @@ from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.scene_files import mesh_places
+from navbake.formats.scene_files import check_inputs, mesh_places
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int
 
@@ -90,6 +90,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             load = partial(mujoco.MjModel.from_binary_path, str(path))
             model = compile_model(path, warnings, load, hint)
         elif suffix in XML_SUFFIXES:
+            check_inputs(path)
             model = _load_xml(settings, warnings)
         else:
             known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))

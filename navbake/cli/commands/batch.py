@@ -88,6 +88,11 @@ def batch(
         "nav2[:RADIUS], "
         "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
     ),
+    allow_hosts: list[str] | None = option(
+        "HOST",
+        "Another host of the web to which a list, settings or redirects there may lead. May be "
+        "repeated.",
+    ),
     overrides: Overrides = None,
     *,
     ways: Ways,
@@ -99,6 +104,7 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
+    from navbake.batch import store
     from navbake.batch.cluster import RayExecutor
     from navbake.batch.index import LOCK, NAME, TABLE
     from navbake.batch.job import Plan
@@ -118,6 +124,8 @@ def batch(
         raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
     if ways.log == STDOUT:
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
+    hosts = tuple(allow_hosts or ())
+    store.allow_hosts(hosts)
     jobs = list_jobs(sources)
     if ways.log is not None:
         own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
@@ -131,7 +139,7 @@ def batch(
     means = Means(ways.jobs, limits, ways.max_failures, executor)
     made = parse_products(make or [])
     given = tuple(overrides or [])
-    plan = Plan(folder, settings, given, made, ways.page, ways.parquet)
+    plan = Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
     with ExitStack() as stack:
         watch = _Watch(stack, ways, folder)
         try:
