@@ -157,12 +157,6 @@ class Address(NamedTuple):
         "PORT", "Port to listen at; 0 for any free one.", default=8080, min=0, max=65535
     )
     no_open: bool = flag("--no-open", "Only print the link.")
-    origins: list[str] | None = option(
-        "ORIGIN",
-        "Let pages from elsewhere speak with it, as of a proxy: https://hub.example.org. May be "
-        "repeated.",
-        "--allow-origin",
-    )
 
 
 def view(
@@ -186,11 +180,9 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.gate import check_origins
     from navbake.views.viewer.view import Viewer, check_address, check_viser, watch_grid
 
     check_viser()
-    check_origins(address.origins or ())
     check_address(address.host, address.port)  # before the bake, which may take long
     is_grid = source.name.lower().endswith(GRIDS)
     refuse_unused(
@@ -199,8 +191,7 @@ def view(
         ("--force", force, is_grid, "a GRID"),
     )
     watch = watch_grid(source, scene, force=force) if is_grid else _baked(source, overrides or [])
-    host, port, origins = address.host, address.port, address.origins or ()
-    viewer = Viewer(watch.read(), host=host, port=port, origins=origins, watch=watch)
+    viewer = Viewer(watch.read(), host=address.host, port=address.port, watch=watch)
     try:
         say(f"{viewer.url} (Ctrl-C ends it)")
         if not address.no_open:

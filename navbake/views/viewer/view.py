@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout, suppress
 from functools import partial
 from importlib.util import find_spec
@@ -33,7 +33,6 @@ from navbake.runtime.paths import Path as Route
 from navbake.types import Float, Json
 from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
 from navbake.views.viewer.exhibit import Choices, Exhibit, first_choices, keep_choices
-from navbake.views.viewer.gate import check_origins, guarded
 
 if TYPE_CHECKING:
     import viser
@@ -190,15 +189,9 @@ class Viewer:
     """
 
     def __init__(
-        self,
-        exhibit: Exhibit,
-        *,
-        host: str = HOST,
-        port: int = PORT,
-        origins: Sequence[str] = (),
-        watch: Watch | None = None,
+        self, exhibit: Exhibit, *, host: str = HOST, port: int = PORT, watch: Watch | None = None
     ) -> None:
-        self._server = open_server(host, port, origins)
+        self._server = open_server(host, port)
         self.url = url_of(self._server)
         self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
@@ -326,7 +319,6 @@ def view(
     data: Any = None,
     host: str = HOST,
     port: int = PORT,
-    allow_origins: Sequence[str] = (),
     open_page: bool = True,
     force: bool = False,
 ) -> Viewer:
@@ -345,8 +337,6 @@ def view(
         data: the mujoco.MjData with the pose of a model or spec.
         host: address of this machine to listen at.
         port: where to listen; 0 for any free port.
-        allow_origins: of other pages that may speak with it, as of a hub that passes it on:
-            ``https://hub.example.org``; what comes from elsewhere is refused.
         open_page: open the page in the browser.
         force: show the grid in a scene that it was not baked from.
 
@@ -365,8 +355,7 @@ def view(
         >>> grid = navbake.bake("my_scene.xml")
         >>> navbake.view(grid, scene="my_scene.xml").wait()
     """
-    exhibit = make_exhibit(grid, scene, data=data, force=force)
-    viewer = Viewer(exhibit, host=host, port=port, origins=allow_origins)
+    viewer = Viewer(make_exhibit(grid, scene, data=data, force=force), host=host, port=port)
     if open_page:
         viewer.open()
     return viewer
@@ -447,21 +436,14 @@ class Watch:
 # --- the web server: viser's, kept to this machine and quiet -------------------------------------
 
 
-def open_server(
-    host: str = HOST, port: int = PORT, origins: Sequence[str] = ()
-) -> viser.ViserServer:
-    """Serve an empty page at an address of this machine; port 0 is any that is free.
-
-    `origins` are those of other pages that may speak with it, see `gate`.
-    """
-    check_origins(origins)
+def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
+    """Serve an empty page at an address of this machine; port 0 is any that is free."""
     check_viser()
     # viser takes the next free port, without a word, and waits forever for an unknown host
     check_address(host, port)
     import viser  # of the extra [view], and slow to load
 
-    # viser prints its address in a box
-    with redirect_stdout(io.StringIO()), guarded(host.lower(), origins):
+    with redirect_stdout(io.StringIO()):  # viser prints its address in a box
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
