@@ -67,6 +67,7 @@ def test_defaults(house):
         "fill": 0.0,
         "tops": False,
         "roofs": False,
+        "voids": False,
         "reach": "all",
         "starts": [],
     }

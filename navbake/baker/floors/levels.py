@@ -297,7 +297,7 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     Holes that nobody gets to from the floor, such as the inside of a pillar, stay.
     """
     from scipy.interpolate import griddata  # scipy loads slowly, and few ask for this
-    from scipy.ndimage import binary_dilation, label
+    from scipy.ndimage import binary_dilation, label  # likewise
 
     holes, _ = label(np.isnan(level.floor))  # by their edges
     size = np.bincount(holes.ravel())
@@ -314,7 +314,6 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     free = near.copy()
     free[near] = ~is_occupied(np.flatnonzero(near), floor[near], None)
     # what is free and hangs together with floor that was seen, and what stands in such a hole
-    reached = np.zeros_like(free)
     open_part, _ = label(free)
     reached = free & np.isin(open_part, open_part[free & rim])
     unseen &= reached | (np.isin(holes, holes[reached & unseen]) & ~free)

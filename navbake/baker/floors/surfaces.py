@@ -126,7 +126,7 @@ class SurfaceStore:
         normal = np.empty((total if self._has_slopes else 0, 3), dtype=np.float32)
         ids, kept = np.empty(total, np.int32), np.empty(total, np.uint8)
         found: list[NDArray[Any]] = [start, np.empty(total), ids, kept, normal]
-        run_in_bands(kernels.list_surfaces, num, *asked, marks, *found, **few)
+        run_in_bands(kernels.list_surfaces, num, *asked, marks, tuple(found), **few)
         return found
 
 

@@ -190,7 +190,8 @@ def stated_up(path: Path) -> str | None:
     """
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
-        return _dae_asset(path)[1]
+        with suppress(ElementTree.ParseError):  # whoever reads the mesh says what is wrong
+            return _dae_asset(path)[1]
     return "y" if suffix in (".glb", ".gltf") else None
 
 

@@ -136,13 +136,13 @@ def _find_holder(crossings, i, last):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_surfaces(
-    lattice, cells, crossings, planes, marks, start, z, geom, kept, normal, begin, end
-):  # fmt: skip
-    """Write the marked crossings of the columns ``range(begin, end)`` from ``start`` on.
+def list_surfaces(lattice, cells, crossings, planes, marks, found, begin, end):
+    """Write the marked crossings of the columns ``range(begin, end)`` into arrays.
 
-    Surfaces that are HELD receive the geom that holds them.
+    `found` are where each column's begin, and z, geom, marks and normal of all. Surfaces that are
+    HELD receive the geom that holds them.
     """
+    start, z, geom, kept, normal = found
     for n in range(begin, end):
         at, last = start[n], crossings.start[n + 1]
         for i in range(crossings.start[n], last):
