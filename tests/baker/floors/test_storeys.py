@@ -8,13 +8,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 import navbake
 from box_worlds import box, stages_of_xml, world
-from navbake.baker.columns import tile_shapes
+from navbake.baker.columns import cast_columns
 from navbake.baker.pipeline import run_bake
-from navbake.baker.seams import settle_seams, splice
-from navbake.baker.stages import Stages
+from navbake.baker.seams import splice
+from navbake.baker.stages import Stages, bake_stages
 from navbake.baker.warn import collect_warnings
 from navbake.config.settings import parse_config
 from navbake.runtime.path_finder import PathFinder
@@ -111,9 +112,19 @@ def test_line_in_an_outer_face_keeps_its_geom(tmp_path: Path):
 
 def test_seams_of_meshes_are_settled_as_those_of_boxes(tmp_path: Path):
     boxes = stages_of_xml(tmp_path, two_storeys())
-    tiled = tile_shapes(boxes.scene.shapes, boxes.judged_columns.lattice, 0.1)
-    once = boxes.judged_columns.at(np.arange(3))
-    assert settle_seams(once, tiled).z.tolist() == once.z.tolist()
+    solids, mesh = boxes.scene.shapes.solids, tmp_path / "house.ply"
+    trimesh.util.concatenate([
+        trimesh.creation.box(2 * size, trimesh.transformations.translation_matrix(pos))
+        for pos, size in zip(solids.pos, solids.size, strict=True)
+    ]).export(mesh)  # fmt: skip
+    one, other = boxes, bake_stages({"scene": {"path": str(mesh), "up": "z"}})
+    settled = []
+    for stages in (one, other):
+        columns = stages.judged_columns.at(np.arange(3))
+        raw = cast_columns(stages.tiled)
+        settled.append(np.flatnonzero(np.diff(columns.start) != np.diff(raw.start)).tolist())
+    assert settled[0] == settled[1] != []
+    assert grounds(one) == grounds(other) == [0, 2.8]
 
 
 def test_splice_is_numpys_insert_and_delete():
