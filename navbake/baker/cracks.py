@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
@@ -22,7 +20,7 @@ from navbake.baker.kernels.cracks import (
     list_sides,
 )
 from navbake.baker.kernels.overlap import lines_blocked
-from navbake.baker.seams import splice
+from navbake.baker.seams import splice_columns
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int
@@ -108,15 +106,6 @@ def _add(columns: Columns, cell: Int, rays: Crossings, seen: Int) -> Columns:
     place, last = old.start[cell], old.start[cell + 1]
     while (below := (place < last) & (old.z[np.minimum(place, len(old.z) - 1)] < z)).any():
         place = place + below
-    first, end = columns.known_rows.cells(columns.lattice)
-    start = old.start.copy()
-    start[first : end + 1] += np.searchsorted(cell, np.arange(first, end + 1))
-    each = np.arange(len(z) + 1)
-    new = Crossings(
-        start,
-        splice(old.z, place, place, z, each),
-        splice(old.normal, place, place, rays.normal[seen], each),
-        splice(old.geom, place, place, rays.geom[seen], each),
-        splice(old.closed, place, place, np.full(len(z), OPEN_SURFACE, np.uint8), each),
-    )
-    return replace(columns, crossings=new)
+    closed = np.full(len(z), OPEN_SURFACE, np.uint8)
+    added = Crossings(np.arange(len(z) + 1), z, rays.normal[seen], rays.geom[seen], closed)
+    return splice_columns(columns, cell, place, place, added)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
 from navbake.baker.connect import ranges
+from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.tiles import tile_of
@@ -45,15 +46,9 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     points = lattice.positions(*np.divmod(asked, lattice.width))
     for axis, on_seam in enumerate(seams):
         points[np.isin(asked, on_seam), axis] += BESIDE
-    found, old = cast_points(tiled, asked, points), columns.crossings
-    first, last = old.start[asked], old.start[asked + 1]
-    start, begin = old.start.copy(), columns.known_rows.cells(lattice)[0]
-    more = np.zeros(len(start), dtype=np.int64)
-    more[asked + 1] = np.diff(found.start) - (last - first)
-    start[begin:] += np.cumsum(more[begin:])
-    layers: Any = zip(old[1:], found[1:], strict=True)
-    arrays = (splice(array, first, last, new, found.start) for array, new in layers)
-    return replace(columns, crossings=type(old)(start, *arrays))
+    start = columns.crossings.start
+    found = cast_points(tiled, asked, points)
+    return splice_columns(columns, asked, start[asked], start[asked + 1], found)
 
 
 def _boxes(tiled: TiledShapes, tiles: Int) -> Float:
@@ -116,6 +111,20 @@ def _mark_lines(tiled: TiledShapes, axis: int, at: Float, begin: Float, end: Flo
     which, place = ranges(first, last)
     marked[index[hit][which], place] = True
     return np.asarray((marked.T if axis == 0 else marked)[::-1]).ravel()
+
+
+def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Crossings) -> Columns:
+    """Replace the crossings ``first[i]`` to before ``last[i]`` of ``cell[i]`` by the i-th of `new`.
+
+    The cells ascend and may repeat.
+    """
+    old, begin = columns.crossings, columns.known_rows.cells(columns.lattice)[0]
+    start, more = old.start.copy(), np.zeros(len(old.start), dtype=np.int64)
+    np.add.at(more, cell + 1, np.diff(new.start) - (last - first))
+    start[begin:] += np.cumsum(more[begin:])
+    layers: Any = zip(old[1:], new[1:], strict=True)
+    arrays = (splice(array, first, last, other, new.start) for array, other in layers)
+    return replace(columns, crossings=Crossings(start, *arrays))
 
 
 def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Tasks for agents in baked scenes: sets of episodes, made, read, written and converted.
+"""Tasks for agents in baked scenes: sets of episodes, drawn, read and written.
 
 `make_episodes` draws a set on grids, `read_episodes` and `write_episodes` keep it in a file.
 `navbake.scores` says how well an agent did.
