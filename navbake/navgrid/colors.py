@@ -21,14 +21,15 @@ DOORWAY = "#ff9f5a"  # where it would, were it closed
 ROUTE = "#1864ab"
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
 
-OUTDOORS = "#e2ecba"
+OUTDOORS = "#e9ffc6"
 ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
 BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
 DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
 WALL = 0.6  # rooms with no more than this between them are neighbours [m]
 
-UP, DOWN, ACROSS = MARKS[1], MARKS[3], MARKS[0]  # where a link leads
+# where a link leads; seen on walls, too
+UP, DOWN, ACROSS = "#3bcb11", "#b870fd", "#889590"
 
 
 def rgb_of(color: str) -> tuple[int, int, int]:
