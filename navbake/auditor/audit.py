@@ -34,6 +34,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
     "levels are out of order": ("levels", levels.check_order),
     "boxes exclude their own cells": ("boxes", levels.check_boxes),
     "links lead nowhere": ("links", levels.check_links),
+    "links are missing": ("no link", levels.check_missing_links),
     "the agent can't be": ("agent", levels.check_agent),
 }
 """The checks, by what each looks for: what its remarks are called, and its function."""

@@ -124,7 +124,7 @@ CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], 
         (BOX, [SOLID]),
         ([face[::-1] for face in BOX], [CAVITY]),
         (BOX[:-2], [SHEET]),
-        ([BOX[0][::-1], *BOX[1:]], [UNCLEAR]),
+        ([BOX[0][::-1], *BOX[1:]], [SOLID]),  # one triangle is turned
         ([*BOX, *(tuple(v + 8 for v in face[::-1]) for face in BOX)], [CAVITY, SOLID]),
         ([*BOX, *(tuple(v + 8 for v in face) for face in BOX[:3])], [SHEET, SOLID]),
     ],
