@@ -9,7 +9,7 @@ import pytest
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.verifier.lines import Lines
-from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, UNCLEAR, Obstacles, split_parts
+from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, Obstacles, split_parts
 from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
