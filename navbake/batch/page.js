@@ -62,7 +62,7 @@ function showGroups(kind) {
   for (const scene of scenes) for (const group of groupsOf(kind, scene)) members.get(group).push(scene);
   const lines = [...members].filter(([, own]) => own.length).sort((a, b) => b[1].length - a[1].length).map(([group, own]) => {
     const isOn = state[kind] === group, more = own.length > EXAMPLES ? `and ${whole(own.length - EXAMPLES)} more` : "";
-    const press = button([element("strong", whole(own.length)), ` ${group}`], () => choose({ [kind]: isOn ? null : group }), { "aria-pressed": String(isOn), class: kind === "status" ? group : "" });
+    const press = button([element("strong", whole(own.length)), " ", ...coded(group)], () => choose({ [kind]: isOn ? null : group }), { "aria-pressed": String(isOn), class: kind === "status" ? group : "" });
     return element("li", [press, ...own.slice(0, EXAMPLES).map(link), element("span", more, { class: "soft" })]);
   });
   return element("section", lines.length ? [element("h2", GROUPS[kind]), element("ul", lines, { class: "groups" })] : [], { id: kind });
@@ -137,8 +137,8 @@ function openScene(scene) {
     element("div", [element("h2", scene.id, { id: "scene-name" }), ...Object.values(steps), button("\u2715", () => box.close(), { "aria-label": "Close" })], { class: "buttons" }),
     ...(scene.thumbnail ? [element("img", "", { src: hrefOf(scene, "thumbnail.png"), alt: `The levels of ${scene.id}, coloured by rooms` })] : []),
     element("p", files.map((file) => element("a", file, { href: hrefOf(scene, file) }))),
-    ...scene.failures.map((text) => element("p", text, { class: "reason" })), element("dl", facts(rows.filter(([, value]) => value))),
-    ...lists.flatMap(([title, texts]) => [element("h3", title), element("ul", texts.map((text) => element("li", text)))]), ...stageTable([scene], "Where its time went"),
+    ...scene.failures.map((text) => element("p", coded(text), { class: "reason" })), element("dl", facts(rows.filter(([, value]) => value))),
+    ...lists.flatMap(([title, texts]) => [element("h3", title), element("ul", texts.map((text) => element("li", coded(text))))]), ...stageTable([scene], "Where its time went"),
   );
   if (!box.open) box.showModal();
 }

@@ -19,6 +19,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from navbake.auditor.report import count_of
 from navbake.batch import store
 from navbake.batch.index import read_index
 from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
@@ -72,7 +73,8 @@ def write_page(
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
     # a name that is no UTF-8 is its bytes in a link, as browsers have it
     content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
-    packed, title = to_text(json.dumps(content).encode()), printable(name) or "batch"
+    packed = to_text(json.dumps(content).encode())
+    title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
     page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURES)
     if path is None:
         store.write_file(folder, NAME, page)

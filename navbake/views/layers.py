@@ -318,7 +318,7 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("occupied, no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
         ("no floor", colors.NO_FLOOR): no_floor,
         ("free, no room", colors.FREE): (index == 0) & free,
-        ("darker: occupied in a room", colors.DARKER): (index > 0) & ~free,
+        ("greyer: occupied in a room", colors.DARKER): (index > 0) & ~free,
         ("door", colors.DOOR): doors,
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }

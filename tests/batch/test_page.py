@@ -338,7 +338,14 @@ def test_names_and_reasons_are_text_on_a_narrow_dark_page(folder):
     with open_browser(390, 900, dark=True) as driver:
         open_page(driver, (folder / "index.html").as_uri())
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        assert driver.find_element("id", "title").text == folder.name
+        title = driver.find_element("id", "title").text
+        assert title == f"Batch {folder.name}: {COUNT + 2} scenes"
+        # rows are stacked: a cell stands under the other, with its column's name
+        cells = driver.find_elements("css selector", "#table tbody tr:nth-child(2) td")
+        left = {cell.location["x"] for cell in cells if cell.is_displayed()}
+        assert len(left) == 1
+        before = "return getComputedStyle(arguments[0], '::before').content"
+        assert driver.execute_script(before, cells[-1]).startswith('"time in s')
         for name in (HOSTILE_ID, "a"):
             driver.execute_script("openScene(scenes.find((s) => s.id === arguments[0]))", name)
             box = driver.find_element("id", "scene")

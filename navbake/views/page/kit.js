@@ -22,9 +22,14 @@ const facts = (entries) => entries.map(([name, value]) => element("div", [elemen
 
 // A table: texts or elements, and which columns hold numbers.
 function table(columns, rows, numbers) {
-  const line = (tag, row) => element("tr", row.map((inner, i) => element(tag, inner, numbers.includes(i) ? { class: "number" } : {})));
+  // on a narrow page each row is a block, whose cells need their columns' names
+  const names = columns.map((column) => column.textContent ?? column);
+  const line = (tag, row) => element("tr", row.map((inner, i) => element(tag, inner, { "data-column": names[i], ...(numbers.includes(i) ? { class: "number" } : {}) })));
   return element("table", [element("thead", line("th", columns)), element("tbody", rows.map((row) => line("td", row)))]);
 }
+
+// A text whose settings, between backticks, are code.
+const coded = (text) => text.split(/`([^`]+)`/).map((part, i) => (i % 2 ? element("code", part) : part));
 
 const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits); // never -0
 const whole = (value) => Math.round(value).toLocaleString("en");

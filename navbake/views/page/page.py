@@ -50,11 +50,12 @@ def make_page(title: str, content: Json, package: str, name: str, pictures: str 
     return page.encode("utf-8")
 
 
-def show_table(title: str, table: Table) -> Json:
+def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     """A table of a page, without the columns that are empty in all rows."""
     shown = table.without_empty_columns()
     return {
         "title": title,
+        "folded": folded,
         "columns": shown.headings,
         "rows": shown.rows[:MAX_ROWS],
         "numbers": [i for i, heading in enumerate(shown.headings) if heading in table.numbers],

@@ -178,14 +178,14 @@ function showSheet() {
     showSheet();
   });
   find("facts").replaceChildren(...facts(own.facts));
-  find("warnings").replaceChildren(...own.warnings.map((text) => element("li", text)));
+  find("warnings").replaceChildren(...own.warnings.map((text) => element("li", coded(text))));
   find("tables").replaceChildren(...own.tables.map((made) => {
     const rows = [table(made.columns, made.rows, made.numbers), ...(made.more ? [element("p", `and ${made.more} more`)] : [])], count = made.rows.length + made.more;
     const box = element("details", [
       element("summary", [element("h2", made.title), element("span", ` ${count}`, { class: "soft" })]),
       element("div", rows, { class: "scroll", tabindex: "0", role: "group", "aria-label": made.title }),
     ]);
-    box.open = count <= 40;
+    box.open = count <= 40 && !made.folded;
     return box;
   }));
   document.querySelector(".map").hidden = own.levels.length === 0;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -14,6 +14,7 @@ import orjson
 
 from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_object, write_bytes
+from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
@@ -35,6 +36,7 @@ KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
 MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
 MOST_STEPS = 2**31 - 2  # that a page counts of heights
 NONE = -1  # stands for no value in what is packed
+FOLDED = ("Timings", "Made by")  # tables that few readers need
 BAR = 64  # colours of the bar beside a layer
 
 
@@ -183,19 +185,29 @@ def _describe_grid(
         "facts": [*shown, ("cells", f"{cells:,}"), ("free", f"{area:.2f} m²")],
         "warnings": facts["warnings"],
         "levels": levels,
-        "tables": [show_table(title, made) for title, made in tables.items() if made.rows],
+        "tables": [
+            show_table(title, made, folded=title in FOLDED)
+            for title, made in tables.items()
+            if made.rows
+        ],
     }
 
 
 def link_table(grid: NavGrid) -> Table:
-    """How many steps lead from level to level, and where their middle is."""
+    """How many steps lead from level to level side by side, as of a stair, and their middle."""
+    from scipy import ndimage  # takes longer to load than most pages to make
+
     links, rows = grid.link_array, []
     for level, other in np.unique(links[:, ::2], axis=0).tolist():
         own = links[(links[:, 0] == level) & (links[:, 2] == other)]
-        lattice = grid.levels[level].lattice
-        middle = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
-        names = grid.level_names[level], grid.level_names[other]
-        rows.append((*names, len(own), _place(middle)))
+        lattice, mask = grid.levels[level].lattice, np.zeros(grid.levels[level].shape, np.bool_)
+        cells = np.divmod(own[:, 1], lattice.width)
+        mask[cells] = True
+        stair = ndimage.label(mask, np.ones((3, 3)))[0][cells]
+        for number in np.unique(stair).tolist():
+            xy = lattice.positions(*cells)[stair == number]
+            names = grid.level_names[level], grid.level_names[other]
+            rows.append((*names, len(xy), _place(xy.mean(axis=0).tolist())))
     return make_table(("from", "to", "steps", "mean place x, y [m]"), rows, numbers=("steps",))
 
 
@@ -295,6 +307,14 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     return numbers.reshape(level.shape), lists
 
 
+def _name_rooms(grid: NavGrid, number: int) -> Iterator[tuple[str, str]]:
+    """The rooms of a level and their colours, for the legend."""
+    rgb = color_rooms(grid, number)
+    for room in grid.rooms:
+        if room.level == number and not room.outdoors and room.index < len(rgb):
+            yield room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"
+
+
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
     panel, scale = make_panel(grid, layer, number), None
     if panel.scale is not None:
@@ -307,7 +327,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
         "png": to_url(paint(panel)[::every, ::every]),
-        "legend": panel.legend,
+        "legend": [*_name_rooms(grid, number)] * (layer == "rooms") + [*panel.legend],
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],

@@ -87,6 +87,12 @@ def test_tables_list_rooms_doors_and_links(house):
     assert sum(int(row[steps["columns"].index("steps")]) for row in steps["rows"]) == len(
         house.links
     )
+    assert len(steps["rows"]) == 2  # of its two stairs
+    folded = {title for title, table in tables.items() if table["folded"]}
+    assert folded == {"Timings", "Made by"}
+    rooms = next(each for each in sheet["levels"][0]["layers"] if each["name"] == "rooms")
+    names = {room.name or room.id for room in house.rooms if not room.level and not room.outdoors}
+    assert names <= {name for name, _ in rooms["legend"]}
     assert ["agent.height", "1.8"] in tables["Settings"]["rows"]
     assert any(row[0] == "create" for row in tables["Timings"]["rows"])
     assert sheet["warnings"] == list(house.warnings)
