@@ -157,6 +157,10 @@ class Address(NamedTuple):
         "PORT", "Port to listen at; 0 for any free one.", default=8080, min=0, max=65535
     )
     no_open: bool = flag("--no-open", "Only print the link.")
+    allow_origin: list[str] | None = option(
+        "URL",
+        "Another address at which browsers may show the page, as of a proxy. May be repeated.",
+    )
 
 
 def view(
@@ -173,6 +177,10 @@ def view(
     ),
     overrides: Overrides = None,
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
+    episodes: Path | None = option("EPISODES", "A set of episodes to show."),
+    trajectories: Path | None = option(
+        "TRAJECTORIES", "Where an agent was in episodes: .jsonl or .npz."
+    ),
 ) -> None:
     """Show a grid in its scene, in the browser, until Ctrl-C.
 
@@ -180,7 +188,8 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.view import Viewer, check_address, check_viser, watch_grid
+    from navbake.views.viewer.server import check_address, check_viser
+    from navbake.views.viewer.view import Viewer, watch_grid
 
     check_viser()
     check_address(address.host, address.port)  # before the bake, which may take long
@@ -189,9 +198,22 @@ def view(
         ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
         ("--scene", scene is not None, is_grid, "a GRID"),
         ("--force", force, is_grid, "a GRID"),
+        ("--episodes", episodes is not None, is_grid, "a GRID"),
+        ("--trajectories", trajectories is not None, is_grid, "a GRID"),
     )
-    watch = watch_grid(source, scene, force=force) if is_grid else _baked(source, overrides or [])
-    viewer = Viewer(watch.read(), host=address.host, port=address.port, watch=watch)
+    runs = {"episodes": episodes, "trajectories": trajectories or ()}
+    watch = (
+        watch_grid(source, scene, force=force, **runs)
+        if is_grid
+        else _baked(source, overrides or [])
+    )
+    viewer = Viewer(
+        watch.read(),
+        host=address.host,
+        port=address.port,
+        allow_origin=address.allow_origin or (),
+        watch=watch,
+    )
     try:
         say(f"{viewer.url} (Ctrl-C ends it)")
         if not address.no_open:
