@@ -152,7 +152,7 @@ function stageTable(some, title) {
   return timed.length ? [element("h3", title), table(["stage", "time", "share"], rows.map(([name, each]) => [name, withUnit(each, "s"), `${Math.round((100 * each) / total)} %`]), [1, 2])] : [];
 }
 
-inflate(content.packed).json().then((unpacked) => {
+unpack(content.packed).then((unpacked) => {
   batch = unpacked;
   scenes = batch.scenes;
   const tried = scenes.filter((scene) => scene.status !== "left").length, { work } = batch, box = find("scene");

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -30,7 +29,7 @@ from navbake.formats.source import write_bytes
 from navbake.types import Json
 from navbake.views.layers import nice_step
 from navbake.views.notebook import draw_thumbnail
-from navbake.views.page.page import make_page, to_text
+from navbake.views.page.page import make_page, pack
 
 NAME = "index.html"
 PICTURES = "'self' file: data:"  # thumbnails are beside the page
@@ -73,9 +72,8 @@ def write_page(
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
     # a name that is no UTF-8 is its bytes in a link, as browsers have it
     content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
-    packed = to_text(json.dumps(content).encode())
     title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
-    page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURES)
+    page = make_page(title, {"packed": pack(content)}, "navbake.batch", "page", PICTURES)
     if path is None:
         store.write_file(folder, NAME, page)
     else:

@@ -12,7 +12,7 @@ from string import Template
 
 import orjson
 
-from navbake.types import Int, Json
+from navbake.types import Json
 from navbake.views.tables import Table
 
 INSIDE = "data:"  # where pictures may be: in the page itself
@@ -63,11 +63,7 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     }
 
 
-def pack(values: Int) -> str:
-    """Pack whole numbers of 32 bits, of any shape; `unpack` in ``kit.js`` undoes it."""
-    return to_text(values.astype("<i4").tobytes())
-
-
-def to_text(data: bytes) -> str:
-    """Compress bytes into text: zlib, then base64."""
+def pack(content: Json) -> str:
+    """Compress JSON with arrays into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
+    data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
     return b64encode(zlib.compress(data, LEVEL)).decode("ascii")

@@ -101,7 +101,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     return {
         **place,
         "of": [[0, level.first], [1, level.second]],
-        "change": pack(change.astype(np.int64)),
+        "cells": pack({"change": change.ravel()}),
         "kinds": [*COLORS],
         "layers": [{**layer, "scale": None, "labels": [], "doors": []}],
         "marks": [],
