@@ -23,7 +23,6 @@ from navbake.views.layers import ColorScale, Label, Panel, color_kinds, make_pan
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
-FORMATS = (".png", ".svg")
 DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # of a PNG: 1.5 pixels for each of a README's
 MAX_COLUMNS = 3

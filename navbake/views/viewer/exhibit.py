@@ -34,6 +34,7 @@ CUT_OVER = 1.3  # a level is looked into from so high over its ground [m]
 TINT = "#a9dfc4"
 START, GOAL, LIT, TRAJECTORY = "#2f9e44", colors.ROUTE, "#ff922b", "#c2255c"
 NAME_HEIGHT, POINT_HEIGHT = 0.4, 0.18  # of letters: at most, and of names of points [m]
+NAME_OVER = 1.0  # of names over the floor: most furniture is lower [m]
 LETTER = 0.65  # how wide a letter is by its height
 INSPECT, ROUTE = "tells about the cell", "sets start, then goal"
 CLICKS = (INSPECT, ROUTE)
@@ -253,7 +254,7 @@ class Exhibit:
                 if not any(k > number and f > z + self.grid.max_step for k, f in floors.items()):
                     width = LETTER * len(label.text)
                     height = min(NAME_HEIGHT, label.width / width if label.width else POINT_HEIGHT)
-                    place = label.x, label.y, z + 0.1 + height / 2
+                    place = label.x, label.y, z + NAME_OVER
                     found.append((-label.width, number, Name(label.text, place, height)))
         names: dict[int, list[Name]] = {number: [] for number in levels}
         for _, number, name in sorted(found)[:MOST_NAMES]:
