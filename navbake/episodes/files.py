@@ -29,6 +29,7 @@ from navbake.episodes.formats import (
     read_molmospaces,
 )
 from navbake.errors import FormatError, MissingDependencyError
+from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
@@ -178,10 +179,13 @@ def _encode_parquet(content: EpisodeSet, _: Mapping[str, str]) -> bytes:
 def _read_parquet(data: bytes, name: str) -> EpisodeSet:
     pyarrow, parquet = _pyarrow()
     try:
-        table = parquet.read_table(io.BytesIO(data))
-        header = table.schema.metadata[NAME]
-        texts = table.column("episode").to_pylist()
-    except (pyarrow.ArrowException, KeyError, TypeError) as error:
+        file = parquet.ParquetFile(io.BytesIO(data))
+        groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
+        size = file.metadata.num_rows + sum(group.total_byte_size for group in groups)
+        Allowance(len(data), "max_cells").take_text(size, JsonPath(name))
+        header = file.schema_arrow.metadata[NAME]
+        texts = file.read(["episode"]).column("episode").to_pylist()
+    except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
         raise FormatError(f"expected a set of episodes as Parquet in {name}") from error
     episodes = [decode(text or "", Episode, f"{name}, row {row}") for row, text in enumerate(texts)]
     return make_set(decode(header, Header, name), episodes, name)

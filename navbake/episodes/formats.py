@@ -13,7 +13,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import msgspec
@@ -33,13 +33,11 @@ COLUMNS = (
     "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors", "pathDoorIds", "pathNumRooms",
     "pathRoomIndices",
 )  # fmt: skip
-HELD = ("id", "task", "start", "heading", "goals", "distance", "room", "extra")
+HELD = {"id", "task", "start", "heading", "goals", "distance", "room", "extra"}
 """What habitat-lab's formats have a field for."""
 INDEXED = re.compile(r"/\d+$")  # ends MolmoSpaces's scenes
 PLANAR = 1.5  # metres on the map from the object, MolmoSpaces's success
-SPEC = {
-    "robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 480],
-}  # fmt: skip
+SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 480]}
 """Of an EpisodeSpec: what no navigation episode says."""
 
 
@@ -78,15 +76,15 @@ def _heading(rotation: Rotation) -> float:
     return math.atan2(1 - 2 * (x * x + y * y), -2 * (x * z + w * y))
 
 
-def _rest(episode: Episode, *held: str) -> dict[str, Any]:
+def _rest(episode: Episode, held: Container[str]) -> dict[str, Any]:
     """The fields of an episode but those that a format holds."""
     fields = msgspec.to_builtins(episode)
     return {key: value for key, value in fields.items() if key not in held}
 
 
-def _position(goal: Goal, episode: Episode) -> Vector3:
+def _position(goal: Goal) -> Vector3:
     if goal.position is None:
-        raise FormatError(f"expected positions of goals, episode {episode.id!r} has one without")
+        raise FormatError(f"expected positions of all goals, {goal.name or 'one'} has none")
     return goal.position
 
 
@@ -112,10 +110,6 @@ class _Goal(msgspec.Struct, omit_defaults=True):
     view_points: list[_View] | None = None
 
 
-class _Instruction(msgspec.Struct):
-    instruction_text: str
-
-
 class _Episode(msgspec.Struct, omit_defaults=True):
     episode_id: str | int
     scene_id: str
@@ -127,7 +121,12 @@ class _Episode(msgspec.Struct, omit_defaults=True):
     object_category: str | None = None
     trajectory_id: str | int | None = None
     reference_path: list[Vector3] | None = None
-    instruction: _Instruction | None = None
+    instruction: dict[str, Any] | None = None
+
+    @property
+    def goals_key(self) -> str:
+        """The key of its goals in ObjectNav's table."""
+        return f"{self.scene_id.rsplit('/', 1)[-1]}_{self.object_category}"
 
 
 class _Content(msgspec.Struct, omit_defaults=True):
@@ -141,91 +140,99 @@ class _Content(msgspec.Struct, omit_defaults=True):
 
 def encode_habitat(content: EpisodeSet, scenes: Mapping[str, str], kind: str) -> bytes:
     """Encode as habitat-lab's dataset of a kind: ``pointnav``, ``objectnav`` or ``vln``."""
-    whole = _Content([], navbake=content.header)
-    table: dict[str, list[_Goal]] = {}
+    whole, seen = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
     for number, e in enumerate(content.episodes):
         scene = scenes.get(e.scene, e.scene)
-        rest = _rest(e, *HELD, *(["scene"] if scene == e.scene else []))
+        rest = _rest(e, HELD | ({"scene"} if scene == e.scene else set()))
         written = _Episode(
-            e.id, scene, _to_yup(e.start), _rotation(e.heading),
-            [_Goal(_to_yup(_position(goal, e)), goal.radius) for goal in e.goals],
+            e.id, scene, _to_yup(e.start), _rotation(e.heading), [],
             info={**e.extra, "geodesic_distance": e.distance, "navbake": rest}, start_room=e.room,
         )  # fmt: skip
         if kind == "objectnav":
             written.object_category = e.goals[0].category or e.goals[0].name
-            key, written.goals = _goals_key(written), []
-            goals = [_object_goal(goal, k, e) for k, goal in enumerate(e.goals)]
-            if table.setdefault(key, goals) != goals:
+            key = written.goals_key
+            if seen.setdefault(key, e.goals) != e.goals:
                 raise FormatError(
                     f"habitat-objectnav has one list of goals for {key!r}, episode {e.id!r} has "
                     "another one: draw objects by category, and give scenes names of their own"
                 )
-        elif kind == "vln":
+        else:
+            written.goals = [_Goal(_to_yup(_position(goal)), goal.radius) for goal in e.goals]
+        if kind == "vln":
             if not e.path:
                 raise FormatError(f"habitat-vln needs paths, episode {e.id!r} has none: paths=true")
             written.reference_path = [_to_yup(p) for p in rest.pop("path")]
-            written.instruction = _Instruction(rest.pop("instruction", ""))
+            written.instruction = {"instruction_text": rest.pop("instruction", "")}
             written.trajectory_id = e.extra.get("trajectory_id", number)
         whole.episodes.append(written)
     if kind == "objectnav":
         categories = sorted({str(e.object_category) for e in whole.episodes})
         whole.category_to_task_category_id = {name: k for k, name in enumerate(categories)}
         whole.category_to_scene_annotation_category_id = whole.category_to_task_category_id
-        whole.goals_by_category = table
+        whole.goals_by_category = {key: _object_goals(goals) for key, goals in seen.items()}
     elif kind == "vln":
         texts = " ".join(e.instruction or "" for e in content.episodes)
         whole.instruction_vocab = {"word_list": sorted(set(re.findall(r"\w+", texts.lower())))}
     return msgspec.json.encode(whole)
 
 
-def _goals_key(episode: _Episode) -> str:
-    return f"{episode.scene_id.rsplit('/', 1)[-1]}_{episode.object_category}"
-
-
-def _object_goal(goal: Goal, number: int, episode: Episode) -> _Goal:
-    views = [
-        _View(_State(_to_yup(v.position), _rotation(v.heading)), v.iou) for v in goal.view_points
-    ]
-    place = _to_yup(_position(goal, episode))
-    return _Goal(place, goal.radius, number, goal.name, goal.category, views)
+def _object_goals(goals: Sequence[Goal]) -> list[_Goal]:
+    return [
+        _Goal(_to_yup(_position(goal)), goal.radius, k, goal.name, goal.category, [
+            _View(_State(_to_yup(v.position), _rotation(v.heading)), v.iou)
+            for v in goal.view_points
+        ])
+        for k, goal in enumerate(goals)
+    ]  # fmt: skip
 
 
 def read_habitat(text: bytes, scenes: Mapping[str, str], name: str) -> EpisodeSet:
     """Read a dataset of habitat-lab; whether it is ObjectNav or VLN its episodes tell."""
     content = decode(text, _Content, name)
-    table = content.goals_by_category or {}
+    # episodes share goals, of which there may be thousands
+    table = {
+        key: _read_goals(goals, OBJECT_RADIUS)
+        for key, goals in (content.goals_by_category or {}).items()
+    }
     episodes = (_read_habitat_episode(e, table, scenes) for e in content.episodes)
     return make_set(content.navbake or Header(), episodes, name)
 
 
+def _read_goals(goals: Sequence[_Goal], radius: float) -> tuple[Goal, ...]:
+    return tuple(
+        Goal(
+            position=_from_yup(g.position), radius=radius if g.radius is None else g.radius,
+            name=g.object_name, category=g.object_category,
+            view_points=tuple(
+                ViewPoint(
+                    _from_yup(v.agent_state.position), _heading(v.agent_state.rotation), v.iou
+                )
+                for v in g.view_points or ()
+            ),
+        )
+        for g in goals
+    )  # fmt: skip
+
+
 def _read_habitat_episode(
-    e: _Episode, table: Mapping[str, list[_Goal]], scenes: Mapping[str, str]
+    e: _Episode, table: Mapping[str, tuple[Goal, ...]], scenes: Mapping[str, str]
 ) -> dict[str, Any]:
     extra, is_object = dict(e.info or {}), e.object_category is not None
     own = extra.pop("navbake", None)
     known = {"scene": scenes.get(e.scene_id, e.scene_id), **(own or {})}
-    known["distance"] = extra.pop("geodesic_distance", None)
     if e.start_room is not None:
         known["room"] = str(e.start_room)
     if e.reference_path is not None:
         known["path"] = [_from_yup(p) for p in e.reference_path]
     if e.instruction is not None:
-        known["instruction"] = e.instruction.instruction_text or None
+        known["instruction"] = e.instruction.get("instruction_text") or None
         extra |= {"trajectory_id": e.trajectory_id} if own is None else {}
-    radius, goals = OBJECT_RADIUS if is_object else POINT_RADIUS, []
-    for goal in table.get(_goals_key(e), e.goals):
-        views = [(view.agent_state, view.iou) for view in goal.view_points or ()]
-        goals.append(Goal(
-            position=_from_yup(goal.position),
-            radius=radius if goal.radius is None else goal.radius, name=goal.object_name,
-            category=goal.object_category,
-            view_points=tuple(
-                ViewPoint(_from_yup(at.position), _heading(at.rotation), iou) for at, iou in views
-            ),
-        ))  # fmt: skip
+    inline = _read_goals(e.goals, OBJECT_RADIUS if is_object else POINT_RADIUS)
     return known | {
-        "id": str(e.episode_id), "task": "object" if is_object else "point", "extra": extra,
-        "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation), "goals": goals,
+        "id": str(e.episode_id), "task": "object" if is_object else "point",
+        "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation),
+        "goals": table.get(e.goals_key, inline),
+        "distance": extra.pop("geodesic_distance", None), "extra": extra,
     }  # fmt: skip
 
 
@@ -251,7 +258,7 @@ def encode_minos(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
             "pathNumDoors": len(doors), "pathDoorIds": ":".join(doors),
             "pathNumRooms": len(rooms), "pathRoomIndices": ":".join(rooms),
         } | dict.fromkeys(("startTilt", "goalAngle", "goalTilt"), 0)  # fmt: skip
-        for end, p in (("start", e.start), ("goal", _position(goal, e))):
+        for end, p in (("start", e.start), ("goal", _position(goal))):
             row |= {f"{end}{axis}": v for axis, v in zip("XYZ", _to_yup(p), strict=True)}
         table.writerow({k: f"{v:.3f}" if isinstance(v, float) else v for k, v in row.items()})
     return file.getvalue().encode()
@@ -280,10 +287,12 @@ def _read_row(row: Mapping[str, str], k: int, scenes: Mapping[str, str]) -> dict
 
     scene = row.get("sceneId", "")
     start, goal = (_from_yup([number(end + axis) for axis in "XYZ"]) for end in ("start", "goal"))
-    level, straight, distance = (
-        number("level", "0"), number("dist", "-1"), number("pathDist", "-1")
-    )  # fmt: skip
-    doors, rooms = ((row.get(key) or "").split(":") for key in ("pathDoorIds", "pathRoomIndices"))
+    straight, distance = number("dist", "-1"), number("pathDist", "-1")
+    level = int(number("level", "0"))
+    doors, rooms = (
+        [word for word in (row.get(key) or "").split(":") if word]
+        for key in ("pathDoorIds", "pathRoomIndices")
+    )
     name, room = row.get("goalObjectId") or None, row.get("goalRoomId") or None
     kind = row.get("goalRoomType" if room else "goalObjectType") or None
     return {
@@ -297,8 +306,8 @@ def _read_row(row: Mapping[str, str], k: int, scenes: Mapping[str, str]) -> dict
         "distance": None if distance < 0 else distance,
         "straight": None if straight < 0 else straight,
         "split": row.get("split") or None, "room": row.get("roomId") or None,
-        "levels": [int(level)] * 2, "doors": [door for door in doors if door] or None,
-        "rooms": [f"{int(level)}:{r}" if r.isdigit() else r for r in rooms if r] or None,
+        "levels": [level, level], "doors": doors or None,
+        "rooms": [f"{level}:{r}" if r.isdigit() else r for r in rooms] or None,
     }  # fmt: skip
 
 
@@ -314,15 +323,11 @@ class _NavTask(msgspec.Struct):
     task_cls: str = "molmo_spaces.tasks.nav_task.NavToObjTask"
 
 
-class _Language(msgspec.Struct):
-    task_description: str
-
-
 class _Spec(msgspec.Struct, omit_defaults=True):
     scene_dataset: str
     house_index: int
     task: _NavTask
-    language: _Language
+    language: dict[str, Any]
     data_split: str = "val"
     navbake: dict[str, Any] = {}
 
@@ -336,11 +341,11 @@ def encode_molmospaces(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
         goal, half = e.goals[0], e.heading / 2
         task = _NavTask(
             (*e.start, math.cos(half), 0.0, 0.0, math.sin(half)), goal.name or "",
-            [g.name or "" for g in e.goals], (*_position(goal, e), 1.0, 0.0, 0.0, 0.0),
+            [g.name or "" for g in e.goals], (*_position(goal), 1.0, 0.0, 0.0, 0.0),
             goal.radius if e.extra.get("success") == "planar" else PLANAR,
         )  # fmt: skip
-        said = _Language(e.instruction or f"go to the {goal.category or goal.name}")
-        rest = _rest(e, "task", "start", "heading")
+        said = {"task_description": e.instruction or f"go to the {goal.category or goal.name}"}
+        rest = _rest(e, ("task", "start", "heading"))
         spec = _Spec(dataset, int(index), task, said, e.split or "val", rest)
         specs.append(SPEC | msgspec.to_builtins(spec))
     return msgspec.json.encode(specs)
@@ -359,7 +364,7 @@ def read_molmospaces(text: bytes, scenes: Mapping[str, str], name: str) -> Episo
         goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
         foreign: dict[str, Any] = {
             "id": str(k), "scene": scenes.get(scene, scene), "split": spec.data_split,
-            "instruction": spec.language.task_description,
+            "instruction": spec.language.get("task_description"),
             "goals": goals + [Goal(name=other, radius=radius) for other in others],
             "extra": {"success": "planar"},
         }  # fmt: skip

@@ -177,7 +177,7 @@ def test_an_episode_spec_of_molmospaces(tmp_path):
         ("habitat-objectnav", "a.json", EpisodeSet(HEADER, (OBJECT, msgspec.structs.replace(
             OBJECT, id="8", goals=CUPS[1:]))), "one list of goals for 'flat_cup', episode '8'"),
         ("habitat-pointnav", "a.json", EpisodeSet(HEADER, (msgspec.structs.replace(
-            POINT, goals=(Goal(),)),)), "positions of goals, episode '7' has one without"),
+            POINT, goals=(Goal(),)),)), "expected positions of all goals, one has none"),
     ],
 )  # fmt: skip
 def test_what_a_format_cannot_hold_is_one_line(form, name, content, message, tmp_path):
