@@ -105,20 +105,20 @@ def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = n
     Dynamic Time Warping" (2019).
     """
     p, q = xp.asarray(path), xp.asarray(reference)
-    m, n = len(p), len(q)
-    if not m or not n:
+    if not len(p) or not len(q):
         return math.nan
-    apart = xp.sqrt(((p[:, None] - q) ** 2).sum(-1))
-    i = xp.arange(m)
+    few, many = (p, q) if len(p) < len(q) else (q, p)
+    apart = xp.sqrt(((few[:, None] - many) ** 2).sum(-1))
+    i, n = xp.arange(len(few)), len(many)
     before = last = xp.full_like(apart[:, 0], math.inf)
     # cells of one anti-diagonal, by their row, depend on the two before it alone
-    for diagonal in range(m + n - 1):
+    for diagonal in range(len(few) + n - 1):
         j = diagonal - i
         above = xp.minimum(xp.minimum(last, last[i - 1]), before[i - 1])
         best = xp.where(i > 0, above, last) if diagonal else xp.zeros_like(last)
         cost = xp.where((j >= 0) & (j < n), apart[i, xp.clip(j, 0, n - 1)], math.inf)
         before, last = last, cost + best
-    return xp.exp(-last[m - 1] / (n * threshold))
+    return xp.exp(-last[-1] / (len(q) * threshold))
 
 
 class Interval(NamedTuple):
@@ -167,7 +167,11 @@ class Measures:
     ) -> None:
         self.finder, self.episode, self.threshold = finder, episode, threshold
         self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
-        target = find_target(finder, episode.goals, in_order=episode.task == "sequence")
+        goals, in_order = episode.goals, episode.task == "sequence"
+        # many episodes of a set have the goals of the last one
+        target = finder.search.keep(
+            "target", (goals, in_order), lambda: find_target(finder, goals, in_order=in_order)
+        )
         if target is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._target, self._passed = target, 0

@@ -45,7 +45,7 @@ class Format(NamedTuple):
 
     ending: str
     tasks: tuple[str, ...]
-    encode: Callable[[EpisodeSet, Mapping[str, str]], bytes]
+    encode: Callable[[EpisodeSet], bytes]
 
 
 def read_episodes(
@@ -55,7 +55,7 @@ def read_episodes(
 
     Args:
         path: of the file, plain or packed.
-        scenes: what other programs call scenes, by their ids here.
+        scenes: what another program calls scenes, by their ids here.
 
     Raises:
         FormatError: the file can't be read, or holds no set; file, line and field are named.
@@ -63,14 +63,12 @@ def read_episodes(
     """
     packed, name = read_bytes(path)
     text, (ending, _) = unpack(packed, name), _endings(path)
-    ids = {there: here for here, there in (scenes or {}).items()}
     if ending == ".parquet":
         return _read_parquet(text, name)
-    if ending == ".csv":
-        return read_minos(text, ids, name)
-    if ending == ".json":
+    if ending in (".csv", ".json"):
         is_list = text.lstrip()[:1] == b"["
-        return (read_molmospaces if is_list else read_habitat)(text, ids, name)
+        read = read_minos if ending == ".csv" else read_molmospaces if is_list else read_habitat
+        return _rename(read(text, name), {there: here for here, there in (scenes or {}).items()})
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
@@ -117,8 +115,8 @@ def write_episodes(
         task = next(task for task in tasks if task not in next(iter(fitting.values())).tasks)
         names = " or ".join(fitting)
         raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
-    data = FORMATS[chosen].encode(content, scenes or {})
-    write_bytes(PACKERS.get(packing, bytes)(data), path)
+    written = content if chosen in OWN else _rename(content, scenes or {})
+    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written)), path)
     return [] if chosen in OWN else _lost(content, read_episodes(path, scenes))
 
 
@@ -126,6 +124,14 @@ def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
     """How a file's name ends, without what packs it, and that."""
     stem, packing = os.path.splitext(os.fspath(path).lower())
     return (os.path.splitext(stem)[1], packing) if packing in PACKERS else (packing, "")
+
+
+def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
+    """The set with other names of scenes in its episodes."""
+    renamed = (
+        msgspec.structs.replace(e, scene=names.get(e.scene, e.scene)) for e in content.episodes
+    )
+    return EpisodeSet(content.header, tuple(renamed)) if names else content
 
 
 def _lost(content: EpisodeSet, written: EpisodeSet) -> list[str]:
@@ -140,7 +146,7 @@ def _lost(content: EpisodeSet, written: EpisodeSet) -> list[str]:
     return sorted(lost)
 
 
-def _encode_lines(content: EpisodeSet, _: Mapping[str, str]) -> bytes:
+def _encode_lines(content: EpisodeSet) -> bytes:
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
@@ -158,7 +164,7 @@ def _pyarrow() -> tuple[Any, Any]:
     return pyarrow, parquet
 
 
-def _encode_parquet(content: EpisodeSet, _: Mapping[str, str]) -> bytes:
+def _encode_parquet(content: EpisodeSet) -> bytes:
     pyarrow, parquet = _pyarrow()
     text, number = pyarrow.string(), pyarrow.float64()
     columns = {"id": text, "scene": text, "task": text, "split": text, "room": text}

@@ -33,7 +33,7 @@ COLUMNS = (
     "goalAngle", "goalTilt", "dist", "pathDist", "pathNumDoors", "pathDoorIds", "pathNumRooms",
     "pathRoomIndices",
 )  # fmt: skip
-HELD = {"id", "task", "start", "heading", "goals", "distance", "room", "extra"}
+HELD = {"id", "scene", "task", "start", "heading", "goals", "distance", "room", "extra"}
 """What habitat-lab's formats have a field for."""
 INDEXED = re.compile(r"/\d+$")  # ends MolmoSpaces's scenes
 PLANAR = 1.5  # metres on the map from the object, MolmoSpaces's success
@@ -138,14 +138,13 @@ class _Content(msgspec.Struct, omit_defaults=True):
     navbake: Header | None = None
 
 
-def encode_habitat(content: EpisodeSet, scenes: Mapping[str, str], kind: str) -> bytes:
+def encode_habitat(content: EpisodeSet, kind: str) -> bytes:
     """Encode as habitat-lab's dataset of a kind: ``pointnav``, ``objectnav`` or ``vln``."""
     whole, seen = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
     for number, e in enumerate(content.episodes):
-        scene = scenes.get(e.scene, e.scene)
-        rest = _rest(e, HELD | ({"scene"} if scene == e.scene else set()))
+        rest = _rest(e, HELD)
         written = _Episode(
-            e.id, scene, _to_yup(e.start), _rotation(e.heading), [],
+            e.id, e.scene, _to_yup(e.start), _rotation(e.heading), [],
             info={**e.extra, "geodesic_distance": e.distance, "navbake": rest}, start_room=e.room,
         )  # fmt: skip
         if kind == "objectnav":
@@ -186,7 +185,7 @@ def _object_goals(goals: Sequence[Goal]) -> list[_Goal]:
     ]  # fmt: skip
 
 
-def read_habitat(text: bytes, scenes: Mapping[str, str], name: str) -> EpisodeSet:
+def read_habitat(text: bytes, name: str) -> EpisodeSet:
     """Read a dataset of habitat-lab; whether it is ObjectNav or VLN its episodes tell."""
     content = decode(text, _Content, name)
     # episodes share goals, of which there may be thousands
@@ -194,7 +193,7 @@ def read_habitat(text: bytes, scenes: Mapping[str, str], name: str) -> EpisodeSe
         key: _read_goals(goals, OBJECT_RADIUS)
         for key, goals in (content.goals_by_category or {}).items()
     }
-    episodes = (_read_habitat_episode(e, table, scenes) for e in content.episodes)
+    episodes = (_read_habitat_episode(e, table) for e in content.episodes)
     return make_set(content.navbake or Header(), episodes, name)
 
 
@@ -214,12 +213,10 @@ def _read_goals(goals: Sequence[_Goal], radius: float) -> tuple[Goal, ...]:
     )  # fmt: skip
 
 
-def _read_habitat_episode(
-    e: _Episode, table: Mapping[str, tuple[Goal, ...]], scenes: Mapping[str, str]
-) -> dict[str, Any]:
+def _read_habitat_episode(e: _Episode, table: Mapping[str, tuple[Goal, ...]]) -> dict[str, Any]:
     extra, is_object = dict(e.info or {}), e.object_category is not None
     own = extra.pop("navbake", None)
-    known = {"scene": scenes.get(e.scene_id, e.scene_id), **(own or {})}
+    known: dict[str, Any] = {**(own or {})}
     if e.start_room is not None:
         known["room"] = str(e.start_room)
     if e.reference_path is not None:
@@ -229,7 +226,7 @@ def _read_habitat_episode(
         extra |= {"trajectory_id": e.trajectory_id} if own is None else {}
     inline = _read_goals(e.goals, OBJECT_RADIUS if is_object else POINT_RADIUS)
     return known | {
-        "id": str(e.episode_id), "task": "object" if is_object else "point",
+        "id": str(e.episode_id), "scene": e.scene_id, "task": "object" if is_object else "point",
         "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation),
         "goals": table.get(e.goals_key, inline),
         "distance": extra.pop("geodesic_distance", None), "extra": extra,
@@ -239,7 +236,7 @@ def _read_habitat_episode(
 # ---------------------------------------------------------------- MINOS
 
 
-def encode_minos(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
+def encode_minos(content: EpisodeSet) -> bytes:
     """Encode as MINOS's table of episode states, a row an episode."""
     file = io.StringIO()
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
@@ -248,7 +245,7 @@ def encode_minos(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
         goal, doors = e.goals[0], e.doors or ()
         rooms = [room.rsplit(":", 1)[-1] for room in e.rooms or ()]
         row: dict[str, Any] = {
-            "sceneId": scenes.get(e.scene, e.scene), "split": e.split, "roomId": e.room,
+            "sceneId": e.scene, "split": e.split, "roomId": e.room,
             "level": e.levels[0] if e.levels else 0,
             "startAngle": math.remainder(e.heading - math.pi / 2, 2 * math.pi),
             "goalRoomId": goal.room, "goalObjectId": None if goal.room else goal.name,
@@ -264,17 +261,16 @@ def encode_minos(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
     return file.getvalue().encode()
 
 
-def read_minos(text: bytes, scenes: Mapping[str, str], name: str) -> EpisodeSet:
+def read_minos(text: bytes, name: str) -> EpisodeSet:
     """Read MINOS's episode states."""
     try:
         rows = list(csv.DictReader(io.StringIO(text.decode(), newline="")))
     except (csv.Error, UnicodeDecodeError) as error:
         raise FormatError(f"{error} in {name}") from error
-    episodes = (_read_row(row, k, scenes) for k, row in enumerate(rows))
-    return make_set(Header(), episodes, name)
+    return make_set(Header(), (_read_row(row, k) for k, row in enumerate(rows)), name)
 
 
-def _read_row(row: Mapping[str, str], k: int, scenes: Mapping[str, str]) -> dict[str, Any]:
+def _read_row(row: Mapping[str, str], k: int) -> dict[str, Any]:
     def number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
         try:
@@ -285,7 +281,6 @@ def _read_row(row: Mapping[str, str], k: int, scenes: Mapping[str, str]) -> dict
             raise ValueError(f"expected a number as {column}, got {text!r} in row {k + 1}")
         return value
 
-    scene = row.get("sceneId", "")
     start, goal = (_from_yup([number(end + axis) for axis in "XYZ"]) for end in ("start", "goal"))
     straight, distance = number("dist", "-1"), number("pathDist", "-1")
     level = int(number("level", "0"))
@@ -296,7 +291,7 @@ def _read_row(row: Mapping[str, str], k: int, scenes: Mapping[str, str]) -> dict
     name, room = row.get("goalObjectId") or None, row.get("goalRoomId") or None
     kind = row.get("goalRoomType" if room else "goalObjectType") or None
     return {
-        "id": str(k), "scene": scenes.get(scene, scene),
+        "id": str(k), "scene": row.get("sceneId"),
         "task": "room" if room else "object" if name else "point",
         "start": start, "heading": math.remainder(number("startAngle") + math.pi / 2, 2 * math.pi),
         "goals": [{
@@ -332,12 +327,12 @@ class _Spec(msgspec.Struct, omit_defaults=True):
     navbake: dict[str, Any] = {}
 
 
-def encode_molmospaces(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
+def encode_molmospaces(content: EpisodeSet) -> bytes:
     """Encode as a list of EpisodeSpec; scenes are called ``DATASET/INDEX`` there."""
     specs = []
     for e in content.episodes:
-        scene = scenes.get(e.scene, e.scene)
-        dataset, _, index = scene.rpartition("/") if INDEXED.search(scene) else (scene, "", "0")
+        is_indexed = INDEXED.search(e.scene) is not None
+        dataset, _, index = e.scene.rpartition("/") if is_indexed else (e.scene, "", "0")
         goal, half = e.goals[0], e.heading / 2
         task = _NavTask(
             (*e.start, math.cos(half), 0.0, 0.0, math.sin(half)), goal.name or "",
@@ -351,7 +346,7 @@ def encode_molmospaces(content: EpisodeSet, scenes: Mapping[str, str]) -> bytes:
     return msgspec.json.encode(specs)
 
 
-def read_molmospaces(text: bytes, scenes: Mapping[str, str], name: str) -> EpisodeSet:
+def read_molmospaces(text: bytes, name: str) -> EpisodeSet:
     """Read a list of EpisodeSpec of ways to objects."""
     episodes = []
     for k, spec in enumerate(decode(text, list[_Spec], name)):
@@ -363,7 +358,7 @@ def read_molmospaces(text: bytes, scenes: Mapping[str, str], name: str) -> Episo
         pose, radius = task.pickup_obj_start_pose, task.succ_pos_threshold
         goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
         foreign: dict[str, Any] = {
-            "id": str(k), "scene": scenes.get(scene, scene), "split": spec.data_split,
+            "id": str(k), "scene": scene, "split": spec.data_split,
             "instruction": spec.language.get("task_description"),
             "goals": goals + [Goal(name=other, radius=radius) for other in others],
             "extra": {"success": "planar"},

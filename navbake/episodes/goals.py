@@ -21,7 +21,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import Shared, UserData, names_in
 from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths import Path, run_of
+from navbake.runtime.paths import Path
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -156,12 +156,12 @@ def paths_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Fl
 
 def points_along(paths: Sequence[Path]) -> Float:
     """Points on paths in a row, at most `SPACING` apart, world [m], shape (n, 3)."""
-    found = [paths[0].positions[:1]] if paths else [np.empty((0, 3))]
-    for path in paths:
-        run = run_of(path.positions)
-        at = np.linspace(0.0, run[-1], max(1, math.ceil(run[-1] / SPACING)) + 1)[1:]
-        found.append(np.stack([np.interp(at, run, axis) for axis in path.positions.T], axis=1))
-    return np.concatenate(found)
+    points = [
+        path.at(distance)
+        for path in paths
+        for distance in np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
+    ]
+    return np.array(points).reshape(-1, 3)
 
 
 # ---------------------------------------------------------------- objects and rooms

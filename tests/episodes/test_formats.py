@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from navbake.cli.commands.episodes import SET_FORMATS
 from navbake.episodes import (
     Agent,
     Episode,
@@ -26,6 +27,7 @@ from navbake.episodes import (
     read_episodes,
     write_episodes,
 )
+from navbake.episodes.files import FORMATS, OWN
 from navbake.errors import FormatError
 
 HEADER = Header(
@@ -71,6 +73,10 @@ def round_all(value):
     if isinstance(value, list | tuple):
         return [round_all(v) for v in value]
     return round(value, 9) if isinstance(value, float) else value
+
+
+def test_the_command_line_names_all_formats():
+    assert set(SET_FORMATS) == FORMATS.keys() - OWN.keys() == NAMES.keys()
 
 
 @pytest.mark.parametrize("form", NAMES.keys() - {"minos"})
