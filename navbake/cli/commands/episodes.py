@@ -204,5 +204,6 @@ def _as_csv(rows: Sequence[dict[str, Any]]) -> bytes:
     file = io.StringIO()
     writer = csv.DictWriter(file, list(rows[0]) if rows else ["episode"], lineterminator="\n")
     writer.writeheader()
-    writer.writerows({k: None if v != v else v for k, v in row.items()} for row in rows)
+    for row in rows:
+        writer.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
     return file.getvalue().encode()
