@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -46,6 +46,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             0.2 of a point, 0.1 of a view point, 3.0 to explore unless given.
         view_distance: how far from an object it may be seen from [m].
         length: number of goals of a sequence, >= 2.
+        of: what the goals of a sequence are: ``point``, ``object`` or ``room``.
         share: of the free area of the start's island that is to be explored.
     """
 
@@ -55,6 +56,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     radius: Length | None = None
     view_distance: Length = 1.0
     length: Annotated[int, msgspec.Meta(ge=2)] = 3
+    of: Literal["point", "object", "room"] = "point"
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
 
     def __post_init__(self) -> None:
@@ -62,10 +64,15 @@ class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError(f"expected one of {', '.join(TASKS)} as task, got {self.name!r}")
 
     @property
+    def kind(self) -> str:
+        """What each goal is: ``point``, ``object``, ``room`` or ``explore``."""
+        return self.of if self.name == "sequence" else self.name
+
+    @property
     def reach(self) -> float:
         """The radius, or its default [m]."""
-        known = {"object": 0.1, "room": 0.0, "explore": 3.0}
-        return known.get(self.name, 0.2) if self.radius is None else self.radius
+        known = {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}
+        return known[self.kind] if self.radius is None else self.radius
 
 
 def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = None) -> NavGrid:
@@ -97,7 +104,8 @@ class Target:
         stops: where they are reached, world [m], an array of shape (n, 3) for each goal of a
             sequence, or one for all goals; none for exploring.
         fields: distance to each of the stops from each cell, by flat id, inf for no path [m].
-        rest: length of the way after each of the stops [m].
+        rest: length of the way after each of the stops [m]; between stops of several places, as
+            objects and rooms have, at least: a leg counts from the places nearest to the next stop.
     """
 
     goals: tuple[Goal, ...]
@@ -178,7 +186,7 @@ class GoalFinder:
     @cached_property
     def choices(self) -> dict[str, list[str]]:
         """Names of objects, or ids of rooms, by what an episode may ask for."""
-        if self.task.name == "object":
+        if self.task.kind == "object":
             names = {name: (name,) for name in self.object_cells}
             chosen = self._choose(names, self.task.objects, "object")
             by_category: dict[str, list[str]] = {}
@@ -218,7 +226,7 @@ class GoalFinder:
 
     def goals_of(self, label: str) -> list[Goal]:
         """A goal for each object or room of a choice; objects that nobody can see are left out."""
-        if self.task.name == "room":
+        if self.task.kind == "room":
             kind = label if isinstance(self.task.rooms, Mapping) else None
             rooms = [room for room in self.finder.rooms.rooms if room.id in self.choices[label]]
             return [

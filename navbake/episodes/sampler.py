@@ -61,7 +61,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Attributes:
         name: of the preset that they began as.
-        min_distance, max_distance: of the shortest path [m].
+        min_distance, max_distance: of the shortest path [m]; the first also of each leg between
+            points or objects of a sequence.
         max_rise: between the floors of start and goal [m].
         same_level: start and goal are on one level.
         min_ratio: of the path's length to the straight line's, >= 1.
@@ -275,23 +276,27 @@ class _Draw:
         task, rng, finder = self.task, self.rng, self.finder
         if task.name == "explore":
             return find_target(finder, [Goal(share=task.share, radius=task.reach)])
-        if task.name in ("object", "room"):
+        in_order = task.name == "sequence"
+        stages = task.length if in_order else 1
+        if task.kind == "point":
+            places = finder.random_point(rng, stages)
+            goals = [Goal(position=(x, y, z), radius=task.reach) for x, y, z in places.tolist()]
+        else:
             labels = list(self.goals.choices)
             if not labels:
-                raise QueryError(f"no {task.name} in {self.scene!r} to set as a goal")
-            options = self.goals.goals_of(labels[int(rng.integers(len(labels)))])
-            target = find_target(finder, options) if options else None
-            if target is None:
-                why = "not in sight" if task.name == "object" else "no place in the room"
-                self.rejected[why] += 1
-            return target
-        places = finder.random_point(rng, task.length if task.name == "sequence" else 1)
-        ordered = [Goal(position=(x, y, z), radius=task.reach) for x, y, z in places.tolist()]
-        target = find_target(finder, ordered, in_order=True)
-        assert target is not None  # places are free
-        if not math.isfinite(target.rest[0]):
+                raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
+            drawn = rng.choice(len(labels), stages, replace=stages > len(labels))
+            options = [self.goals.goals_of(labels[k]) for k in drawn.tolist()]
+            goals = options[0]
+            if in_order:  # each stage is one object or room
+                goals = [each[int(rng.integers(len(each)))] for each in options if each]
+        target = find_target(finder, goals, in_order=in_order) if len(goals) >= stages else None
+        if target is None:
+            why = "not in sight" if task.kind == "object" else "no place in the room"
+            self.rejected[why] += 1
+        elif not math.isfinite(target.rest[0]):
             self.rejected["no path"] += 1
-        elif (-np.diff(target.rest) < self.rules.min_distance).any():
+        elif task.kind != "room" and (-np.diff(target.rest) < self.rules.min_distance).any():
             self.rejected["too near"] += 1
         else:
             return target
@@ -310,8 +315,9 @@ class _Draw:
         if target.stops:
             air, nearest = spatial.cKDTree(target.stops[0]).query(starts)
             goals = target.stops[0][nearest]
-            distance = target.fields[0][cells] + target.rest[0]
-            straight = air + sum(math.dist(a[0], b[0]) for a, b in pairwise(target.stops))
+            distance, straight = target.fields[0][cells] + target.rest[0], air
+            for one, other in pairwise(target.stops):
+                straight = straight + spatial.cKDTree(one).query(other)[0].min()
             if rules.headings != "random":
                 ahead = goals - starts if rules.headings == "goal" else starts - goals
                 headings = np.arctan2(ahead[:, 1], ahead[:, 0])

@@ -25,6 +25,7 @@ from navbake.episodes import (
     read_episodes,
     write_episodes,
 )
+from navbake.episodes.goals import cells_of
 from navbake.errors import ConfigError, QueryError
 from project_paths import GOLDEN
 
@@ -248,6 +249,23 @@ def test_rooms_and_exploring():
     explore = make_episodes(plan(), make_task("explore", share=0.5), "habitat", count=10)
     assert {e.distance for e in explore.episodes} == {None}
     assert {e.goals[0].share for e in explore.episodes} == {0.5}
+
+
+@pytest.mark.parametrize("of", ["object", "room"])
+def test_sequences_of_objects_and_rooms(of):
+    found = make_episodes(plan(), make_task("sequence", of=of, length=2), count=10)
+    finder = PathFinder(plan())
+    for e in found.episodes:
+        names = [goal.name if of == "object" else goal.room for goal in e.goals]
+        assert sorted(names) == (["rug_7", "table_1"] if of == "object" else ["0:1", "0:2"])
+        stops = [[v.position for v in g.view_points] or f"room:{g.room}" for g in e.goals]
+        first = finder.distances(e.start, stops[0], weighted=False)
+        legs = finder.search.flat.positions(cells_of(finder, e.goals[0]))
+        between = finder.distances(legs, stops[1], weighted=False).min()
+        assert e.distance == pytest.approx(first + between, rel=1e-9)
+        assert e.ratio >= 1.0
+    with pytest.raises(ConfigError, match=r"Invalid enum value 'door' - at `\$.of`"):
+        make_task("sequence", of="door")
 
 
 def test_splits_are_of_whole_scenes_or_rooms():

@@ -39,6 +39,7 @@ class Goals(NamedTuple):
     )
     reach: float | None = option("METRES", "How near to the goal counts as reached [m].")
     length: int = option("N", "Goals of a sequence.", default=3, min=2)
+    of: str = option("KIND", "What its goals are: point, object or room.", default="point")
     share: float = option("SHARE", "Of the free area to explore.", default=0.9)
 
 
@@ -87,8 +88,9 @@ def episodes(
 
     given: dict[str, Any] = {"radius": goals.reach, "rooms": goals.rooms or ()}
     given |= {"length": goals.length, "share": goals.share, "objects": goals.objects or ()}
+    given["of"] = goals.of
     if goals.categories is not None:
-        kind = "rooms" if goals.task == "room" else "objects"
+        kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
         given[kind] = _read_categories(goals.categories)
     values: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
     if "edges" in values:
