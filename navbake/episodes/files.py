@@ -35,7 +35,7 @@ from navbake.known_names import suggest
 
 NAME = b"navbake"  # of the header in a Parquet file's metadata
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
-    ".gz": partial(gzip.compress, mtime=0),
+    ".gz": partial(gzip.compress, compresslevel=6, mtime=0),
     ".bz2": bz2.compress,
 }
 

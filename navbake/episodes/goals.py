@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
-from typing import Annotated, Literal
+from functools import cached_property, partial
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -205,11 +205,7 @@ class GoalFinder:
         kind: str,
     ) -> dict[str, list[str]]:
         """What fits the patterns of each category; of plain patterns, each by itself."""
-        kind, asked = (
-            (f"{kind} of category", given)
-            if isinstance(given, Mapping)
-            else (kind, {pattern: [pattern] for pattern in given})
-        )
+        asked = given if isinstance(given, Mapping) else {pattern: [pattern] for pattern in given}
         found: dict[str, list[str]] = {}
         for label, patterns in asked.items():
             fitting = [
@@ -219,8 +215,9 @@ class GoalFinder:
             ]
             if not fitting:
                 names = [name for each in known.values() for name in each]
+                what = f"{kind} of category" if asked is given else kind
                 where = scene_of(self.finder.grid)
-                raise QueryError(f"no {kind} {label!r} in {where!r}: {suggest(label, names)}")
+                raise QueryError(f"no {what} {label!r} in {where!r}: {suggest(label, names)}")
             found |= {label: fitting} if asked is given else {key: [key] for key in fitting}
         return found
 
@@ -280,7 +277,13 @@ class GoalFinder:
             here = cells[flat.level_of(cells) == level]
             own = flat.positions(here)[:, :2]
             start, width = flat.cells_of(level).start, int(flat.layout.width[level])
-            near, points = self._free_cells(level, own.min(axis=0), own.max(axis=0))
+            free, places, tree = search.keep("free", level, partial(self._free_cells, level))
+            low, high = own.min(axis=0), own.max(axis=0)
+            reach = float(np.hypot(*(high - low))) / 2 + distance
+            found = tree.query_ball_point((low + high) / 2, reach, return_sorted=True)
+            near, points = free[found], places[found]
+            if not len(near):
+                continue
             apart, nearest = spatial.cKDTree(own).query(points[:, :2])
             every = max(1, round(SPACING / float(flat.layout.cell_size[level])))
             row, col = np.divmod(near - start, width)
@@ -299,15 +302,13 @@ class GoalFinder:
             view_points=tuple(views),
         )  # fmt: skip
 
-    def _free_cells(self, level: int, low: Float, high: Float) -> tuple[Int, Float]:
-        """The free cells within the view distance of a box of a level, and their positions."""
+    def _free_cells(self, level: int) -> tuple[Int, Float, Any]:
+        """The free cells of a level, their positions, and these to look for near ones."""
         flat = self.finder.search.flat
         span = flat.cells_of(level)
         cells = span.start + np.flatnonzero(flat.free[span])
         points = flat.positions(cells)
-        reach = self.task.view_distance
-        inside = ((points[:, :2] >= low - reach) & (points[:, :2] <= high + reach)).all(axis=1)
-        return cells[inside], points[inside]
+        return cells, points, spatial.cKDTree(points[:, :2])
 
 
 def category_of(name: str) -> str:

@@ -86,9 +86,10 @@ def episodes(
     from navbake.episodes import sampler  # loads numpy
     from navbake.episodes.files import write_episodes  # loads numpy
 
-    given: dict[str, Any] = {"radius": goals.reach, "rooms": goals.rooms or ()}
-    given |= {"length": goals.length, "share": goals.share, "objects": goals.objects or ()}
-    given["of"] = goals.of
+    given: dict[str, Any] = {
+        "objects": goals.objects or (), "rooms": goals.rooms or (), "radius": goals.reach,
+        "length": goals.length, "of": goals.of, "share": goals.share,
+    }  # fmt: skip
     if goals.categories is not None:
         kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
         given[kind] = _read_categories(goals.categories)
