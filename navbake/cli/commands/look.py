@@ -188,11 +188,9 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.server import check_address, check_viser
+    from navbake.views.viewer.server import PageServer
     from navbake.views.viewer.view import Viewer, watch_grid
 
-    check_viser()
-    check_address(address.host, address.port)  # before the bake, which may take long
     is_grid = source.name.lower().endswith(GRIDS)
     refuse_unused(
         ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
@@ -201,26 +199,19 @@ def view(
         ("--episodes", episodes is not None, is_grid, "a GRID"),
         ("--trajectories", trajectories is not None, is_grid, "a GRID"),
     )
-    runs = {"episodes": episodes, "trajectories": trajectories or ()}
-    watch = (
-        watch_grid(source, scene, force=force, **runs)
-        if is_grid
-        else _baked(source, overrides or [])
-    )
-    viewer = Viewer(
-        watch.read(),
-        host=address.host,
-        port=address.port,
-        allow_origin=address.allow_origin or (),
-        watch=watch,
-    )
-    try:
-        say(f"{viewer.url} (Ctrl-C ends it)")
-        if not address.no_open:
-            viewer.open()
-        viewer.wait()
-    finally:
-        viewer.close()
+    allowed = address.allow_origin or ()
+    # before the bake, which may take long
+    with PageServer(address.host, address.port, allowed=allowed) as server:
+        if is_grid:
+            runs = {"episodes": episodes, "trajectories": trajectories or ()}
+            watch = watch_grid(source, scene, force=force, **runs)
+        else:
+            watch = _baked(source, overrides or [])
+        with Viewer(watch.read(), server, watch=watch) as viewer:
+            say(f"{viewer.url} (Ctrl-C ends it)")
+            if not address.no_open:
+                viewer.open()
+            viewer.wait()
 
 
 def _baked(path: Path, overrides: list[str]) -> Watch:

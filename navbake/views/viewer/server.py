@@ -18,9 +18,13 @@ from email.message import Message
 from email.parser import BytesHeaderParser
 from importlib.util import find_spec
 from ipaddress import ip_address
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from navbake.errors import MissingDependencyError, NavbakeError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 HOST, PORT = "127.0.0.1", 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
@@ -55,12 +59,32 @@ class PageServer:
     def __init__(
         self, host: str = HOST, port: int = PORT, *, allowed: Collection[str] = (), title: str = ""
     ) -> None:
-        check_viser()
-        check_address(host, port)
+        is_there = False
+        with suppress(ImportError, ValueError):  # something keeps it from being found
+            is_there = find_spec("viser") is not None
+        if not is_there:
+            raise MissingDependencyError(MISSING)
         self._names = {*LOCAL, socket.gethostname().lower()} if host in EVERYWHERE else {host}
         self._names |= {*LOCAL} if host in LOCAL else set()
         self._is_open, self._allowed = host in EVERYWHERE, {check_origin(one) for one in allowed}
         self.title = title or "navbake"
+        self._inner, self._page = (HOST, 0), b""  # until viser is there
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="server", daemon=True)
+        self._thread.start()
+        start = asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
+        try:
+            self._server = asyncio.run_coroutine_threadsafe(start, self._loop).result()
+        except (OSError, UnicodeError, OverflowError) as error:
+            self._stop()
+            text = f"{host!r}, port {port}, is no address of this machine"
+            if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
+                text = f"cannot listen at {host}, port {port}: {error.strerror}"
+                text = TAKEN.format(host, port) if error.errno == errno.EADDRINUSE else text
+            raise NavbakeError(text) from error
+        self.port = self._server.sockets[0].getsockname()[1]
+        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}"
         import viser  # of the extra [view], and slow to load
 
         # a stranger's message is no traceback on the terminal
@@ -75,23 +99,20 @@ class PageServer:
         self._inner = inner, self.viser.get_port()
         with urllib.request.urlopen("http://{}:{}/".format(*self._inner)) as page:
             self._page = page.read()
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="server", daemon=True)
-        self._thread.start()
-        start = asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
-        try:
-            self._server = asyncio.run_coroutine_threadsafe(start, self._loop).result()
-        except OSError as error:
-            self._stop()
-            raise NavbakeError(TAKEN.format(host, port)) from error
-        self.port = self._server.sockets[0].getsockname()[1]
-        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.port}"
 
     def close(self) -> None:
         """Stop serving, and free the port."""
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
-        self._stop()
+        if not self._loop.is_closed():
+            asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
+            self._stop()
+            with redirect_stdout(io.StringIO()):
+                self.viser.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     async def _end(self) -> None:
         self._server.close()
@@ -104,8 +125,6 @@ class PageServer:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
-        with redirect_stdout(io.StringIO()):
-            self.viser.stop()
 
     def is_allowed(self, headers: Message) -> bool:
         """Whether a request names this page's address, and comes from one of its pages."""
@@ -167,26 +186,3 @@ def check_origin(text: str) -> str:
     if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
         raise NavbakeError(f"expected an origin like https://example.org:8443, got {text!r}")
     return text
-
-
-def check_viser() -> None:
-    """Raise where viser is not installed."""
-    is_there = False
-    with suppress(ImportError, ValueError):  # something keeps it from being found
-        is_there = find_spec("viser") is not None
-    if not is_there:
-        raise MissingDependencyError(MISSING)
-
-
-def check_address(host: str, port: int) -> None:
-    """Raise where nothing can listen at an address now."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        socket.getaddrinfo(host or None, port)  # whose error is another than that of a port
-        socket.create_server((host, port), family=family).close()
-    except (socket.gaierror, UnicodeError, OverflowError) as error:
-        raise NavbakeError(f"{host!r}, port {port}, is no address of this machine") from error
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise NavbakeError(TAKEN.format(host, port)) from error
-        raise NavbakeError(f"cannot listen at {host}, port {port}: {error.strerror}") from error

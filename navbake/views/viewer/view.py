@@ -235,17 +235,8 @@ class Viewer:
         url: where the page is.
     """
 
-    def __init__(
-        self,
-        exhibit: Exhibit,
-        *,
-        host: str = HOST,
-        port: int = PORT,
-        allow_origin: Sequence[str] = (),
-        watch: Watch | None = None,
-    ) -> None:
-        self._page = PageServer(host, port, allowed=allow_origin)
-        self._server, self.url = self._page.viser, self._page.url
+    def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
+        self._page, self._server, self.url = page, page.viser, page.url
         self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
@@ -420,7 +411,7 @@ def view(
     """
     more: Any = {"episodes": episodes, "trajectories": trajectories}
     exhibit = make_exhibit(grid, scene, data=data, force=force, **more)
-    viewer = Viewer(exhibit, host=host, port=port, allow_origin=allow_origin)
+    viewer = Viewer(exhibit, PageServer(host, port, allowed=allow_origin))
     if open_page:
         viewer.open()
     return viewer
