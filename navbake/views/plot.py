@@ -215,6 +215,7 @@ def add_axes(
         ax = grid[number // in_line * rows_each + row, column]
         ax.set(xlim=x_limits, ylim=y_limits, aspect="equal")
         ax.panel_width = width / columns - 0.5  # what its title has [inches]
+        ax.pixels = 0.9 * map_wide * DPI / wide  # of a metre, at least
         axes.append(ax)
     for ax in {*grid.flat} - {*axes}:
         ax.remove()
@@ -229,7 +230,10 @@ def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]
     ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
     x_min, y_min, x_max, y_max = bounds
     limits = ax.get_xlim(), ax.get_ylim()
-    ax.imshow(paint(panel), extent=(x_min, x_max, y_min, y_max))
+    image = paint(panel)
+    # cells have sharp edges, unless several share a pixel
+    how = "nearest" if image.shape[1] <= ax.pixels * (x_max - x_min) else "antialiased"
+    ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=how)
     ax.set(xlim=limits[0], ylim=limits[1])
     if panel.scale is not None and len(panel.scale.ticks) > 1:
         _draw_bar(ax, panel.scale)
