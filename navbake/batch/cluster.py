@@ -67,16 +67,11 @@ class RayExecutor:
         prepare: Callable[[], None] | None = None,
         on_event: OnEvent = lambda event, ended: None,
     ) -> Generator[Ended, None, None]:
-        """Do jobs, and yield how each ended, in the order in which they end.
+        """Do jobs, and yield how each ended; see `workers.Workers` for the arguments.
 
-        Args:
-            jobs: what `work` is called with; can be pickled.
-            work: a function of a module that all nodes can import.
-            count: how many tasks run at most; None for the CPUs of the cluster. With a number, CPUs
-                that it hasn't are asked for, which makes a cluster grow that can.
-            limits: of each job.
-            prepare: a function of a module that each worker calls before its first job.
-            on_event: is called when a job is handed out, and when it will be tried again.
+        All nodes have to be able to import `work`. `count` tasks run at once at most; None is for
+        the CPUs of the cluster. With a number, CPUs that it hasn't are asked for, which makes a
+        cluster grow that can.
 
         Raises:
             MissingDependencyError: ray isn't installed.
@@ -129,7 +124,9 @@ def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers
     if _workers is None:
-        _workers = Workers(terms.work, 1, terms.limits, terms.prepare, _note).__enter__()
+        _workers = Workers(
+            terms.work, 1, limits=terms.limits, prepare=terms.prepare, on_event=_note
+        ).__enter__()
     _tries.clear()
     (ended,) = _workers.do([job])
     return ended._replace(number=number), [each._replace(number=number) for each in _tries]

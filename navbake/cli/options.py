@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
@@ -21,8 +20,9 @@ from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
 from navbake import files
-from navbake.cli.printing import volume
+from navbake.cli.printing import say_unless_quiet, volume
 from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -141,6 +141,15 @@ def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
         plot_grid(grid, output, **drawn)
 
 
+def write_output(data: bytes, output: Path) -> None:
+    """Write a file, or its content to stdout; a file is named on stdout unless --quiet is given."""
+    if output == STDOUT:
+        write_stdout(data)
+    else:
+        write_bytes(data, output)
+        say_unless_quiet(output)
+
+
 def write_stdout(data: bytes) -> None:
     """Write a file's content to stdout."""
     if sys.stdout is None:
@@ -165,27 +174,19 @@ class Command(TyperCommand):
     """A command whose help calls values by their metavars alone, and has --output first.
 
     typer prints the Python type of an argument, too, as ``<list[str]>``. Its errors of values that
-    don't fit an option leave out what was given; here they end with it.
+    are no numbers leave out what was given.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the arguments apart."""
-        if any(each.name == "place" for each in self.params):  # it may begin with a minus
-            places = [
-                word
-                for before, word in zip(["", *args], args, strict=False)
-                if SPELLED.fullmatch(word) and not before.startswith("--")
-            ]
-            args = [word for word in args if word not in places] + ["--" for _ in places[:1]]
-            args += places
+        words = [part for word in args for part in word.split("=", 1)]
         try:
-            return list(super().parse_args(ctx, [*args]))
+            return list(super().parse_args(ctx, args))
         except BadParameter as error:
-            names = error.param.opts if error.param else []
-            words = [part for word in args for part in word.split("=", 1)]
-            value = next((word for name, word in pairwise(words) if name in names), "")
-            if value not in error.message:
-                error.message = f"{error.message}, got {value!r}"
+            for name in error.param.opts if error.param else ():
+                given = words[words.index(name) + 1] if name in words[:-1] else ""
+                if given not in error.message:
+                    error.message += f", got {given!r}"
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
