@@ -252,8 +252,11 @@ def parse_place(text: str, option: str) -> GivenPlace:
     """Read a place that was given to an option; what is none is a BadParameter."""
     found = SPELLED.fullmatch(text)
     if not found:
+        hint = (
+            f"; a room is written room:{text}" if text.isidentifier() and option != "--at" else ""
+        )
         raise BadParameter(
-            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}",
+            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}",
             param_hint=option,
         )
     x, y, z = (None if number is None else float(number) for number in found.groups()[:3])

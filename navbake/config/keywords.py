@@ -9,8 +9,10 @@ from typing import Any, TypedDict
 
 import numpy as np
 
+from navbake import samples
 from navbake.config.field_types import show_value
 from navbake.config.settings import (
+    SECTIONS,
     YAML_SUFFIXES,
     BakeConfig,
     as_config,
@@ -78,13 +80,13 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
     if isinstance(config, BakeConfig):
         config = config.model_dump(by_alias=True, exclude_unset=True)
     elif not isinstance(config, Mapping):
-        path = Path(config)
+        path = samples.find(config)
         source, config = f"{path} with the keywords", {"scene": {"path": path}}
         if path.suffix.lower() in YAML_SUFFIXES:
             config, folder = read_yaml(path), path.parent
             if not isinstance(config, Mapping):
                 return as_config(path)  # which says what is wrong with it
-    return parse_config(merge(config, _plain(keywords), source), source, folder=folder)
+    return parse_config(merge(config, _checked(keywords), source), source, folder=folder)
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
@@ -93,7 +95,19 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
     A `scene.path` among the keywords is what the grid names; nothing is read from there.
     """
     settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
-    return parse_config(merge(settings, _plain(keywords), "the keywords"), "the keywords")
+    return parse_config(merge(settings, _checked(keywords), "the keywords"), "the keywords")
+
+
+def _checked(keywords: Mapping[str, Any]) -> Any:
+    """The keywords as YAML has them; a ConfigError says in which section a key of one belongs."""
+    for key in keywords.keys() - BakeConfig.model_fields:
+        for section, model in SECTIONS.items():
+            name = key.removeprefix(f"{section}_")
+            if name in model.model_fields and section in BakeConfig.model_fields:
+                raise ConfigError(
+                    f'write `{section}={{"{name}": …}}` in place of the keyword `{key}`'
+                )
+    return _plain(keywords)
 
 
 def _plain(value: Any) -> Any:

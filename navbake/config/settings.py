@@ -25,6 +25,7 @@ from pydantic import (
     model_validator,
 )
 
+from navbake import samples
 from navbake.config.field_types import (
     FilePath,
     Name,
@@ -466,11 +467,12 @@ class BakeConfig(Settings):
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is taken for a scene. `scene.path` is relative to the
+    A path that does not end in .yaml or .yml is taken for a scene; the bare name of a sample, where
+    there is no such file, for its settings. `scene.path` is relative to the
     YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
     a setting is a ConfigError.
     """
-    path = Path(path)
+    path = samples.find(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)

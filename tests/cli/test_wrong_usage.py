@@ -81,6 +81,10 @@ CASES = [
     ("view broken.yaml --no-open --port 0", 1, "agnt"),
     # places
     ("path house.json.gz --from abc --to room:1:1", 2, "--from"),
+    ("path house.json.gz --from kitchen --to 0,0", 2, "a room is written room:kitchen"),
+    (f"{PATH} --to kitchen", 2, "a room is written room:kitchen"),
+    ("path house.json.gz --from room:nix --to 0,0,L0", 1, "no room 'nix'"),
+    ("bake room.yaml --radius -1", 1, "`agent.radius` in --set agent.radius=-1.0"),
     ("path house.json.gz --from 0,0,0,0 --to room:1:1", 2, "--from"),
     ("path house.json.gz --from 0,0 --to room:1:1", 2, "a level"),
     (f"{HERE} --from 1,1", 2, "--from: expected a place with a level or z, got 1,1"),

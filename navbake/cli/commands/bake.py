@@ -291,6 +291,8 @@ def bake(
         "{stem} CONFIG's, {parent} that of its folder.  [default: {id}]",
     ),
     overrides: Overrides = None,
+    radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
+    cell_size: float | None = option("METRES", "The same as --set grid.cell_size=METRES [m]."),
     threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
@@ -325,11 +327,14 @@ def bake(
     )
     from navbake.config.settings import load_config
 
+    overrides = list(overrides or [])
+    overrides += [f"agent.radius={radius}"] * (radius is not None)
+    overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:
         with _going_on(path, failed, len(configs)):
-            jobs.append((path, load_config(path, overrides or [])))
+            jobs.append((path, load_config(path, overrides)))
     written: set[Path] = set()
     for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
         with _going_on(path, failed, len(configs)):
