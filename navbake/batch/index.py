@@ -13,6 +13,7 @@ from typing import Any
 
 import filelock
 
+from navbake.batch.products import CLASSES
 from navbake.batch.store import (
     INSTALL,
     Folder,
@@ -202,11 +203,12 @@ def _schema(pyarrow: Any) -> Any:
     text, texts = pyarrow.string(), pyarrow.list_(pyarrow.string())
     number, count, wide = pyarrow.float64(), pyarrow.int32(), pyarrow.int64()
     file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
+    counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in CLASSES])
     return pyarrow.schema(
         [
             *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),
             *(("levels", count), ("cells", wide), ("free_area", number)),
-            *(("rooms", count), ("doors", count)),
+            *(("rooms", count), ("doors", count), ("episodes", counts)),
             *(("warnings", texts), ("audit", texts)),
             *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
             *(("scene_digest", text), ("settings_digest", text), ("version", text), ("key", text)),

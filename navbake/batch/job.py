@@ -310,17 +310,26 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
         }
         remove_made(place)
-        row["files"] = _write_products(plan, place, grid, scene.config)
+        row["files"] = _write_products(plan, place, grid, scene.config, row)
         row |= _times(time.perf_counter() - begin)
         write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
     return row
 
 
-def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig) -> Json:
-    """Write all that is asked for, the grid last; size and digest of each file by its name."""
+def _write_products(
+    plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig, row: Json
+) -> Json:
+    """Write all that is asked for, the grid last; size and digest of each file by its name.
+
+    What the scene's `row` says of the products is added to it.
+    """
     with scratch_folder() as folder:
         for product in plan.products:
-            make_product(product, grid, config, folder)
+            noted = make_product(product, grid, config, folder)
+            row["warnings"] += noted.pop("warnings", [])
+            for measure, counts in noted.pop("episodes", {}).items():
+                before = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                row["episodes"][measure] = [a + b for a, b in zip(before, counts, strict=True)]
         write_navgrid(grid, folder / GRID)
         files = {name: describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:

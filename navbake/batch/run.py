@@ -23,8 +23,17 @@ from navbake.batch.job import (
     prepare,
     stamp,
 )
+from navbake.batch.products import merge_sets
 from navbake.batch.settings import Job, check_settings
-from navbake.batch.store import FullError, is_url, shown, sizes_below
+from navbake.batch.store import (
+    FullError,
+    is_url,
+    join,
+    read_file,
+    shown,
+    sizes_below,
+    write_file,
+)
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
 from navbake.errors import ConfigError, NavbakeError
 from navbake.files import remove_leftovers
@@ -163,7 +172,24 @@ def _run(
             index.finish(result.rows, plan.has_table)
         except FullError as error:
             result.stopped = result.stopped or str(error)
+    if result.stopped is None:
+        write_sets(plan, result.rows)
     return result
+
+
+def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
+    """Write the scenes' sets of episodes as one beside the index, for each that is made.
+
+    Raises:
+        NavbakeError: they make no set, see `products.merge_sets`, or it can't be written.
+    """
+    for product in plan.products:
+        kind, *values = product.split(":")
+        name = f"episodes-{'-'.join(values)}.jsonl"
+        ids = [row["id"] for row in rows if name in row.get("files", ())]
+        if kind == "episodes" and ids:
+            sets = [(id, read_file(join(plan.folder, f"{id}/{name}"))) for id in ids]
+            write_file(plan.folder, name, merge_sets(sets))
 
 
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:

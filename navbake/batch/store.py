@@ -10,7 +10,7 @@ import hashlib
 import os
 import posixpath
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
@@ -196,8 +196,10 @@ def read_file(path: str | Path) -> bytes:
         return Path(path).read_bytes()
 
 
-def write_file(folder: Folder, name: str, content: bytes) -> None:
-    """Write a file whole: others see the old content or the new, and nothing between.
+def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> None:
+    """Write a file, given as bytes or pieces, whole.
+
+    Others see the old content or the new, and nothing between.
 
     Raises:
         FullError: the folder has no room.
@@ -209,6 +211,7 @@ def write_file(folder: Folder, name: str, content: bytes) -> None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, folder / name)
             return
+        content = content if isinstance(content, bytes) else b"".join(content)
         system, path = _open_store(f"{folder}/{name}")
         if folder.partition("://")[0].lower() in OBJECT_STORES:
             system.pipe_file(path, content)

@@ -167,7 +167,8 @@ class GoalFinder:
                 order = np.argsort(source.number, kind="stable")
                 counts = np.bincount(source.number, minlength=len(source.entries))
                 parts = np.split(source.cells[order], np.cumsum(counts)[:-1])
-                pairs = list(zip(source.entries, parts, strict=True))
+                # of no entries there is a part, too
+                pairs = list(zip(source.entries, parts, strict=False))
             else:
                 pairs = [(entry, np.array([cell])) for cell, entry in source.items()]
             for entry, cells in pairs:

@@ -28,7 +28,9 @@ pytestmark = pytest.mark.skipif(
     find_spec("ray") is None or sys.platform != "linux", reason="needs ray, and signals of Linux"
 )
 COUNT = 8
+MAKE = "episodes:point:uniform:5:0"
 OPTIONS = ("--time-limit", "10", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
+OPTIONS += ("--make", MAKE)
 
 
 def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
@@ -39,10 +41,10 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     source.write_text("".join(json.dumps(line) + "\n" for line in lines))
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
-    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}})
+    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}}, products=(MAKE,))
     run_batch(plan, list_jobs(good), Means(), Told())
     whole = digests(tmp_path / "one")
-    assert len(whole) == COUNT
+    assert len(whole) == 2 * COUNT
     with two_nodes(1) as nodes:
         on_ray = (tmp_path / "scenes", tmp_path / "out", "--executor", "ray")
         on_ray = (*on_ray, "--ray-address", nodes.address, *OPTIONS)
@@ -58,6 +60,8 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
             _, said = process.communicate(timeout=PATIENCE)
             assert process.returncode == 1
     assert digests(tmp_path / "out") == whole
+    (episodes,) = (tmp_path / "one").glob("episodes-*")
+    assert (tmp_path / "out" / episodes.name).read_bytes() == episodes.read_bytes()
     lines = (tmp_path / "out" / "index.jsonl").read_text().splitlines()
     assert wrong_rows([json.loads(line) for line in lines], expected) == []
     named = sorted(line.split()[1] for line in said.splitlines() if "warning" not in line)

@@ -86,7 +86,8 @@ def batch(
         "WHAT",
         "What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
         "nav2[:RADIUS], "
-        "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
+        "voxels:EDGE[:ENDING], picture[:LAYER...], report, "
+        "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be repeated.",
     ),
     allow_hosts: list[str] | None = option(
         "HOST",
