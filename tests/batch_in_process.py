@@ -53,4 +53,3 @@ def stay_in_process(monkeypatch, after=lambda: None):
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)
-    monkeypatch.setattr(module, "UNSHARED", ())

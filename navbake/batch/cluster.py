@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 
 from navbake._version import __version__
 from navbake.batch.workers import AGAIN, BEGUN, CRASHED, Ended, JobLimits, OnEvent, Workers
-from navbake.errors import MissingDependencyError, NavbakeError, printable
+from navbake.errors import NavbakeError, printable
 from navbake.files import scratch_folder
+from navbake.formats.source import import_extra
 
-MISSING = 'batches on a Ray cluster need ray: pip install "navbake[ray]"'
 MOST_LOSSES = 3  # how often Ray does a task again whose node or process was lost
 LOOK = 5.0  # after which it is seen whether the cluster has grown [s]
 PATIENCE = 10.0  # within which a cluster takes a connection [s]
@@ -149,10 +149,7 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
     if is_own:
         for name, value in PRIVATE.items():
             os.environ.setdefault(name, value)
-    try:
-        import ray  # an extra
-    except ImportError as error:
-        raise MissingDependencyError(f"{MISSING} ({error})") from error
+    ray = import_extra("ray", "ray", "--executor ray")
     if ray.is_initialized():
         yield ray
         return

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import filelock
 
 from navbake.batch.products import CLASSES
 from navbake.batch.store import (
-    INSTALL,
     Folder,
     MissingFileError,
     check_inside,
@@ -25,8 +23,9 @@ from navbake.batch.store import (
     remove_files,
     write_file,
 )
-from navbake.errors import MissingDependencyError, NavbakeError
+from navbake.errors import NavbakeError
 from navbake.files import write_all
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 NAME = "index.jsonl"
@@ -170,12 +169,6 @@ def _refuse(word: str) -> float:
 # ---------------------------------------------------------------- as Parquet
 
 
-def check_pyarrow() -> None:
-    """Raise a MissingDependencyError where Parquet can't be written."""
-    if find_spec("pyarrow") is None:
-        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}")
-
-
 def encode_rows(rows: Iterable[Json]) -> bytes:
     """Rows of an index as a Parquet file; the same rows, the same bytes.
 
@@ -185,9 +178,8 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
     Raises:
         NavbakeError: a row has a value of another type, as of an index that somebody changed.
     """
-    import pyarrow  # the extra `batch`
-    from pyarrow import parquet  # the extra `batch`
-
+    parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
+    pyarrow = import_extra("pyarrow", "batch", "Parquet")
     try:
         table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from navbake._version import __version__
-from navbake.batch.index import Index, check_pyarrow, only_batch
+from navbake.batch.index import Index, only_batch
 from navbake.batch.job import (
     FAILED,
     LEFT,
@@ -27,19 +27,17 @@ from navbake.batch.products import merge_sets
 from navbake.batch.settings import Job, check_settings
 from navbake.batch.store import (
     FullError,
-    is_url,
     join,
     read_file,
-    shown,
     sizes_below,
     write_file,
 )
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
-from navbake.errors import ConfigError, NavbakeError
+from navbake.errors import NavbakeError
 from navbake.files import remove_leftovers
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
-UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
 AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
 # of a row of the index: what tells whether a scene is done, which may be long
 BOOKKEEPING = ("key", "inputs", "files", "ended")
@@ -99,20 +97,13 @@ def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, on_event: OnEvent) 
     the batch did not come to.
 
     Raises:
-        ConfigError: an override or a shared setting is wrong, or a file is in a process's own
-            memory.
+        ConfigError: an override or a shared setting is wrong.
         NavbakeError: the folder can't be written, another batch writes into it, or no worker
             process starts.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
-        check_pyarrow()
-    for url in [str(plan.folder), *(url for job in jobs for url in plan.urls(job))]:
-        if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
-            raise ConfigError(
-                f"expected files that all processes share, got {shown(url)}: each process has a "
-                "memory of its own"
-            )
+        import_extra("pyarrow", "batch", "Parquet")
     lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
     with lock, closing(Index(plan.folder)) as index:
         return _run(plan, jobs, index, means, on_event)

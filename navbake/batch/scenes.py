@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 from navbake.batch.products import OWN
 from navbake.batch.settings import Job, check_shared, nest, of_id
 from navbake.batch.store import (
-    INSTALL,
     Folder,
     is_url,
     join,
@@ -30,7 +29,8 @@ from navbake.batch.store import (
 from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig
-from navbake.errors import ConfigError, MissingDependencyError, shorten
+from navbake.errors import ConfigError, shorten
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 LISTS = (".txt", ".csv", ".jsonl", ".parquet")
@@ -304,10 +304,7 @@ def _plain(text: str) -> Any:
 
 
 def _table_rows(content: bytes, name: str) -> Rows:
-    try:
-        from pyarrow import parquet  # the extra `batch`
-    except ImportError as error:
-        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}") from error
+    parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
     except Exception as error:  # pyarrow raises its own, and what Python has for odd values

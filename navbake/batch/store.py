@@ -19,12 +19,12 @@ from urllib.parse import urljoin, urlsplit
 
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
 from navbake.files import check_regular, scratch_folder, write_whole
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 Folder: TypeAlias = Path | str
 """A folder: a Path of this machine, or the URL of one on a store."""
 
-INSTALL = 'pip install "navbake[batch]"'
 URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 HERE = ("file", "local")  # schemes of this machine's own files
@@ -425,19 +425,14 @@ def refused(what: str, error: OSError) -> NavbakeError:
 
 def _open_store(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path there."""
-    try:
-        from fsspec.core import url_to_fs  # the extra `batch`
-    except ImportError as error:
-        scheme = url.partition("://")[0]
-        message = f"paths such as {scheme}:// need fsspec: {INSTALL}"
-        raise MissingDependencyError(message) from error
+    core = import_extra("fsspec.core", "batch", f"{url.partition('://')[0]}://")
     options: Json = {}
     if _is_web(url):
         try:
             options["client_kwargs"] = _client_options()
         except ImportError as error:
             raise MissingDependencyError("https:// needs aiohttp: pip install aiohttp") from error
-    system, path = url_to_fs(url, **options)
+    system, path = core.url_to_fs(url, **options)
     return system, str(path)
 
 

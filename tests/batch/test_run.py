@@ -518,20 +518,6 @@ def test_an_index_that_somebody_removes_is_written_whole_at_the_end(scenes, monk
     assert run(*ALL)[0] == []
 
 
-@pytest.mark.parametrize(
-    ("source", "out", "overrides"),
-    [
-        ("scenes/first.xml", "memory://a/b", []),
-        ("MEMORY://a/first.xml", "out", []),
-        ("scenes/first.xml", "out", ["rooms.polygons=memory://a/plan.geojson"]),
-    ],
-)
-def test_files_in_a_process_s_own_memory_are_refused(scenes, source, out, overrides):
-    with pytest.raises(ConfigError, match=r"that all processes share, got (?i:memory)://a/"):
-        run(source, out=out, overrides=overrides)
-    assert not Path("out").exists()
-
-
 def test_two_batches_never_write_into_one_folder(scenes, here):
     Path("out").mkdir()
     with (

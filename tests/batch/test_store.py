@@ -396,7 +396,7 @@ def test_what_is_missing_is_one_line(memory, monkeypatch):
     with pytest.raises(NavbakeError, match=r"cannot read nothing://a/b\.csv: Protocol not known"):
         list_jobs(["nothing://a/b.csv"])
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    message = r'paths such as s3:// need fsspec: pip install "navbake\[batch\]"'
+    message = r's3:// needs fsspec: pip install "navbake\[batch\]"'
     with pytest.raises(MissingDependencyError, match=message):
         list_jobs(["s3://a/b.csv"])
 

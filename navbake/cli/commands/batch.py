@@ -168,7 +168,7 @@ class _Watch:
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
-        self._show: Callable[..., None]
+        self._show: Callable[..., None] = lambda *given: None
         self._page: LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
@@ -180,12 +180,10 @@ class _Watch:
             self._total = counts["left"] = values["scenes"] - values["skipped"]
         self._log(event, values)
         if event == "begin":
+            from navbake.batch.page import LivePage
             from navbake.cli.progress import progress_bars
 
-            if self._ways.page:
-                from navbake.batch.page import LivePage
-
-                self._page = LivePage(self._folder, self._total)
+            self._page = LivePage(self._folder, self._total) if self._ways.page else None
             # on a terminal, lines and a bar would run into each other
             hidden = VOLUME.quiet or (self._ways.as_json and is_terminal(sys.stdout))
             self._show = self._stack.enter_context(progress_bars("batch", hidden))
@@ -218,7 +216,7 @@ class _Watch:
         from navbake.batch.page import write_page
 
         why = str(error) if isinstance(error, Exception) else "interrupted"
-        if self._total and not self._ways.as_json and not isinstance(error, Exception):
+        if self._total and why == "interrupted" and not self._ways.as_json:
             say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
             self._log_end(why)
@@ -232,16 +230,16 @@ class _Watch:
         from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
-        count = {status: result.count(status) for status in ("ok", "failed", "left")}
-        self._counts = {"baked": count.pop("ok") - result.skipped, "skipped": result.skipped}
-        self._counts |= count
-        seconds = time.perf_counter() - self._begin
+        baked, failed, left = map(result.count, ("ok", "failed", "left"))
+        self._counts = {"baked": baked - result.skipped, "skipped": result.skipped}
+        self._counts |= {"failed": failed, "left": left}
         try:
             self._log_end(result.stopped)
         except NavbakeError as error:  # of the log; what the batch came to is said all the same
             if self._ways.as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
+        seconds = time.perf_counter() - self._begin
         names = [NAME, *[TABLE] * self._ways.parquet]
         if self._ways.page:
             draw_missing_thumbnails(self._folder)
