@@ -99,41 +99,15 @@ class LineFile:
             os.close(self._file)
 
 
-class Index:
-    """The index of a folder, to which one batch adds rows.
-
-    On this machine each row is a line of the file at once; a store gets the file at the end. What
-    is done is known by the scenes' records, so a line that is lost costs nothing.
-
-    Attributes:
-        rows: by id, those that were there before included.
-    """
-
-    def __init__(self, folder: Folder) -> None:
-        self._folder = folder
-        self.rows = read_index(folder)
-        self._file = LineFile(folder / NAME, f"into {folder}") if isinstance(folder, Path) else None
-
-    def add(self, row: Json) -> None:
-        """Add a scene's row."""
-        self.rows[row["id"]] = row
-        if self._file is not None:
-            self._file.add(row)
-
-    def finish(self, rows: Iterable[Json], has_table: bool) -> None:
-        """Write a batch's rows in its order, then those of other scenes."""
-        own = {row["id"]: row for row in rows}
-        self.rows = own | {id: row for id, row in self.rows.items() if id not in own}
-        write_file(self._folder, NAME, b"".join(map(line_of, self.rows.values())))
-        if has_table:
-            write_file(self._folder, TABLE, encode_rows(self.rows.values()))
-        else:
-            remove_files(self._folder, [TABLE])  # it would say other than the index
-
-    def close(self) -> None:
-        """Give the file back; its lines stay."""
-        if self._file is not None:
-            self._file.close()
+def write_index(folder: Folder, rows: Iterable[Json], has_table: bool) -> None:
+    """Write a batch's rows in its order, then those of other scenes that are there."""
+    own = {row["id"]: row for row in rows}
+    own |= {id: row for id, row in read_index(folder).items() if id not in own}
+    write_file(folder, NAME, b"".join(map(line_of, own.values())))
+    if has_table:
+        write_file(folder, TABLE, encode_rows(own.values()))
+    else:
+        remove_files(folder, [TABLE])  # it would say other than the index
 
 
 def read_index(folder: Folder) -> dict[str, Json]:

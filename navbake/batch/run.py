@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, nullcontext, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from navbake._version import __version__
-from navbake.batch.index import Index, only_batch
+from navbake.batch.index import NAME, LineFile, only_batch, write_index
 from navbake.batch.job import (
     FAILED,
     LEFT,
@@ -47,22 +47,6 @@ Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
 """Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
 
 
-class Means(NamedTuple):
-    """What a batch may use.
-
-    Attributes:
-        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
-        limits: of each scene.
-        max_failures: the batch ends when more scenes failed than this; None for never.
-        executor: where the worker processes are; None for this machine.
-    """
-
-    workers: int | None = 1
-    limits: JobLimits = JobLimits()
-    max_failures: int | None = None
-    executor: Executor | None = None
-
-
 OnEvent: TypeAlias = Callable[[str, Json], None]
 """Is called with what happens: ``begin`` with how many scenes there are and are `skipped`, unless
 there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene`` with its row."""
@@ -87,85 +71,100 @@ class BatchResult:
         return sum(row["status"] == status for row in self.rows)
 
 
-def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, on_event: OnEvent) -> BatchResult:
+def run_batch(
+    plan: Plan,
+    jobs: Sequence[Job],
+    on_event: OnEvent,
+    *,
+    workers: int | None = 1,
+    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+    max_failures: int | None = None,
+    executor: Executor | None = None,
+) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
     A scene is done already if its folder has the grid and a record with its key, see
     `job.open_scene`. One that fails, hangs or crashes its worker costs itself alone. Where the
     folder has no room for one, the batch stops. However the batch ends, short of being killed, the
     index has a row for each scene, in order, as far as there is room for it; ``left`` is one that
-    the batch did not come to.
+    the batch did not come to. On this machine, each row is a line of the index at once.
+
+    Args:
+        plan: what is made.
+        jobs: the scenes.
+        on_event: is called with what happens.
+        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
+        limits: of each scene.
+        max_failures: the batch ends when more scenes failed than this; None for never.
+        executor: where the worker processes are; None for this machine.
 
     Raises:
         ConfigError: an override or a shared setting is wrong.
-        NavbakeError: the folder can't be written, another batch writes into it, or no worker
-            process starts.
+        NavbakeError: the folder can't be written, another batch writes into it, no worker process
+            starts, or the scenes' episodes make no set.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
         import_extra("pyarrow", "batch", "Parquet")
-    lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
-    with lock, closing(Index(plan.folder)) as index:
-        return _run(plan, jobs, index, means, on_event)
+    with ExitStack() as stack:
+        lines: LineFile | None = None
+        if isinstance(plan.folder, Path):
+            stack.enter_context(only_batch(plan.folder))
+            lines = LineFile(plan.folder / NAME, f"into {plan.folder}")
+            stack.callback(lines.close)
+        rows = find_done(plan, jobs)
+        left = [job for job in jobs if job.id not in rows]
+        result, num_failed = BatchResult(skipped=len(rows)), 0
 
+        def note(event: str, ended: Ended) -> None:
+            why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
+            why |= {"how": ended.how, "error": ended.value}
+            on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
 
-def _run(
-    plan: Plan, jobs: Sequence[Job], index: Index, means: Means, on_event: OnEvent
-) -> BatchResult:
-    rows = find_done(plan, jobs)
-    left = [job for job in jobs if job.id not in rows]
-    result = BatchResult(skipped=len(rows))
-    num_failed = 0
-
-    def note(event: str, ended: Ended) -> None:
-        why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
-        why |= {"how": ended.how, "error": ended.value}
-        on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
-
-    try:
-        if left:
-            on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-        execute: Executor = means.executor or do_jobs
-        ended = execute(
-            left,
-            partial(bake_scene, plan),
-            means.workers or (None if means.executor else 1),
-            limits=means.limits,
-            prepare=partial(prepare, plan.products, plan.thumbnail),
-            on_event=note,
-        )
-        with closing(ended):
-            for end in ended:
-                job = left[end.number]
-                row = end.value
-                if end.how != DONE:
-                    row = fail(plan, job, end.how, end.value, end.seconds)
-                if row["status"] == LEFT:  # there is no room for it, nor for the others
-                    result.stopped = row["error"]
-                    break
-                rows[job.id] = row
-                index.add(row)
-                on_event("scene", {**row, "worker": end.worker})
-                num_failed += row["status"] == FAILED
-                if means.max_failures is not None and num_failed > means.max_failures:
-                    result.stopped = f"{num_failed} scenes failed, more than {means.max_failures}"
-                    break
-    except FullError as error:
-        result.stopped = str(error)
-    finally:
-        for job in left:
-            # its worker may have been killed as it wrote; on a store, the next one removes that
-            if job.id not in rows and isinstance(plan.folder, Path):
-                with suppress(NavbakeError):
-                    remove_leftovers(Path(plan.place(job)), age=0)
-        result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
         try:
-            index.finish(result.rows, plan.has_table)
+            if left:
+                on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
+            execute: Executor = executor or do_jobs
+            ended = execute(
+                left,
+                partial(bake_scene, plan),
+                workers or (None if executor else 1),
+                limits=limits,
+                prepare=partial(prepare, plan.products, plan.thumbnail),
+                on_event=note,
+            )
+            with closing(ended):
+                for end in ended:
+                    job, row = left[end.number], end.value
+                    if end.how != DONE:
+                        row = fail(plan, job, end.how, end.value, end.seconds)
+                    if row["status"] == LEFT:  # there is no room for it, nor for the others
+                        result.stopped = row["error"]
+                        break
+                    rows[job.id] = row
+                    if lines is not None:
+                        lines.add(row)
+                    on_event("scene", {**row, "worker": end.worker})
+                    num_failed += row["status"] == FAILED
+                    if max_failures is not None and num_failed > max_failures:
+                        result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
+                        break
         except FullError as error:
-            result.stopped = result.stopped or str(error)
-    if result.stopped is None:
-        write_sets(plan, result.rows)
-    return result
+            result.stopped = str(error)
+        finally:
+            for job in left:
+                # its worker may have been killed as it wrote; on a store, the next one removes that
+                if job.id not in rows and isinstance(plan.folder, Path):
+                    with suppress(NavbakeError):
+                        remove_leftovers(Path(plan.place(job)), age=0)
+            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
+            try:
+                write_index(plan.folder, result.rows, plan.has_table)
+            except FullError as error:
+                result.stopped = result.stopped or str(error)
+        if result.stopped is None:
+            write_sets(plan, result.rows)
+        return result
 
 
 def write_sets(plan: Plan, rows: Sequence[Json]) -> None:

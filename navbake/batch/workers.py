@@ -67,14 +67,19 @@ OnEvent = Callable[[str, Ended], None]
 
 
 def do_jobs(
-    jobs: Sequence[Any], work: Callable[[Any], Any], count: int, **options: Any
+    jobs: Sequence[Any],
+    work: Callable[[Any], Any],
+    count: int,
+    *,
+    on_event: OnEvent = lambda event, ended: None,
+    **options: Any,
 ) -> Generator[Ended, None, None]:
     """Do jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
 
     The workers are gone when the iterator is closed, or at the end.
     """
     with Workers(work, min(count, len(jobs)), **options) as workers:
-        yield from workers.do(jobs)
+        yield from workers.do(jobs, on_event)
 
 
 class Workers:
@@ -87,7 +92,6 @@ class Workers:
         *,
         limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
         prepare: Callable[[], None] | None = None,
-        on_event: OnEvent = lambda event, ended: None,
     ) -> None:
         """Set up workers.
 
@@ -96,10 +100,8 @@ class Workers:
             count: how many workers, >= 1.
             limits: of each job.
             prepare: a function of a module that each worker calls before its first job.
-            on_event: is called when a job begins, and when it will be tried again.
         """
-        self._work, self._count, self._limits = work, count, limits
-        self._prepare, self._on_event = prepare, on_event
+        self._work, self._count, self._limits, self._prepare = work, count, limits, prepare
         self._closing = ExitStack()
         self._pool: ProcessPool | None = None
 
@@ -112,9 +114,10 @@ class Workers:
         self._stop()
         self._closing.close()
 
-    def do(self, jobs: Sequence[Any]) -> Iterator[Ended]:
+    def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
         """Do jobs, which can be pickled, and yield how each ended, in the order in which they end.
 
+        `on_event` is called when a job begins, and when it will be tried again.
         A job that ended its worker, or took too much memory, is tried again at the end, in a
         process of its own: what another job left behind may have been the cause.
 
@@ -124,14 +127,14 @@ class Workers:
         tries, breaks, alone = [0] * len(jobs), 0, False
         left, again = deque(range(len(jobs))), deque[int]()
         while left:
-            for ended in self._in_pool(jobs, left, alone):
+            for ended in self._in_pool(jobs, left, alone, on_event):
                 breaks = 0
                 is_blamed = alone or ended.how == TOO_LONG
                 tries[ended.number] += is_blamed and ended.how != DONE
                 if ended.how == DONE or tries[ended.number] > self._limits.retries:
                     yield ended
                 else:
-                    self._on_event(AGAIN, ended)
+                    on_event(AGAIN, ended)
                     again.append(ended.number)
             if left or again or alone:
                 self._stop()
@@ -150,7 +153,9 @@ class Workers:
             self._pool.join()
             self._pool = None
 
-    def _in_pool(self, jobs: Sequence[Any], left: deque[int], alone: bool) -> Iterator[Ended]:
+    def _in_pool(
+        self, jobs: Sequence[Any], left: deque[int], alone: bool, on_event: OnEvent
+    ) -> Iterator[Ended]:
         """Do jobs in a pool until none is left or it breaks; those that it had are left then.
 
         A process does one job if they are to be `alone`.
@@ -185,7 +190,7 @@ class Workers:
             for future in number_of.keys() - begun.keys():
                 if future.running() or future in done:
                     begun[future] = before
-                    self._on_event(BEGUN, Ended(number_of[future], "", ""))
+                    on_event(BEGUN, Ended(number_of[future], "", ""))
             for future in done:
                 number = number_of.pop(future)
                 taken = time.time() - begun.pop(future)

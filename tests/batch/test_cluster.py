@@ -16,9 +16,9 @@ import crew_jobs
 from batch_in_process import Told
 from batch_processes import PATIENCE, digests, members, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
-from navbake.batch.cluster import RayExecutor
+from navbake.batch.cluster import do_on_ray
 from navbake.batch.job import Plan
-from navbake.batch.run import Means, run_batch
+from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits
 from project_paths import ROOT
@@ -42,7 +42,7 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
     plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}}, products=(MAKE,))
-    run_batch(plan, list_jobs(good), Means(), Told())
+    run_batch(plan, list_jobs(good), Told())
     whole = digests(tmp_path / "one")
     assert len(whole) == 2 * COUNT
     with two_nodes(1) as nodes:
@@ -81,15 +81,15 @@ def test_jobs_fail_as_on_one_machine_and_a_task_that_is_lost_is_done_again(tmp_p
         ("raise", "bad value"),
         ("double", 2),
     ]
-    executor = RayExecutor("local")
-    ended = dict(enumerate(sorted(executor(jobs, crew_jobs.work, 2, limits=JobLimits(5.0)))))
+    done = do_on_ray(jobs, crew_jobs.work, 2, address="local", limits=JobLimits(5.0))
+    ended = dict(enumerate(sorted(done)))
     assert [ended[k].value for k in (1, 6)] == [2, 4] and ended[0].how == DONE
     assert ended[2][1:3] == (CRASHED, "its process ended by SIGSEGV")
     assert ended[3][1:3] == (TOO_LONG, "it took more than 5 s")
     assert ended[5][1:3] == (CRASHED, "ValueError: bad value")
     assert ended[4].how == CRASHED
     assert ended[4].value.startswith("it was lost 4 times, as ")
-    assert [*executor([], crew_jobs.work, None)] == []
+    assert [*do_on_ray([], crew_jobs.work, None, address="local")] == []
 
 
 def test_ctrl_c_ends_the_cluster_that_the_batch_started(tmp_path):

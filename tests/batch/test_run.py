@@ -25,7 +25,6 @@ from navbake.batch import job as job_module
 from navbake.batch import products, store
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.products import RECORD
-from navbake.batch.run import Means
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
@@ -90,16 +89,16 @@ def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path, monkeypa
     lines = source.read_text().splitlines(keepends=True)
     source.write_text("".join(line for line in lines if hanging.name not in line))
     # no scene but the one that hangs is near a limit of time, however busy the machine is
-    means = Means(workers=2, limits=JobLimits(seconds=300.0, memory=0.7))
+    limits = JobLimits(seconds=300.0, memory=0.7)
     make = ["episodes:point:uniform:5"]
-    _, result = run(str(source), out=tmp_path / "out", means=means, products=make)
+    _, result = run(str(source), out=tmp_path / "out", workers=2, limits=limits, products=make)
     assert [row["id"] for row in result.rows] == [job.id for job in list_jobs([str(source)])]
     assert list(read_index(tmp_path / "out").values()) == result.rows
     assert (result.count("ok"), result.count("failed"), result.count("left")) == (6, 12, 0)
     good = sorted(name for name, how in expected.items() if how.how == "ok")
     sources = [str(hanging), *(str(tmp_path / "scenes" / f"{name}.xml") for name in good)]
-    means = Means(workers=2, limits=JobLimits(seconds=1.0))
-    names, result = run(*sources, out=tmp_path / "out", means=means, products=make)
+    limits = JobLimits(seconds=1.0)
+    names, result = run(*sources, out=tmp_path / "out", workers=2, limits=limits, products=make)
     assert names == ["hangs"] and result.skipped == 6
     assert wrong_rows([*read_index(tmp_path / "out").values()], expected) == []
     assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*.gz")) == good
@@ -415,7 +414,7 @@ def test_a_batch_ends_after_too_many_failures(scenes, here):
     for name in ("bad-1", "bad-2"):
         (scenes / f"{name}.xml").write_text("<mujoco>")
     sources = ["scenes/bad-1.xml", ALL[0], "scenes/bad-2.xml", ALL[1]]
-    names, result = run(*sources, means=Means(max_failures=1))
+    names, result = run(*sources, max_failures=1)
     assert names == ["bad-1", "first", "bad-2"]
     assert result.stopped == "2 scenes failed, more than 1"
     assert [row["status"] for row in result.rows] == ["failed", "ok", "failed", "left"]
@@ -503,8 +502,7 @@ def test_a_scene_that_failed_since_is_not_done(scenes, here):
     run(*ALL)
     text = Path(ALL[0]).read_text()
     Path(ALL[0]).write_text("<mujoco>")
-    means = Means(max_failures=0)
-    names, result = run(*ALL, means=means, overrides=["agent.radius=0.1"])
+    names, result = run(*ALL, max_failures=0, overrides=["agent.radius=0.1"])
     assert names == ["first"]
     assert [row["status"] for row in result.rows] == ["failed", "left", "left"]
     Path(ALL[0]).write_text(text)

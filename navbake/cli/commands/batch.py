@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -106,12 +107,12 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     from navbake.batch import store
-    from navbake.batch.cluster import RayExecutor
+    from navbake.batch.cluster import do_on_ray
     from navbake.batch.index import LOCK, NAME, TABLE
     from navbake.batch.job import Plan
     from navbake.batch.page import NAME as PAGE
     from navbake.batch.products import parse_products
-    from navbake.batch.run import Means, run_batch
+    from navbake.batch.run import run_batch
     from navbake.batch.scenes import list_jobs
     from navbake.batch.settings import read_shared
     from navbake.batch.store import as_folder
@@ -136,15 +137,22 @@ def batch(
     limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
     folder = as_folder(output)
     witness = folder / LOCK if isinstance(folder, Path) else None
-    executor = RayExecutor(ways.ray_address, witness) if is_ray else None
-    means = Means(ways.jobs, limits, ways.max_failures, executor)
+    on_ray = partial(do_on_ray, address=ways.ray_address, witness=witness)
     made = parse_products(make or [])
     given = tuple(overrides or [])
     plan = Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
     with ExitStack() as stack:
         watch = _Watch(stack, ways, folder)
         try:
-            result = run_batch(plan, jobs, means, watch)
+            result = run_batch(
+                plan,
+                jobs,
+                watch,
+                workers=ways.jobs,
+                limits=limits,
+                max_failures=ways.max_failures,
+                executor=on_ray if is_ray else None,
+            )
         except BaseException as error:
             watch.interrupt(error)
             raise
