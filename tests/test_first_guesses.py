@@ -15,6 +15,7 @@ APARTMENT = str(samples.path("apartment"))
     ("guess", "error", "answer"),
     [
         (lambda: navbake.load_grid("a.json"), AttributeError, r"'load_grid': write navbake\.load"),
+        (lambda: navbake.bake("a.grid.json"), ConfigError, r"a grid, not a scene: .*navbake\.load"),
         (lambda: navbake.loads, AttributeError, "no attribute 'loads'$"),
         *(
             (lambda given=given: navbake.bake(APARTMENT, **given), ConfigError, answer)

@@ -46,23 +46,9 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
     return overrides or []
 
 
-def check_scene(given: Any) -> Any:
-    """Refuse a grid where a scene is expected."""
-    for path in given if isinstance(given, list) else [given]:
-        if path is not None and path.name.lower().endswith((".grid.json", ".json.gz")):
-            raise BadParameter(
-                f"{path} is a grid, not a scene: `navbake info {path}` describes it, `navbake "
-                f"inflate {path} RADIUS -o FILE` makes another one of it"
-            )
-    return given
-
-
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
 SceneOrConfig = Annotated[
-    Path,
-    Argument(
-        metavar="SCENE|CONFIG", callback=check_scene, help="A scene file, or settings (YAML)."
-    ),
+    Path, Argument(metavar="SCENE|CONFIG", help="A scene file, or settings (YAML).")
 ]
 Overrides = Annotated[
     list[str] | None,

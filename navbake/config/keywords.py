@@ -9,13 +9,13 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from navbake import samples
 from navbake.config.field_types import show_value
 from navbake.config.settings import (
     SECTIONS,
     YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    find_source,
     memory_path,
     parse_config,
 )
@@ -80,7 +80,7 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
     if isinstance(config, BakeConfig):
         config = config.model_dump(by_alias=True, exclude_unset=True)
     elif not isinstance(config, Mapping):
-        path = samples.find(config)
+        path = find_source(config)
         source, config = f"{path} with the keywords", {"scene": {"path": path}}
         if path.suffix.lower() in YAML_SUFFIXES:
             config, folder = read_yaml(path), path.parent

@@ -464,6 +464,20 @@ class BakeConfig(Settings):
         return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
+def find_source(path: str | PathLike[str]) -> Path:
+    """The scene or settings at a path; those of a sample at its bare name, if no file has it.
+
+    Raises:
+        ConfigError: it is a grid.
+    """
+    if str(path).lower().endswith((".grid.json", ".json.gz")):
+        raise ConfigError(
+            f"{path} is a grid, not a scene: `navbake info {path}` describes it, `navbake inflate "
+            f"{path} RADIUS -o FILE` makes another one of it, navbake.load reads it in Python"
+        )
+    return samples.find(path)
+
+
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
@@ -472,7 +486,7 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
     a setting is a ConfigError.
     """
-    path = samples.find(path)
+    path = find_source(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
