@@ -28,7 +28,7 @@ from navbake.batch.products import (
     make_product,
     write_thumbnail,
 )
-from navbake.batch.settings import Job, settings_of, urls_in
+from navbake.batch.settings import Job, outlines_of, settings_of
 from navbake.batch.store import (
     Folder,
     Mirror,
@@ -47,6 +47,7 @@ from navbake.batch.store import (
     write_file,
 )
 from navbake.config.settings import BakeConfig, load_config
+from navbake.config.yaml_text import apply_overrides
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import write_navgrid
@@ -87,15 +88,11 @@ class Plan(NamedTuple):
         check_inside(self.folder, place)
         return place
 
-    def urls(self, job: Job) -> list[str]:
-        """What a scene needs from stores, as far as it is named outside of files."""
-        return urls_in(job.source, (self.settings, job.settings), self.overrides)
-
     def named(self, job: Job) -> list[str]:
-        """The URLs of a scene that the user named, not a list on a store."""
-        if not job.list:
-            return self.urls(job)
-        return urls_in(job.list, (self.settings,), self.overrides)
+        """The URLs of a scene that the user named outside of files, not a list on a store."""
+        settings = [self.settings, apply_overrides({}, self.overrides)]
+        settings += [] if job.list else [job.settings]
+        return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
 
 
 class Scene(NamedTuple):

@@ -38,7 +38,7 @@ from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
-AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
+AT_ONCE = 16  # scenes of which it is found out at once whether they are done
 # of a row of the index: what tells whether a scene is done, which may be long
 BOOKKEEPING = ("key", "inputs", "files", "ended")
 
@@ -185,8 +185,7 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows of scenes that are done already, by id."""
     sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
-    is_here = sizes is None and not any(map(plan.urls, jobs))
-    with ThreadPoolExecutor(1 if is_here else AT_ONCE) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # stores take long to answer
         found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
 

@@ -133,12 +133,6 @@ def is_yaml(source: str) -> bool:
     return Path(source).suffix.lower() in YAML_SUFFIXES
 
 
-def urls_in(source: str, settings: Sequence[Json], overrides: Sequence[str]) -> list[str]:
-    """The URLs that a scene's source, its settings and overrides name outside of any file."""
-    named = map(outlines_of, [*settings, apply_overrides({}, overrides)])
-    return [name for name in (source, *named) if name is not None and is_url(name)]
-
-
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:
     """Settings by section, from keys such as ``agent.radius``; files are relative to a folder.
 
