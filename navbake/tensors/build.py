@@ -88,7 +88,6 @@ def make_tensors(
         dtype=of_library,
         index=make(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
-        same_lattice=all(len({v.lattice for v in grid.levels}) == 1 for grid in several),
         num_rooms=num_rooms,
         rooms=rooms,
         goals=tuple(str(goal) for goal in per_grid[0]),

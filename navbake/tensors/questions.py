@@ -58,7 +58,11 @@ def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) 
 
 
 def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The connected part that each position is on, int32, of all scenes together; 0 for none."""
+    """The connected part that each position is on, int32, 0 for none.
+
+    Parts are numbered through all scenes: those of a scene follow those of the scenes before it. In
+    tensors of one grid, the numbers are `PathFinder.island_at`'s.
+    """
     return _value(t, t.island, 0, positions, scene_id)
 
 
@@ -77,8 +81,9 @@ def clearance(
 ) -> Array:
     """How far the nearest cell that isn't free is from each position [m]; NaN beside the grid.
 
-    Of each cell that is free, `navbake.navgrid.islands.clearance`: from its centre to the nearest
-    centre of another that isn't, less half a cell. Of the others 0.
+    Not `PathFinder.clearance`, which measures from the position itself to what is occupied. Here
+    each free cell has one value, `navbake.navgrid.islands.clearance`: from its centre to the
+    nearest centre of a cell that isn't free, less half a cell; all others have 0.
 
     The mode ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does;
     ``"bilinear"`` interpolates between the centres of the four cells round the position, on the
@@ -238,6 +243,29 @@ def distance_to_goal(
     return _ask_goal(t, answer, positions, goal, scene_id)
 
 
+def distances(
+    t: GridTensors,
+    starts: Array,
+    goals: Array | None = None,
+    scene_id: Array | int | None = None,
+) -> Array:
+    """`distance_to_goal` from each start to each of several goals, shape (..., m).
+
+    `goals` are their numbers, shape (m,); all goals of the tensors in their order unless given.
+    """
+    count, num_cells = _num_goals(t), int(t.floor.shape[0])
+    given = list(range(count)) if goals is None else goals
+    numbers = check_numbers(t, given, "goal", count, (len(given),))
+
+    def answer(p: Array, scenes: Array) -> Array:
+        cell, _, inside = locate(t, p, scenes)
+        first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
+        known = inside[..., None] & (numbers >= 0)
+        return t.xp.where(known, t.cost[first + cell[..., None]], t.xp.nan)
+
+    return _ask(t, answer, starts, scene_id)
+
+
 def path_step(
     t: GridTensors,
     positions: Array,
@@ -275,18 +303,22 @@ def _ask_goal(
     goal: Array | int,
     scene_id: Array | int | None,
 ) -> Array:
-    xp, p, count = t.xp, check_positions(t, positions), len(t.goals)
-    if not count:
-        raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
-    shape, num_cells = p.shape[:-1], int(t.floor.shape[0])
+    xp, p, num_cells = t.xp, check_positions(t, positions), int(t.floor.shape[0])
+    shape = p.shape[:-1]
     if isinstance(goal, int | np.integer):
-        first = check_number(goal, "goal", count) * num_cells
+        first = check_number(goal, "goal", _num_goals(t)) * num_cells
     else:
-        goals = check_numbers(t, goal, "goal", count, shape)
+        goals = check_numbers(t, goal, "goal", _num_goals(t), shape)
         p = xp.where((goals >= 0)[..., None], p, xp.nan)  # to no goal, so from nowhere
         first = xp.where(goals >= 0, goals, 0) * num_cells
     # `first` is where the goal's cells begin in `cost` and `onward`
     return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))
+
+
+def _num_goals(t: GridTensors) -> int:
+    if not t.goals:
+        raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
+    return len(t.goals)
 
 
 def sample(

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.csgraph import dijkstra
 
 from grid_maps import level_from, random_house
-from navbake import PathFinder
+from navbake import PathFinder, tensors
 from navbake.errors import QueryError
 
 
@@ -26,6 +26,13 @@ def test_distances_are_those_of_dijkstra(seed):
     assert np.isinf(expected).any() and (graph.level[starts[:, None]] != graph.level[goals]).any()
     one_by_one = np.stack([finder.distances(p, goal) for goal in q], axis=-1)
     np.testing.assert_array_equal(found, one_by_one)
+    t = house.tensors(goals=list(q), dtype="float64")
+    np.testing.assert_allclose(tensors.distances(t, p), expected, rtol=1e-6)
+    some = tensors.distances(t, p.reshape(3, 20, 3), [7, 0, 99])
+    np.testing.assert_array_equal(some[..., :2], found.reshape(3, 20, -1)[..., [7, 0]])
+    assert some.shape == (3, 20, 3) and np.isnan(some[..., 2]).all()
+    beside = tensors.distances(t, np.array([99.0, 99.0, 0.0]))
+    assert beside.shape == (12,) and np.isnan(beside).all()
 
 
 def test_shapes_and_what_a_goal_may_be():

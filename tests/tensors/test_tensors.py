@@ -272,6 +272,8 @@ def test_many_scenes_at_once(case):
     scene = np.repeat([2, 0, 1], 400)
     positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
     p, ids = given(xp, positions, dtype), xp.asarray(scene)
+    found = shown(compiled(xp, lambda p, ids: tensors.distances(t, p, scene_id=ids))(p, ids))
+    np.testing.assert_array_equal(found[:, 0], shown(tensors.distance_to_goal(t, p, 0, ids)))
     # each grid alone, in numpy
     alone = [g.tensors(dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
     for function in (
@@ -390,6 +392,7 @@ def test_arrays_are_shared_by_dlpack():
         (lambda t: tensors.floor(t, np.zeros(3), scene_id=1), "no scene 1: expected 0 to 0"),
         (lambda t: tensors.clearance(t, np.zeros(3), mode="cubic"), "a mode of nearest, bilinear"),
         (lambda t: tensors.distance_to_goal(t, np.zeros(3)), "the tensors know no goals"),
+        (lambda t: tensors.distances(t, np.zeros(3)), "the tensors know no goals"),
         (lambda t: tensors.heights(t, np.zeros((4, 3)), np.zeros(3), np.zeros((1, 2))), "a yaw of"),
         (lambda t: tensors.heights(t, np.zeros(3), np.zeros(()), np.zeros(2)), "a pattern of"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), layer="smell"), "no layer 'smell'"),
