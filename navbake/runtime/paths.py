@@ -11,11 +11,11 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.user_data import NAMES, names_in
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_on
 from navbake.runtime.search import Search
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
@@ -75,7 +75,7 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
         if kind == "room":
             return Target(f"room {name!r}", search.rooms.cells(name))
         if kind == "object":
-            return Target(f"object {name!r}", cells_around(search.grid, flat, name))
+            return Target(f"object {name!r}", cells_around(search, name))
         raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
     p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
@@ -85,47 +85,54 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     return Target(name, flat.cells_at(p, level), p)
 
 
-def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+def cells_around(search: Search, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
-    On each level they are looked for ring by ring from the cells that carry the name, over cells
-    in which nothing stands: the nearest ring with a free cell and the one after it, at most 1 m
-    away. From what is shut in by other objects, as on a table, they are looked for over these, too.
+    On each level they are looked for ring by ring from the cells that carry the name, up to 1 m
+    away, over cells in which nothing stands; from what is shut in by other objects, as on a table,
+    over these, too. Of each island, the nearest ring that it has a cell in counts, and the next.
     """
-    named, found = cells_named(grid, flat, name), []
+    grid, flat, islands, found = search.grid, search.flat, search.islands.number, []
+    named = cells_named(grid, flat, name)
     for number, level in enumerate(grid.levels):
         part = flat.cells_of(number)
         cells = named[(named >= part.start) & (named < part.stop)] - part.start
-        if len(cells):
-            free = flat.free[part].reshape(level.shape)
-            passable = (level.solid == 0) | free
-            ring = _nearest_ring(level, cells, free, passable)
-            if not len(ring):
-                ring = _nearest_ring(level, cells, free, passable | _holds_objects(level))
-            found.append(part.start + ring)
+        if not len(cells):
+            continue
+        reach = math.ceil(MAX_REACH / level.lattice.cell_size)
+        rows, cols = (
+            np.arange(max(v.min() - reach, 0), min(v.max() + reach + 1, size))
+            for v, size in zip(np.divmod(cells, level.width), level.shape, strict=True)
+        )
+        ids = rows[:, None] * level.width + cols
+        island, own = islands[part.start + ids], np.isin(ids, cells)
+        passable = own | (island > 0) | (level.solid.take(ids) == 0)
+        is_goal = np.zeros(ids.shape, dtype=np.bool_)
+        for over_objects in (False, True):
+            if is_goal.any():
+                break
+            if over_objects:
+                passable |= _hold_objects(UserData.of(level.user_data).find(ids.ravel()), ids.shape)
+            ring = np.where(own, 0, -1)
+            for step in range(1, reach + 1):
+                ring[ndimage.binary_dilation(ring >= 0) & passable & (ring < 0)] = step
+            is_near = (ring >= 0) & (ring < reach)
+            for one in np.unique(island[is_near & (island > 0)]):
+                first = ring[is_near & (island == one)].min()
+                is_goal |= (island == one) & (ring >= 0) & (ring <= first + 1)
+        found.append(part.start + ids[is_goal])
     return np.concatenate(found)
 
 
-def _holds_objects(level: SceneGrid2D) -> Bool:
-    """The cells in which objects stand, or that only objects block, and no wall."""
-    walls = {name for entry in level.user_data.values() for name in names_in(entry, "walls")}
-    holds = np.zeros(level.shape, dtype=np.bool_)
-    for cell, entry in level.user_data.items():
-        in_way = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-        holds.flat[cell] = bool(in_way) and not names_in(entry, "walls") and not in_way & walls
-    return holds
-
-
-def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
-    """The free cells of the first ring over passable cells that has any, and of the next one."""
-    reached = np.zeros(level.shape, dtype=np.bool_)
-    reached.flat[cells] = True
-    passable = passable | reached
-    for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
-        if (reached & free).any():
-            return np.flatnonzero(ndimage.binary_dilation(reached) & passable & free)
-        reached = ndimage.binary_dilation(reached) & passable
-    return np.empty(0, dtype=np.int64)
+def _hold_objects(entries: list[Json], shape: tuple[int, ...]) -> Bool:
+    """Whether cells hold objects, or are blocked by objects alone, and by no wall."""
+    walls = {name for entry in entries for name in names_in(entry, "walls")}
+    in_way = [{*names_in(entry, "objects"), *names_in(entry, "blockers")} for entry in entries]
+    holds = [
+        bool(names) and not names_in(entry, "walls") and not names & walls
+        for entry, names in zip(entries, in_way, strict=True)
+    ]
+    return np.array(holds).reshape(shape)
 
 
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
