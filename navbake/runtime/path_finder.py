@@ -1,8 +1,11 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
+import os
+
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.lazy import resolve
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
@@ -26,7 +29,8 @@ class PathFinder(DrawQuestions):
       positions are on that level (0 is the lowest) and z is ignored. x, y are enough with `level`,
       or on a grid of one level;
     - a goal is a position, several of them (the one that is the cheapest to reach counts),
-      ``room:NAME``, or ``object:NAME`` with a name of the user data (the free cells next to it);
+      ``room:NAME``, or ``object:NAME`` with a name of the user data (the nearest free cells of each
+      island that comes within 1 m of it);
     - a room goes by its id or its name, an island by its number; 1 is the largest;
     - a place is world x, y and floor z [m], shape (3,), or (n, 3) for several, float64;
     - `rng` draws what is random; without one, another generator does each time. One with a seed
@@ -37,22 +41,39 @@ class PathFinder(DrawQuestions):
     One object serves one thread at a time.
 
     Args:
-        grid: a grid of one or several levels. What is written into its arrays later is not seen;
-            what `grid.block` blocks is.
+        grid: a grid of one or several levels, or its file. What is written into its arrays later is
+            not seen; what `grid.block` blocks is.
         cut_corners: let diagonal steps pass blocked corners.
 
     Raises:
         QueryError: a weight is negative.
+        FormatError: the file can't be read, or is no NavGrid.
     """
 
-    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+    def __init__(
+        self, grid: NavGrid | str | os.PathLike[str], *, cut_corners: bool = False
+    ) -> None:
         self._cut_corners = cut_corners
         self.use(grid)
 
-    def use(self, grid: NavGrid) -> None:
+    def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
         """Answer about another grid from now on, as after `Baker.update`."""
-        self.grid, self._search = grid, Search(grid, cut_corners=self._cut_corners)
+        if isinstance(grid, str | os.PathLike):
+            self.grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
+        else:
+            self.grid = grid
+        self._search = Search(self.grid, cut_corners=self._cut_corners)
         self.many = ManyPlaces(self._search)
+
+    def __repr__(self) -> str:
+        count, area = self.islands.count, self.navigable_area
+        return f"PathFinder({self.grid.scene_id!r}, {area:.1f} m² free, islands: {count})"
+
+    def _repr_html_(self) -> str:
+        return self.grid._repr_html_()
+
+    def _repr_png_(self) -> bytes:
+        return self.grid._repr_png_()
 
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
@@ -91,7 +112,8 @@ class PathFinder(DrawQuestions):
     ) -> Float:
         """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path.
 
-        `many.distances` has those to several goals, one by one.
+        Of a goal of several positions, the cheapest to reach counts; `many.distances` has the
+        distances from many starts to each of many goals.
         """
         return self.many.distances(starts, [goal], level=level, weighted=weighted)[..., 0]
 

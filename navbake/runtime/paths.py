@@ -1,7 +1,7 @@
 """Paths: what one may lead to, how it is planned, and what it goes through."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.lazy import lazy
+from navbake.lazy import Method, lazy
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import NAMES, UserData, names_in
@@ -27,20 +27,34 @@ NOWHERE = np.full(2, np.nan)
 MAX_REACH = 1.0  # metres that a place next to an object may be away from it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Path:
-    """A path on the floor."""
+    """A path on the floor; a notebook shows its picture."""
 
-    positions: Float = field(repr=False)
+    positions: Float
     """World x, y, z [m], shape (n, 3), n >= 1; z is the floor's height. Straight in between."""
-    levels: Int = field(repr=False)  #: Level of each position, shape (n,), int64.
-    cells: Int = field(repr=False)
+    levels: Int  #: Level of each position, shape (n,), int64.
+    cells: Int
     """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path leaves
     the route's cells where that is shorter and costs no more."""
     length: float  #: Of the path, seen from above [m].
     cost: float  #: Of the route: of each step [m] times the weight of the cell that it leads to.
     rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors on the way, in order.
+    grid: NavGrid | None = None  #: On which it was found.
+
+    _repr_png_ = Method[bytes | None]("navbake.views.notebook:draw_path")
+
+    def __repr__(self) -> str:
+        text = f"Path({self.length:.2f} m, cost {self.cost:.2f}, {len(self.positions)} points"
+        for kind, names in (("rooms", self.rooms), ("doors", self.doors)):
+            text += f", {kind} {' '.join(names)}" if names else ""
+        return f"{text})"
+
+    @property
+    def points(self) -> Float:
+        """The `positions`."""
+        return self.positions
 
     def at(self, distance: float) -> Float:
         """The position, world x, y, z [m], at a distance [m] from the start, seen from above."""
@@ -182,6 +196,7 @@ def find_path(
         cost=cost,
         rooms=[str(rooms.id_of(int(n))) for n in entered if n],
         doors=doors_on(search.doors, route),
+        grid=search.grid,
     )
 
 

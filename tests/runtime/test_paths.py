@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.errors import QueryError
+from navbake.errors import FormatError, QueryError
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import cells_around
 from oracles.ways import make_level, random_grid, stack
@@ -372,3 +372,23 @@ def test_an_object_is_reached_from_the_island_of_the_start():
 def test_an_object_on_a_table_is_reached_from_all_sides_of_the_table():
     assert beside_thing("..oTooo..") == ["xxoToooxx"]
     assert beside_thing("..Tooo..") == ["xxTooo.."]  # it isn't shut in
+
+
+def test_a_path_and_its_finder_say_what_they_are_in_one_line(house):
+    finder = PathFinder(house)
+    path = finder.find_path((0.0, -4.8, 0.0), "room:1:1")
+    assert str(finder) == repr(finder)
+    assert repr(finder).startswith("PathFinder('house', ") and "m² free, islands:" in repr(finder)
+    for text in (repr(path), repr(finder)):
+        assert "\n" not in text and len(text) < 200
+    assert f"Path({path.length:.2f} m" in repr(path) and path.rooms[-1] in repr(path)
+    assert path.points is path.positions
+
+
+def test_a_finder_takes_the_file_of_a_grid(tmp_path, apartment):
+    path = tmp_path / "a.grid.json"
+    apartment.save(path)
+    for file in (path, str(path)):
+        assert PathFinder(file).navigable_area == pytest.approx(48.1, abs=0.1)
+    with pytest.raises(FormatError, match=r"b\.grid\.json"):
+        PathFinder(tmp_path / "b.grid.json")
