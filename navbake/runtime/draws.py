@@ -15,7 +15,7 @@ from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import find_blocked
-from navbake.types import Bool, Float, Int
+from navbake.types import Float, Int
 
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 
@@ -191,7 +191,7 @@ class DrawQuestions(PlaceQuestions):
         if clearance is not None:
             check_radius(clearance, "clearance")
             clearance = float(clearance)
-        names = [] if rooms is None else [rooms] if isinstance(rooms, str | int) else list(rooms)
+        names = [rooms] if isinstance(rooms, str | int) else list(rooms or ())
         if rooms is not None and not names:
             raise QueryError("expected at least one room, got none")
         numbers = tuple(sorted({search.rooms.find(name) for name in names}))
@@ -203,9 +203,8 @@ class DrawQuestions(PlaceQuestions):
             raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
         if stratify not in (None, *STRATA):
             raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
-        least = 0.0 if min_distance is None else min_distance
+        least, radius = 0.0 if min_distance is None else min_distance, agent_radius(grid)
         check_distance(least, "min_distance")
-        radius = agent_radius(grid)
         if min_distance is None:
             radius = max(radius, clearance or 0.0)
         ids = [search.rooms.id_of(number) for number in numbers] or [grid.scene_id]
@@ -213,19 +212,15 @@ class DrawQuestions(PlaceQuestions):
         where += f" on level {level}" if level is not None else ""
         where += f" on island {island}" if island is not None else ""
 
-        def find_clear() -> Bool:
-            """Where a disc of the clearance meets nothing, as `grid.inflate` has it."""
-            ledges, radius = ledges_of(grid) if exact_radius(grid) else "avoid", clearance or 0.0
-            blocked = [find_blocked(grid, k, radius, ledges) for k in range(len(grid.levels))]
-            return ~np.concatenate([mask.ravel() for mask in blocked])
-
         def find() -> Int:
             """The cells that agents may start in, along Hilbert's curve."""
             allowed = search.allowed(level=level, island=island)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:
-                allowed = allowed & search.keep("clear for", clearance, find_clear, 1)
+            if clearance is not None:  # where a disc of it meets nothing, as `grid.inflate` has it
+                ledges, levels = ledges_of(grid) if exact_radius(grid) else "avoid", grid.levels
+                blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
+                allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
         cells = search.keep("spawns", (numbers, level, island, clearance), find)
