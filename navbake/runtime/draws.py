@@ -318,11 +318,7 @@ class DrawQuestions(PlaceQuestions):
         return positions.reshape(3) if count is None else positions
 
     def _cells_near(
-        self,
-        position: ArrayLike,
-        distances: tuple[float, float],
-        straight: bool,
-        level: int | None,
+        self, position: ArrayLike, distances: tuple[float, float], straight: bool, level: int | None
     ) -> tuple[Int, dict[str, object]]:
         """The free cells so far from a position, and the limits as `_draw` takes them."""
         low, high = distances

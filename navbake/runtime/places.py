@@ -475,11 +475,7 @@ def _find_obstacles(
 
 
 def cells_in_annulus(
-    flat: FlatGrid,
-    level: int,
-    point: Float,
-    distances: tuple[float, float],
-    allowed: Bool,
+    flat: FlatGrid, level: int, point: Float, distances: tuple[float, float], allowed: Bool
 ) -> Int:
     """The allowed cells of a level whose centres are so far from a point on the map, ascending."""
     layout = flat.layout

@@ -224,10 +224,7 @@ def _per_point(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, .
 
 
 def distance_to_goal(
-    t: GridTensors,
-    positions: Array,
-    goal: Array | int = 0,
-    scene_id: Array | int | None = None,
+    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
 ) -> Array:
     """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
 
@@ -244,10 +241,7 @@ def distance_to_goal(
 
 
 def distances(
-    t: GridTensors,
-    starts: Array,
-    goals: Array | None = None,
-    scene_id: Array | int | None = None,
+    t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Array | int | None = None
 ) -> Array:
     """`distance_to_goal` from each start to each of several goals, shape (..., m).
 
@@ -267,10 +261,7 @@ def distances(
 
 
 def path_step(
-    t: GridTensors,
-    positions: Array,
-    goal: Array | int = 0,
-    scene_id: Array | int | None = None,
+    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
 ) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
