@@ -87,9 +87,8 @@ class DrawQuestions(PlaceQuestions):
     ) -> Float:
         """Draw places near a position, else as `random_point` does.
 
-        Distances are those of the shortest path from it, which needs a position where an agent can
-        stand; or, if `straight`, on the map of its level, through walls as well. They are measured
-        to the cells' centres, from `min_distance` to `max_distance` [m].
+        Distances [m] to cells' centres are those of the shortest path, from a position where an
+        agent can stand; or, if `straight`, on the map of its level, through walls as well.
         """
         cells, limits = self._cells_near(position, (min_distance, max_distance), straight, level)
         if room is not None:
@@ -167,8 +166,8 @@ class DrawQuestions(PlaceQuestions):
         """Draw where many agents start: none meets anything, or another one.
 
         Places are centres of cells, drawn one after the other, evenly by area, from those that are
-        far enough from all before it (Poisson-disc sampling). Distances between agents are measured
-        on the map; agents on floors that are the agent's height or more apart don't count.
+        far enough from all before it, on the map (Poisson-disc sampling). Agents on floors that are
+        the agent's height or more apart don't count.
 
         Args:
             n: how many agents, >= 1.
@@ -179,9 +178,9 @@ class DrawQuestions(PlaceQuestions):
             min_distance: between the centres of any two agents [m]; in any case more than twice
                 the agent's radius, that of the grid's inflation, or else of its bake.
             facing: where all look: a position, or a heading [rad]; everywhere, if None.
-            stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
-                each; ``room`` and ``island`` draw as many agents in each, give or take one, and
-                leave out cells in no room. Agents that don't fit into a part go to others.
+            stratify: ``area`` draws one agent in each of n parts of one area; ``room`` and
+                ``island`` as many in each, give or take one, and none in cells of no room. Agents
+                that don't fit into a part go to others.
 
         Raises:
             QueryError: they don't fit, with how many do at most where that can be proved at once.
@@ -256,13 +255,12 @@ class DrawQuestions(PlaceQuestions):
     def reachable_positions(
         self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
     ) -> Float:
-        """List the positions that steps of one length along x and y lead to.
+        """List the positions that steps of one length along x and y lead to, as AI2-THOR does.
 
-        The positions are those of a square lattice through the start. A step is taken where
-        `try_step` gets to its end without sliding, over links to other levels as well, and where
-        the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
-        The start, where an agent can stand, comes first, then the places of the fewest steps. The
-        spacing is a cell's size or more [m].
+        They are on a square lattice through the start. A step is taken where `try_step` gets to its
+        end without sliding, and where the agent's disc meets no obstacle at its end. The start,
+        where an agent can stand, comes first, then the places of the fewest steps. The spacing is a
+        cell's size or more [m].
         """
         flat, radius = self.search.flat, agent_radius(self.grid)
         cell = float(flat.layout.cell_size.max())

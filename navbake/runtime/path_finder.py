@@ -87,11 +87,11 @@ class PathFinder(DrawQuestions):
         return find_path(self.search, start, goal, level, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
-        """Say why there is no path: in one sentence, with positions and figures; None if there is.
+        """Say in one sentence why there is no path; None if there is one.
 
-        It names a start or goal that isn't free, and the nearest cell that is; or else the islands
-        of both, and the first of these between them: cells that are blocked for now, doors, a gap
-        that is too narrow, steps between levels that can't be taken, names of what stands there.
+        It names a start or goal that isn't free, and the nearest cell that is; or the islands of
+        both, and the first of these between them: cells that are blocked for now, doors, a gap that
+        is too narrow, steps between levels that can't be taken, names of what stands there.
         """
         return why_not(self.search, start, goal, level)
 
@@ -100,9 +100,8 @@ class PathFinder(DrawQuestions):
     ) -> list[Float]:
         """Find what the cheapest path from every cell to the goal costs.
 
-        If `weighted`, steps count by their weights, as in `find_path`; else by their lengths alone,
-        so that the shortest path counts [m]. One array a level, shape (height, width), float64, inf
-        where no path leads to the goal; read-only. The last few goals' fields are kept.
+        If `weighted`, as in `find_path`; else the length of the shortest path [m]. One array a
+        level, shape (height, width), float64, inf where no path leads to the goal; read-only.
         """
         field, flat = find_field(self.search, goal, level, weighted=weighted), self._search.flat
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
@@ -123,10 +122,10 @@ class PathFinder(DrawQuestions):
         """Find the widest agent that gets from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for none that is larger; `ledges` as there. What is blocked now counts. On an inflated grid,
-        the answer is that of the grid before, if it can be told from the file. None where no agent
-        gets there, however narrow. Raises QueryError where start or goal is beside the grid or in
-        something, and where the goal is an object.
+        for none that is larger; `ledges` as there. What is blocked now counts. An inflated grid
+        answers as the grid before, if the file tells. None where no agent gets there, however
+        narrow. Raises QueryError where start or goal is beside the grid or in something, and where
+        the goal is an object.
         """
         return find_passage(self.search, start, goal, level, ledges)
 
@@ -143,8 +142,7 @@ class PathFinder(DrawQuestions):
         """Follow a path with a mobile base: velocities or waypoints, step by step.
 
         The base keeps to the path within some centimetres, so plan it on a grid that is inflated
-        for a radius by so much larger than the base's. Call `command` or `waypoint` of what is
-        returned as often as the base is steered.
+        for a radius by so much larger than the base's.
 
         Args:
             path: that `find_path` of this finder has found.

@@ -6,7 +6,6 @@ Everything is answered for arrays of positions; the answer for one is that for a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +26,6 @@ walks = lazy("navbake.runtime.kernels.walks")
 
 MAX_DROP = 0.5  # [m], see `navbake.runtime.kernels.places`, which loads numba
 FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
-MAX_PIXELS = 1 << 28
 SLACK = 1e-9  # metres
 NO_ROOMS = np.empty(0, dtype=np.int32)
 
@@ -43,8 +41,8 @@ class Obstacle:
 class ManyPlaces:
     """Asks of many positions what `PathFinder` asks of one; each answer is the same, bit for bit.
 
-    Positions are world x, y, z [m], shape (..., 3), or (..., 2) as in `PathFinder`. With `level`,
-    all of them are on that level. QueryError names the first position that has no answer.
+    Positions have the shape (..., 3), or (..., 2) where that will do; with `level`, all are on it.
+    QueryError names the first position that has no answer.
     """
 
     def __init__(self, search: Search) -> None:
@@ -168,11 +166,6 @@ class PlaceQuestions:
         return self.search.islands
 
     @property
-    def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, see `Search.occupied`."""
-        return self.search.occupied
-
-    @property
     def navigable_area(self) -> float:
         """Area of all free cells [m²]."""
         return float(self.islands.areas.sum())
@@ -249,16 +242,13 @@ class PlaceQuestions:
         """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
         flat_grid.check_distance(max_drop, "max_drop")
         flat = self.search.flat
-        p: NDArray[Any] = positions if isinstance(positions, np.ndarray) else np.empty(0)
-        if level is not None or p.dtype != np.float64 or p.ndim != 2 or p.shape[1] != 3:
-            p = check_positions(positions, flat.num_levels, level)
-        if level is not None or p.shape[-1] == 2:
-            cells = flat.cells_at(p, level)
-            return np.asarray((cells >= 0) & flat.free[cells])
-        _, points = flat_grid.as_points(p, level)
-        answers, bad = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
-        if bad >= 0:
-            check_positions(points[bad], flat.num_levels)  # says what is wrong with it
+        p = check_positions(positions, flat.num_levels, level)
+        on, points = flat_grid.as_points(p, level)
+        if on >= 0:
+            cells = places.locate(flat.layout, flat.floors, on, points)
+            answers = (cells >= 0) & flat.free[cells]
+        else:
+            answers = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
         return np.asarray(answers.reshape(p.shape[:-1]))
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
@@ -282,17 +272,15 @@ class PlaceQuestions:
         """Find the nearest place where an agent can stand.
 
         Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
-        the position itself, put on the floor. Else it is the centre of a cell: of the one whose
-        centre is the nearest on the map on the position's level, or in space on any level. None
-        where there is no such place.
+        the position itself, put on the floor. Else it is the nearest centre of a cell: on the map
+        on the position's level, or in space on any level. None where there is no such place.
 
         Args:
-            same_level: stay on its level. A position that is on none is snapped to the nearest
-                floor in space.
+            same_level: stay on its level. A position on none goes to the nearest floor in space.
             same_room: stay in its room; None where it is in none.
             room, island: go there.
-            in_sight: nothing may stand between, such as a wall. The position may be in something:
-                then the line has to come out of it without leaving its room.
+            in_sight: nothing may stand between, such as a wall. From within something, the line
+                has to come out of it without leaving its room.
             max_distance: go no farther [m].
         """
         if same_room:
@@ -315,13 +303,12 @@ class PlaceQuestions:
     ) -> Float:
         """Move straight from a position towards another, and stop where cells are not free.
 
-        The way runs over the map from cell to cell, over the edge that it meets, so no wall is
-        too thin for it. Steps are at most `traversable_floor_height` high; links lead to other
-        levels. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
+        The way runs over the map from cell to cell, up steps and over links, so no wall is too thin
+        for it. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
         its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
 
-        Sliding goes on from where the straight way ends, to the point that is the nearest to the
-        end among those that a walk leads to which is no longer than what is left of the way.
+        Sliding goes on from where the straight way ends, to the point nearest to the end among
+        those that a walk leads to which is no longer than what is left of the way.
         """
         flat = self._search.flat
         p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
@@ -330,9 +317,9 @@ class PlaceQuestions:
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions meets nothing that is occupied.
 
-        The line runs over the map, from cell to cell, and through a corner of four where one of
-        the two beside it is clear. It changes levels where links lead; heights are not compared.
-        False also where one of the two is beside the grid, or in something itself.
+        The line runs over the map, from cell to cell and over links, and through a corner of four
+        where one of the two beside it is clear; heights are not compared. False also where one of
+        the two is beside the grid, or in something itself.
         """
         search = self.search
         (p, one), (q, other) = (search.flat.locate(end, level) for end in (a, b))
@@ -371,9 +358,8 @@ class PlaceQuestions:
         """Draw where on a level an agent can stand, as an array.
 
         Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free,
-        blocked, no floor. The first row is the largest y, the first column the smallest x, as in
-        the grid's arrays. A pixel shows the cell that its middle is in; without `metres_per_pixel`,
-        > 0, there is one for each cell.
+        blocked, no floor; rows and columns run as in the grid's arrays. A pixel shows the cell that
+        its middle is in; without `metres_per_pixel`, > 0, there is one for each cell.
         """
         flat = self.search.flat
         if level is None:
@@ -386,11 +372,8 @@ class PlaceQuestions:
             if not (isinstance(metres_per_pixel, REAL) and 0 < metres_per_pixel < math.inf):
                 raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
             each = metres_per_pixel / float(flat.layout.cell_size[level])
-            pixels = [math.ceil(n / each - 1e-6) for n in shape]
-            if math.prod(pixels) > MAX_PIXELS:
-                raise QueryError(f"{pixels[1]} × {pixels[0]} pixels are too many: make them larger")
-            middles = (((np.arange(count) + 0.5) * each).astype(int) for count in pixels)
-            at = (np.minimum(m, n - 1) for m, n in zip(middles, shape, strict=True))
+            middles = ((np.arange(math.ceil(n / each - 1e-6)) + 0.5) * each for n in shape)
+            at = (np.minimum(m.astype(int), n - 1) for m, n in zip(middles, shape, strict=True))
             kind = kind[np.ix_(*at)]
         palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
         return palette[kind]

@@ -101,20 +101,18 @@ def locate(
     t: GridTensors, positions: Array, scene_id: Array | int | None
 ) -> tuple[Array, Array, Array]:
     """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
-    xp, shape = t.xp, t.shape
+    xp, first = t.xp, first_level(t, scene_id)
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
-    first = first_level(t, scene_id)
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
-    cell, inside = on_level(t, x, y, first)
-    if shape.levels == 1:  # none is to be chosen
+    best = level = xp.zeros_like(x, dtype=t.index)
+    if t.shape.levels == 1:  # none is to be chosen
+        cell, inside = on_level(t, x, y, first)
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
-        return xp.where(inside, cell, 0), xp.zeros_like(cell), inside
-    best, level = xp.zeros_like(cell), xp.zeros_like(cell)
-    highest = xp.full_like(cell, -1)  # the rank of the best floor
-    for k in range(shape.levels):
-        if k:
-            cell, inside = on_level(t, x, y, first + k)
+        return xp.where(inside, cell, 0), level, inside
+    highest = best - 1  # the rank of the best floor
+    for k in range(t.shape.levels):
+        cell, inside = on_level(t, x, y, first + k)
         rank = t.rank[cell]
         better = inside & (z >= t.reach[cell]) & (z < FAR) & (rank > highest)
         best = xp.where(better, cell, best)
