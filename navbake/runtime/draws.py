@@ -274,7 +274,7 @@ class DrawQuestions(PlaceQuestions):
         while len(places):
             at = (at[:, None] + STEPS).reshape(-1, 2)
             wanted = first[:2] + at * spacing
-            ends = self.many.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
+            ends = self.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
             arrived = (np.abs(ends[:, :2] - wanted) <= NEAR * cell).all(axis=1)
             at, places = at[arrived], ends[arrived]
             cells = flat.cells_at(places)
@@ -284,7 +284,7 @@ class DrawQuestions(PlaceQuestions):
             # at a free cell's centre the agent's disc meets nothing; beside it, that is measured
             off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
             is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
-            clearance = self.many.clearance(places, max_distance=2.0 * radius + 1.0)
+            clearance = self.clearance(places, max_distance=2.0 * radius + 1.0)
             stands = is_center | (clearance >= radius * (1.0 - TOUCH))
             at, places = at[stands], places[stands]
             found.append(places)

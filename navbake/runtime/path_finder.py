@@ -1,17 +1,19 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
 import os
+from collections.abc import Sequence
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import resolve
+from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
 from navbake.runtime.passage import Passage, find_passage, why_not
 from navbake.runtime.paths import Goal, Path, find_field, find_path
-from navbake.runtime.places import ManyPlaces
 from navbake.runtime.search import Search
 from navbake.types import Float
 
@@ -63,7 +65,6 @@ class PathFinder(DrawQuestions):
         else:
             self.grid = grid
         self._search = Search(self.grid, cut_corners=self._cut_corners)
-        self.many = ManyPlaces(self._search)
 
     def __repr__(self) -> str:
         count, area = self.islands.count, self.navigable_area
@@ -86,6 +87,27 @@ class PathFinder(DrawQuestions):
         """
         return find_path(self.search, start, goal, level, smooth=smooth)
 
+    def find_paths(
+        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
+    ) -> list[Path | None]:
+        """`find_path` from each start, shape (n, 3); None where there is none.
+
+        `goals` are a position for each start, shape (n, 3), or one goal for all.
+        """
+        num_levels = self._search.flat.num_levels
+        p = check_positions(starts, num_levels, level)
+        if p.ndim != 2:
+            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
+        targets: list[Goal] = [goals] * len(p)
+        if not isinstance(goals, str):
+            q = check_positions(goals, num_levels, level)
+            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
+                wanted = f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts"
+                raise QueryError(f"{wanted}, got shape {q.shape}")
+            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
+        ways = zip(p, targets, strict=True)
+        return [self.find_path(a, b, level=level, smooth=smooth) for a, b in ways]
+
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say in one sentence why there is no path; None if there is one.
 
@@ -107,14 +129,29 @@ class PathFinder(DrawQuestions):
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
 
     def distances(
-        self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
+        self,
+        starts: ArrayLike,
+        goal: Goal | None = None,
+        *,
+        goals: Sequence[Goal] | None = None,
+        level: int | None = None,
+        weighted: bool = True,
     ) -> Float:
-        """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path.
+        """Look up `distance_field` at starts of shape (..., 3): shape (...), inf where none leads.
 
-        Of a goal of several positions, the cheapest to reach counts; `many.distances` has the
-        distances from many starts to each of many goals.
+        Of a goal of several positions, the cheapest to reach counts. With `goals`, m of them, the
+        distances from each start to each goal: shape (..., m). The last few goals' fields are kept.
         """
-        return self.many.distances(starts, [goal], level=level, weighted=weighted)[..., 0]
+        if goal is not None and goals is None:
+            return self.distances(starts, goals=[goal], level=level, weighted=weighted)[..., 0]
+        if goal is not None or goals is None:
+            raise QueryError("expected a goal, or goals=[…], one of them")
+        cells = self.search.flat.cells_at(starts, level)
+        found = np.full((*cells.shape, len(goals)), np.inf)
+        for k, one in enumerate(goals):
+            field = find_field(self._search, one, level, weighted=weighted)
+            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
+        return found
 
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"

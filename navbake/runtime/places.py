@@ -1,11 +1,11 @@
 """Places: can an agent stand there, what is near, what is in sight, where does a step lead.
 
-Everything is answered for arrays of positions; the answer for one is that for an array of one.
+The answer for one position is that for an array of one.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime import flat_grid
 from navbake.runtime.flat_grid import REAL, FlatGrid
-from navbake.runtime.paths import Goal, Path, cells_named, find_field, find_path
+from navbake.runtime.paths import cells_named
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
@@ -38,116 +38,11 @@ class Obstacle:
     position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the position asked about.
 
 
-class ManyPlaces:
-    """Asks of many positions what `PathFinder` asks of one; each answer is the same, bit for bit.
-
-    Positions have the shape (..., 3), or (..., 2) where that will do; with `level`, all are on it.
-    QueryError names the first position that has no answer.
-    """
-
-    def __init__(self, search: Search) -> None:
-        self._search = search
-
-    def snap(
-        self,
-        positions: ArrayLike,
-        *,
-        level: int | None = None,
-        same_level: bool = True,
-        room: str | None = None,
-        island: int | None = None,
-        max_distance: float = math.inf,
-    ) -> Float:
-        """`PathFinder.snap` of each: shape (..., 3), NaN where there is no such place."""
-        self._search.update()
-        flat_grid.check_distance(max_distance)
-        flat, allowed = self._search.flat, self._search.allowed(room=room, island=island)
-        p = check_positions(positions, flat.num_levels, level)
-        return snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)[0]
-
-    def clearance(
-        self, positions: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> Float:
-        """`PathFinder.clearance` of each: distances [m], shape (...), float64."""
-        self._search.update()
-        p = check_positions(positions, self._search.flat.num_levels, level)
-        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
-        return np.where(cells < 0, max_distance, distances).reshape(p.shape[:-1])
-
-    def try_step(
-        self, starts: ArrayLike, ends: ArrayLike, *, slide: bool = True, level: int | None = None
-    ) -> Float:
-        """`PathFinder.try_step` from each start to its end, or all to one: shape (..., 3)."""
-        self._search.update()
-        flat = self._search.flat
-        p = check_positions(starts, flat.num_levels, level)
-        q = check_positions(ends, flat.num_levels, 0)  # wherever the way leads, its level follows
-        if q.shape[:-1] not in (p.shape[:-1], ()):
-            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
-            raise QueryError(f"expected an end for each start, {counts}")
-        on, points = flat_grid.as_points(p, level)
-        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
-        found, bad = walks.step_each(
-            flat.layout, flat.links, flat.floors, flat.free, on, points,
-            np.ascontiguousarray(to), slide,
-        )  # fmt: skip
-        if bad >= 0:
-            flat.free_cell_at(points[bad], level)  # says which one, and what to do
-        return np.asarray(found.reshape(*p.shape[:-1], 3))
-
-    def find_path(
-        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
-    ) -> list[Path | None]:
-        """`PathFinder.find_path` from each start, shape (n, 3); None where there is none.
-
-        `goals` are a position for each start, shape (n, 3); or one for all: a position,
-        ``room:NAME`` or ``object:NAME``.
-        """
-        num_levels = self._search.flat.num_levels
-        p = check_positions(starts, num_levels, level)
-        if p.ndim != 2:
-            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
-        targets: list[Goal] = [goals] * len(p)
-        if not isinstance(goals, str):
-            q = check_positions(goals, num_levels, level)
-            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
-                wanted = f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts"
-                raise QueryError(f"{wanted}, got shape {q.shape}")
-            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
-        self._search.update()
-        return [
-            find_path(self._search, start, goal, level, smooth=smooth)
-            for start, goal in zip(p, targets, strict=True)
-        ]
-
-    def distances(
-        self,
-        starts: ArrayLike,
-        goals: Sequence[Goal],
-        *,
-        level: int | None = None,
-        weighted: bool = True,
-    ) -> Float:
-        """`PathFinder.distances` from each start to each of several goals, one field a goal.
-
-        Each of the `goals` is one as in `PathFinder`: of an array of shape (m, 3), each row.
-        Returns shape (..., m), float64, for starts of shape (..., 3), inf where no path leads.
-        """
-        self._search.update()
-        cells = self._search.flat.cells_at(starts, level)
-        found = np.full((*cells.shape, len(goals)), np.inf)
-        for k, goal in enumerate(goals):
-            field = find_field(self._search, goal, level, weighted=weighted)
-            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
-        return found
-
-
 class PlaceQuestions:
     """Islands, rooms, places where an agent can stand, and what is round them."""
 
     grid: NavGrid
     _search: Search
-    many: ManyPlaces  #: The same questions about many positions at once: `snap` and others.
 
     @property
     def search(self) -> Search:
@@ -269,11 +164,12 @@ class PlaceQuestions:
         in_sight: bool = False,
         max_distance: float = math.inf,
     ) -> Float | None:
-        """Find the nearest place where an agent can stand.
+        """Find the nearest place where an agent can stand; for many positions, that of each.
 
         Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
         the position itself, put on the floor. Else it is the nearest centre of a cell: on the map
-        on the position's level, or in space on any level. None where there is no such place.
+        on the position's level, or in space on any level. Where there is no such place: None, or
+        of many positions a row of NaN. `same_room` and `in_sight` take one position.
 
         Args:
             same_level: stay on its level. A position on none goes to the nearest floor in space.
@@ -283,25 +179,32 @@ class PlaceQuestions:
                 has to come out of it without leaving its room.
             max_distance: go no farther [m].
         """
+        search = self.search
+        flat = search.flat
+        flat_grid.check_distance(max_distance)
+        if same_room or in_sight:
+            p = flat.check_one(position, level)
+        else:
+            p = check_positions(position, flat.num_levels, level)
         if same_room:
-            here = self.room_at(position, level=level)
+            here = self.room_at(p, level=level)
             if here is None or self.rooms.find(room or here) != self.rooms.find(here):
                 return None
             room = here
-        search = self.search
-        p = search.flat.check_one(position, level)
+        allowed = search.allowed(room=room, island=island)
         if in_sight:
-            flat_grid.check_distance(max_distance)
-            allowed = search.allowed(room=room, island=island)
             return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
-        limits = {"room": room, "island": island, "max_distance": max_distance}
-        found = self.many.snap(p, level=level, same_level=same_level, **limits)  # type: ignore[arg-type]
-        return None if np.isnan(found[0]) else found
+        found, cells = snap(
+            flat, allowed, p, level, same_level=same_level, max_distance=max_distance
+        )
+        return None if p.ndim == 1 and cells < 0 else found
 
     def try_step(
         self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
     ) -> Float:
         """Move straight from a position towards another, and stop where cells are not free.
+
+        Many starts, shape (..., 3), have an end each, or one in common.
 
         The way runs over the map from cell to cell, up steps and over links, so no wall is too thin
         for it. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
@@ -310,9 +213,21 @@ class PlaceQuestions:
         Sliding goes on from where the straight way ends, to the point nearest to the end among
         those that a walk leads to which is no longer than what is left of the way.
         """
-        flat = self._search.flat
-        p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
-        return self.many.try_step(p, q, slide=slide, level=level)
+        flat = self.search.flat
+        p = check_positions(start, flat.num_levels, level)
+        q = check_positions(end, flat.num_levels, 0)  # wherever the way leads, its level follows
+        if q.shape[:-1] not in (p.shape[:-1], ()):
+            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
+            raise QueryError(f"expected an end for each start, {counts}")
+        on, points = flat_grid.as_points(p, level)
+        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
+        found, bad = walks.step_each(
+            flat.layout, flat.links, flat.floors, flat.free, on, points,
+            np.ascontiguousarray(to), slide,
+        )  # fmt: skip
+        if bad >= 0:
+            flat.free_cell_at(points[bad], level)  # says which one, and what to do
+        return np.asarray(found.reshape(*p.shape[:-1], 3))
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions meets nothing that is occupied.
@@ -349,10 +264,15 @@ class PlaceQuestions:
 
     def clearance(
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> float:
-        """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`."""
-        p = self._search.flat.check_one(position, level)
-        return float(self.many.clearance(p, level=level, max_distance=max_distance))
+    ) -> Any:
+        """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`.
+
+        Of many positions, shape (..., 3), that of each: shape (...), float64.
+        """
+        p = check_positions(position, self.search.flat.num_levels, level)
+        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
+        found = np.where(cells < 0, max_distance, distances)
+        return float(found[0]) if p.ndim == 1 else found.reshape(p.shape[:-1])
 
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
         """Draw where on a level an agent can stand, as an array.

@@ -21,7 +21,7 @@ def test_distances_are_those_of_dijkstra(seed):
     expected = dijkstra(graph.matrix, indices=starts)[:, goals]
     p, q = graph.position[starts], graph.position[goals]
     for weighted in (False, True):  # all weights are 1
-        found = finder.many.distances(p, q, weighted=weighted)
+        found = finder.distances(p, goals=list(q), weighted=weighted)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert np.isinf(expected).any() and (graph.level[starts[:, None]] != graph.level[goals]).any()
     one_by_one = np.stack([finder.distances(p, goal) for goal in q], axis=-1)
@@ -39,10 +39,13 @@ def test_shapes_and_what_a_goal_may_be():
     finder = PathFinder(level_from("....\n.##.\n...."))
     starts = np.array([[[0.05, -0.05], [0.35, -0.25]], [[9.0, 9.0], [0.15, -0.15]]])
     goals = [(0.05, -0.05), [(0.05, -0.25), (0.35, -0.05)]]
-    found = finder.many.distances(starts, goals)
+    found = finder.distances(starts, goals=goals)
     assert found.shape == (2, 2, 2)
     np.testing.assert_allclose(found[0], [[0.0, 0.2], [0.5, 0.2]])
     assert np.isinf(found[1, 0]).all()  # beside the grid
-    assert finder.many.distances(starts, []).shape == (2, 2, 0)
+    assert finder.distances(starts, goals=[]).shape == (2, 2, 0)
     with pytest.raises(QueryError, match="no room 'hall'"):
-        finder.many.distances(starts, ["room:hall"])
+        finder.distances(starts, goals=["room:hall"])
+    for given in ({}, {"goal": goals[0], "goals": goals}):
+        with pytest.raises(QueryError, match="a goal, or goals="):
+            finder.distances(starts, **given)

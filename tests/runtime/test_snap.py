@@ -182,7 +182,7 @@ def test_nothing_free_is_none():
         ((0.0, 0.0), {}, "expected x, y, z or a level"),
         ((0.0, 0.0, 0.0), {"level": 2}, "no level 2"),
         ((0.0, 0.0, 0.0), {"room": "attic"}, "no room 'attic' in 'house': it has none"),
-        (np.zeros((2, 3)), {}, "expected one position"),
+        (np.zeros((2, 3)), {"in_sight": True}, "expected one position"),
     ],
 )
 def test_wrong_questions_are_refused(position, options, message):

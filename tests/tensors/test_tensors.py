@@ -132,7 +132,7 @@ def test_distances_and_steps_lead_to_goals(case):
             lengths = np.hypot(*step.T)
             assert np.all((lengths < 1e-12) | (np.abs(lengths - 1) < 1e-5))
             at[:, :2] += 0.02 * step
-            at[:, 2] = finder.many.snap(at)[:, 2]
+            at[:, 2] = finder.snap(at)[:, 2]
         arrived = shown(ask(given(xp, at, dtype)))
         assert (arrived < 0.15).all()
 
