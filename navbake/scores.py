@@ -31,7 +31,6 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.source import read_bytes
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths import run_of
 from navbake.runtime.places import snap
 from navbake.types import Float, Json
 
@@ -297,9 +296,8 @@ class Measures:
             path = self.finder.find_path(here, places)
             if path is None:
                 return np.empty((0, 3))
-            run = run_of(path.positions)
-            at = np.linspace(0.0, run[-1], max(1, math.ceil(run[-1] / SPACING)) + 1)[1:]
-            points.append(np.stack([np.interp(at, run, v) for v in path.positions.T], axis=1))
+            count = max(1, math.ceil(path.length / SPACING))
+            points.append(path.at(np.linspace(0.0, path.length, count + 1)[1:]))
             here = path.positions[-1]
         return np.concatenate(points)
 

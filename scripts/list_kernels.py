@@ -312,7 +312,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
         finder.distance_field(goal)
         finder.random_point_near(rng, start, 2.0)
         finder.random_pose(rng, start, 2.0)
-        finder.are_navigable(np.stack([start, goal]))
+        finder.is_navigable(np.stack([start, goal]))
         finder.is_navigable(start[:2], level=0)
         for offset in np.linspace(0.2, 2.0, 7):
             finder.snap(start + np.array([offset, 0.0, 0.0]), in_sight=True)

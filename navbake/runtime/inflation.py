@@ -164,13 +164,7 @@ def check_word(value: str, known: tuple[str, ...], name: str) -> None:
 
 
 def check_arguments(
-    radius: float,
-    clearance: float | None,
-    mode: str,
-    *,
-    costs: str,
-    scaling: float,
-    ledges: str = "avoid",
+    radius: float, clearance: float | None, mode: str, *, costs: str, scaling: float, ledges: str
 ) -> None:
     """Raise a QueryError for what `inflate` can't do."""
     check_radius(radius)
@@ -354,7 +348,7 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
                 enters = np.maximum(enters, np.minimum(*sides))
                 leaves = np.minimum(leaves, np.maximum(*sides))
         meets |= enters < leaves
-    return np.asarray(np.argwhere(meets | inside) + np.array([low, left]))
+    return np.ascontiguousarray(np.argwhere(meets | inside) + np.array([low, left]))
 
 
 def count_runs(mask: Bool, runs: Int) -> Int32:

@@ -94,17 +94,13 @@ class PathFinder(DrawQuestions):
 
         `goals` are a position for each start, shape (n, 3), or one goal for all.
         """
-        num_levels = self._search.flat.num_levels
-        p = check_positions(starts, num_levels, level)
+        p = check_positions(starts, self._search.flat.num_levels, level)
         if p.ndim != 2:
             raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
-        targets: list[Goal] = [goals] * len(p)
-        if not isinstance(goals, str):
-            q = check_positions(goals, num_levels, level)
-            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
-                wanted = f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts"
-                raise QueryError(f"{wanted}, got shape {q.shape}")
-            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
+        is_one = isinstance(goals, str) or np.ndim(goals) < 2
+        targets: list[Goal] = [goals] * len(p) if is_one else list(np.asarray(goals))
+        if len(targets) != len(p):
+            raise QueryError(f"expected one goal, or {len(p)} for the starts, got {len(targets)}")
         ways = zip(p, targets, strict=True)
         return [self.find_path(a, b, level=level, smooth=smooth) for a, b in ways]
 

@@ -56,10 +56,10 @@ class Path:
         """The `positions`."""
         return self.positions
 
-    def at(self, distance: float) -> Float:
-        """The position, world x, y, z [m], at a distance [m] from the start, seen from above."""
-        run = run_of(self.positions)
-        return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
+    def at(self, distance: ArrayLike) -> Float:
+        """World x, y, z [m] at distances [m] from the start, seen from above: shape (..., 3)."""
+        run, along = run_of(self.positions), np.asarray(distance, dtype=np.float64)
+        return np.stack([np.interp(along, run, axis) for axis in self.positions.T], axis=-1)
 
 
 def run_of(positions: Float) -> Float:

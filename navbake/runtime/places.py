@@ -121,30 +121,21 @@ class PlaceQuestions:
 
     def is_navigable(
         self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> bool:
-        """Whether an agent can stand at a position.
+    ) -> Any:
+        """Whether an agent can stand at a position; of many, shape (..., 3), that of each, bool.
 
         It can where the cell is free and its floor is at most `max_drop` below the position [m].
         """
-        found = self.are_navigable(position, level=level, max_drop=max_drop)
-        if found.ndim:
-            raise QueryError("expected one position: ask are_navigable for many")
-        return bool(found)
-
-    def are_navigable(
-        self, positions: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> Bool:
-        """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
         flat_grid.check_distance(max_drop, "max_drop")
         flat = self.search.flat
-        p = check_positions(positions, flat.num_levels, level)
+        p = check_positions(position, flat.num_levels, level)
         on, points = flat_grid.as_points(p, level)
         if on >= 0:
             cells = places.locate(flat.layout, flat.floors, on, points)
             answers = (cells >= 0) & flat.free[cells]
         else:
             answers = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
-        return np.asarray(answers.reshape(p.shape[:-1]))
+        return bool(answers[0]) if p.ndim == 1 else answers.reshape(p.shape[:-1])
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
         """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""

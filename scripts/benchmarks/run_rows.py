@@ -105,10 +105,10 @@ def navigable_row(house: House) -> Row:
     """One million positions all over the house, at heights below a storey's."""
     finder, level = navbake.PathFinder(house.grid), house.grid.levels[0]
     positions = random_positions(level)
-    if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
-        raise SystemExit("are_navigable and plain numpy differ")
+    if not np.array_equal(plain_navigable(level, positions), finder.is_navigable(positions)):
+        raise SystemExit("is_navigable and plain numpy differ")
     return Row(
-        here("a million answers of are_navigable", lambda: finder.are_navigable(positions)),
+        here("a million answers of is_navigable", lambda: finder.is_navigable(positions)),
         [here("plain numpy, for one level", lambda: plain_navigable(level, positions))],
         limit=0.03,
     )
@@ -273,7 +273,7 @@ def tensors_row(house: House) -> Row:
     """A million `is_navigable`, as arrays of each library that is installed."""
     exact = random_positions(house.grid.levels[0])
     finder = navbake.PathFinder(house.grid)
-    peer = here("PathFinder.are_navigable", lambda: finder.are_navigable(exact))
+    peer = here("PathFinder.is_navigable", lambda: finder.is_navigable(exact))
     ask, given = navbake.tensors.is_navigable, [exact.astype(np.float32)]
     return _of_libraries(house, "a million is_navigable", ask, given, peer, limit=0.02)
 

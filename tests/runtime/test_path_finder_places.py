@@ -154,7 +154,7 @@ def test_samples_in_a_walk_round(name):
     finder = navbake.PathFinder(navbake.load(GOLDEN / f"{name}.grid.json.gz"))
     rng = np.random.default_rng(2)
     points = finder.random_point(rng, 50, anywhere=True)
-    assert finder.are_navigable(points).all()
+    assert finder.is_navigable(points).all()
     for p in points:
         cell = finder.cell_at(p)
         level = finder.grid.levels[cell.level]
@@ -190,7 +190,7 @@ def test_random_questions_to_third_party_files(floors):
         del level.attributes["occupancy"]
         finder = PathFinder(level)
         points = finder.random_point(rng, 20, anywhere=True)
-        assert finder.are_navigable(points).all()
+        assert finder.is_navigable(points).all()
         for p in points:
             assert finder.same_island(p, finder.random_point_near(rng, p, 1.0))
             moved = finder.try_step(p, p + rng.normal(size=3) * 0.4)
@@ -217,7 +217,7 @@ def test_third_party_files():
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda f: f.are_navigable([[0, 0, 0], [0, 0]]),
+        lambda f: f.is_navigable([[0, 0, 0], [0, 0]]),
         lambda f: f.is_navigable([10**400, 0, 0]),
         lambda f: f.is_navigable((0, 0, 0), max_drop=None),
         lambda f: f.snap((0, 0, 0), max_distance=None),

@@ -21,7 +21,7 @@ def test_many_as_one_by_one_by_the_rule(seed):
     house = random_house(rng, num_levels=1 + seed % 3, share=0.7)
     finder = PathFinder(house)
     positions = rng.uniform((-1.5, -2, -1), (3, 3, 6), size=(1500, 3))
-    found = finder.are_navigable(positions)
+    found = finder.is_navigable(positions)
     assert found.dtype == np.bool_ and found.any() and not found.all()
     for position, answer in zip(positions, found, strict=True):
         cell = cell_at(house, position)
@@ -31,7 +31,7 @@ def test_many_as_one_by_one_by_the_rule(seed):
             floor = float(level.floor_height[cell.row, cell.col])
             expected = bool(level.free[cell.row, cell.col]) and position[2] - floor <= 0.5
         assert answer == expected == finder.is_navigable(position)
-    on_level = finder.are_navigable(positions, level=0)
+    on_level = finder.is_navigable(positions, level=0)
     rows, cols = house.levels[0].lattice.rows_cols(positions)
     inside = (rows >= 0) & (rows < house.levels[0].height) & (cols >= 0)
     inside &= cols < house.levels[0].width
@@ -46,13 +46,13 @@ def test_more_than_a_block_and_any_shape_and_dtype():
     x = np.tile(np.arange(20) * 0.1 + 0.05, 100)
     positions = np.stack([x, np.full(2000, -0.05), np.zeros(2000)], axis=1)
     expected = np.tile([True, False], 1000)
-    np.testing.assert_array_equal(finder.are_navigable(positions), expected)
-    shaped = finder.are_navigable(positions.reshape(4, 500, 3))
+    np.testing.assert_array_equal(finder.is_navigable(positions), expected)
+    shaped = finder.is_navigable(positions.reshape(4, 500, 3))
     np.testing.assert_array_equal(shaped, expected.reshape(4, 500))
-    np.testing.assert_array_equal(finder.are_navigable(positions.astype(np.float32)), expected)
-    np.testing.assert_array_equal(finder.are_navigable(positions[:, :2]), expected)
-    np.testing.assert_array_equal(finder.are_navigable(positions[::-1]), expected[::-1])
-    assert finder.are_navigable(np.empty((0, 3))).shape == (0,)
+    np.testing.assert_array_equal(finder.is_navigable(positions.astype(np.float32)), expected)
+    np.testing.assert_array_equal(finder.is_navigable(positions[:, :2]), expected)
+    np.testing.assert_array_equal(finder.is_navigable(positions[::-1]), expected[::-1])
+    assert finder.is_navigable(np.empty((0, 3))).shape == (0,)
 
 
 def test_free_cells_without_floor_stand_on_the_ground():
@@ -72,12 +72,7 @@ def test_a_position_that_is_none_is_named(at, value):
     positions = np.zeros((1500, 3))
     positions[at] = 1.0, value, 2.0
     with pytest.raises(QueryError, match=rf"finite numbers, got 1, {value}, 2"):
-        PathFinder(level_from("..")).are_navigable(positions)
-
-
-def test_many_for_one_are_refused():
-    with pytest.raises(QueryError, match="expected one position"):
-        PathFinder(level_from("..")).is_navigable(np.zeros((2, 3)))
+        PathFinder(level_from("..")).is_navigable(positions)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -271,7 +266,7 @@ def test_find_path():
         (lambda m, p: m.try_step([p, (9, 0, 0)], p), "no agent can stand at 9, 0, 0"),
         (lambda m, p: m.try_step([p, p], [p] * 3), r"end for each start, \(2,\) of them, got \(3,"),
         (lambda m, p: m.find_paths(p, p), r"starts of shape \(n, 3\)"),
-        (lambda m, p: m.find_paths([p, p], [p] * 3), r"goals of shape \(2, 3\) .* shape \(3, 3\)"),
+        (lambda m, p: m.find_paths([p, p], [p] * 3), "one goal, or 2 for the starts, got 3"),
         (lambda m, p: m.snap([p, (np.nan, 0, 0)]), "finite"),
     ],
 )
@@ -301,7 +296,7 @@ def test_without_a_generator_places_are_random():
 @pytest.mark.parametrize(
     ("ask", "before", "blocked"),
     [
-        (lambda f, a, b, c: f.are_navigable([a, b]).tolist(), [True, True], [True, False]),
+        (lambda f, a, b, c: f.is_navigable([a, b]).tolist(), [True, True], [True, False]),
         (lambda f, a, b, c: f.snap(b)[0], 0.25, 0.15),
         (lambda f, a, b, c: f.snap(b, in_sight=True)[0], 0.25, 0.15),
         (lambda f, a, b, c: f.try_step(a, c)[0], 0.45, 0.2),
@@ -323,7 +318,7 @@ def test_files_without_floors_and_occupancy():
         del level.attributes["occupancy"]
     finder, left, right = PathFinder(house), (0.05, -0.05), (0.15, -0.05)
     for z, expected in ((0.0, [True, False]), (2.0, [False, True])):
-        assert finder.are_navigable([[*left, z], [*right, z]]).tolist() == expected
+        assert finder.is_navigable([[*left, z], [*right, z]]).tolist() == expected
     np.testing.assert_allclose(finder.snap((*right, 0.3)), (*left, 0.0))
     np.testing.assert_allclose(finder.snap((*right, 0.3), in_sight=True), (*left, 0.0))
     assert finder.try_step((*left, 0.0), right)[0] == pytest.approx(0.1, abs=1e-6)

@@ -37,7 +37,7 @@ class Oracle:
 
     def navigable(self):
         found = np.zeros(len(self.positions), dtype=bool)
-        found[self.known] = self.finder.are_navigable(self.positions[self.known])
+        found[self.known] = self.finder.is_navigable(self.positions[self.known])
         return found
 
     def level(self):
@@ -209,7 +209,7 @@ def test_samples_are_where_they_were_asked_for(case, seed):
     t = grid.tensors(xp, dtype=dtype)
     u = given(xp, np.nextafter(rng.random((500, 3)).astype(dtype), np.asarray(0, dtype)), dtype)
     drawn = shown(tensors.sample(t, u)).astype(np.float64)
-    assert finder.are_navigable(drawn).all()
+    assert finder.is_navigable(drawn).all()
     starts = given(xp, finder.random_point(rng, 500), dtype)
     drawn = tensors.sample(t, u, reachable_from=starts)
     np.testing.assert_array_equal(shown(tensors.island(t, drawn)), shown(tensors.island(t, starts)))
