@@ -5,7 +5,6 @@ The answer for one position is that for an array of one.
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -121,7 +120,7 @@ class PlaceQuestions:
 
     def is_navigable(
         self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> Any:
+    ) -> bool | Bool:
         """Whether an agent can stand at a position; of many, shape (..., 3), that of each, bool.
 
         It can where the cell is free and its floor is at most `max_drop` below the position [m].
@@ -255,7 +254,7 @@ class PlaceQuestions:
 
     def clearance(
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> Any:
+    ) -> float | Float:
         """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`.
 
         Of many positions, shape (..., 3), that of each: shape (...), float64.

@@ -23,6 +23,8 @@ RADIUS = 0.3  # [m]
 MILLION = 1_000_000
 AGENTS, POINTS = 4096, 187  # a batch of environments, and the height scan that walkers use
 CAST = 32  # agents whose rays are cast; all others are taken to cost as much
+SCALAR = {"is_navigable": 12, "snap": 39, "clearance": 98, "try_step": 75, "find_path": 414}
+"""What one answer may take [µs]."""
 SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
 
@@ -50,6 +52,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "path": path_row,
         "field": field_row,
         "thousand": thousand_row,
+        **{f"scalar-{name}": partial(scalar_row, name=name) for name in SCALAR},
         "block": block_row,
         "spawn": spawn_row,
         "max_radius": max_radius_row,
@@ -178,6 +181,19 @@ def thousand_row(house: House) -> Row:
     pairs = random_pairs(finder, 1000)
     job = here("1,000 × find_path, apartment", lambda: [finder.find_path(*p) for p in pairs])
     return Row(job, limit=1.0)
+
+
+def scalar_row(house: House, name: str) -> Row:
+    """A thousand answers in the apartment, one a call; some places to snap are in something."""
+    finder, rng = navbake.PathFinder(navbake.bake(str(APARTMENT))), np.random.default_rng(0)
+    starts = finder.random_point(rng, 1000, island=1)
+    ends = starts[::-1] if name == "find_path" else starts + np.array([0.3, 0.1, 0.0])
+    asked = [(p,) for p in (ends if name == "snap" else starts)]
+    if name in ("try_step", "find_path"):
+        asked = list(zip(starts, ends, strict=True))
+    ask = getattr(finder, name)
+    job = here(f"1,000 × {name}, apartment", lambda: [ask(*given) for given in asked])
+    return Row(job, limit=SCALAR[name] / 1000)
 
 
 def block_row(house: House) -> Row:
