@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import resolve
-from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
@@ -86,23 +85,6 @@ class PathFinder(DrawQuestions):
         than the agent may be.
         """
         return find_path(self.search, start, goal, level, smooth=smooth)
-
-    def find_paths(
-        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
-    ) -> list[Path | None]:
-        """`find_path` from each start, shape (n, 3); None where there is none.
-
-        `goals` are a position for each start, shape (n, 3), or one goal for all.
-        """
-        p = check_positions(starts, self._search.flat.num_levels, level)
-        if p.ndim != 2:
-            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
-        is_one = isinstance(goals, str) or np.ndim(goals) < 2
-        targets: list[Goal] = [goals] * len(p) if is_one else list(np.asarray(goals))
-        if len(targets) != len(p):
-            raise QueryError(f"expected one goal, or {len(p)} for the starts, got {len(targets)}")
-        ways = zip(p, targets, strict=True)
-        return [self.find_path(a, b, level=level, smooth=smooth) for a, b in ways]
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say in one sentence why there is no path; None if there is one.

@@ -243,30 +243,12 @@ def test_snap_on_one_level_takes_x_and_y():
     same(found, [finder.snap(place) for place in places.reshape(-1, 2)])
 
 
-def test_find_path():
-    rng, finder, _ = finder_and_positions(1)
-    starts, goals = finder.random_point(rng, 12), finder.random_point(rng, 12)
-    goals[3] = (100, 0, 0)
-    found = finder.find_paths(starts, goals)
-    assert found[3] is None
-    for path, start, goal in zip(found, starts, goals, strict=True):
-        alone = finder.find_path(start, goal)
-        assert (path is None) == (alone is None)
-        if path is not None:
-            np.testing.assert_array_equal(path.positions, alone.positions)
-    to_one = finder.find_paths(starts, goals[0], smooth=False)
-    costs = [np.inf if path is None else path.cost for path in to_one]
-    np.testing.assert_allclose(costs, finder.distances(starts, goals[0]), rtol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
         (lambda m, p: m.clearance([p, (9, 0, 0)]), "9, 0, 0 lies beside the grid"),
         (lambda m, p: m.try_step([p, (9, 0, 0)], p), "no agent can stand at 9, 0, 0"),
         (lambda m, p: m.try_step([p, p], [p] * 3), r"end for each start, \(2,\) of them, got \(3,"),
-        (lambda m, p: m.find_paths(p, p), r"starts of shape \(n, 3\)"),
-        (lambda m, p: m.find_paths([p, p], [p] * 3), "one goal, or 2 for the starts, got 3"),
         (lambda m, p: m.snap([p, (np.nan, 0, 0)]), "finite"),
     ],
 )
@@ -277,11 +259,10 @@ def test_what_is_wrong_is_named(ask, message):
 
 
 def test_no_positions_are_no_answers():
-    many, none = PathFinder(level_from(LEVEL)), np.empty((0, 3))
-    assert many.snap(none).shape == (0, 3)
-    assert many.clearance(none).shape == (0,)
-    assert many.try_step(none, (0, 0, 0)).shape == (0, 3)
-    assert many.find_paths(none, (0, 0, 0)) == []
+    finder, none = PathFinder(level_from(LEVEL)), np.empty((0, 3))
+    assert finder.snap(none).shape == (0, 3)
+    assert finder.clearance(none).shape == (0,)
+    assert finder.try_step(none, (0, 0, 0)).shape == (0, 3)
 
 
 def test_without_a_generator_places_are_random():
