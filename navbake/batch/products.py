@@ -16,7 +16,8 @@ import numpy as np
 from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
 from navbake.episodes.episode import EpisodeSet, Header
-from navbake.episodes.files import decode, write_episodes
+from navbake.episodes.files import write_episodes
+from navbake.episodes.formats import decode
 from navbake.episodes.sampler import EDGES, make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
 from navbake.formats.convert import OCTREES, VOXELS
