@@ -17,7 +17,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import step_limit
+from navbake.navgrid.islands import label_islands, step_limit
 from navbake.navgrid.rooms import Room, measure_rooms
 from navbake.types import Bool, Float, Int, Int32
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.arrays import Floors, Layout, Links
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
-connect = lazy("navbake.navgrid.kernels.connect")
 places = lazy("navbake.runtime.kernels.places")
 
 REAL = int | float | np.integer | np.floating
@@ -296,9 +295,11 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
             cells = np.flatnonzero(moves & bit)
             others = cells + layout.width[flat.level_of(cells)] + across
             links.append(np.stack([cells, others], axis=1))
-    number, sizes = connect.label_islands(
+    number = label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
     )
+    sizes = np.bincount(number, minlength=1)
+    sizes[0] = 0
     # one size of cells on all levels is the rule; else each level's cells count by their own area
     areas = sizes * layout.cell_size[0] ** 2
     if len(set(layout.cell_size)) > 1:
