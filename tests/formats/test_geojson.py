@@ -75,7 +75,7 @@ def test_reads_a_single_feature(tmp_path):
             "an object at `properties`, got a list of 0 in f",
         ),
         ({**feature([SQUARE]), "properties": [1]}, "an object at `properties`, got a list of 1"),
-        ({**feature([SQUARE]), "properties": "wc"}, "an object at `properties`, got 'wc'"),
+        ({**feature([SQUARE]), "properties": "wc"}, "an object at `properties`, got wc"),
         ({**feature([SQUARE]), "properties": 0}, "an object at `properties`, got 0"),
         ({"type": "\n"}, r"got \\n$"),
         (feature([[[0, 0], [1e308, 0], [-1e308, 1e308]]]), "corners beyond 1e.10 m in feature 0"),
