@@ -26,7 +26,6 @@ from navbake.formats.images import encode_png, open_image
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
-from navbake.navgrid.rooms import measure_rooms
 from navbake.types import Float, Json
 
 MAX_ROOMS = 255  # that a byte can number
@@ -122,7 +121,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         for key, name in (stated or {}).items()
         if key.isdecimal() and len(key) < 10 and isinstance(name, str)
     }
-    table = [{**room.to_json(), "name": names.get(room.index)} for room in measure_rooms(level, 0)]
+    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
     level.metadata["navbake"] = {"rooms": table}
     return level
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.block_state import Window
+from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.types import Bool, Int, Int32
-
-if TYPE_CHECKING:
-    from navbake.navgrid.block_state import Window
-    from navbake.navgrid.grid import SceneGrid2D
-    from navbake.navgrid.grid_base import GridBase
 
 STEP_SLACK = 1e-6  # metres that a step may be over the highest one
 TOO_MANY = 65535  # the island that all further ones share in a file

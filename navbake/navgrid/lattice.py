@@ -20,6 +20,22 @@ LEAST_EDGE = 1e-9  # of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
 
+class Cell(NamedTuple):
+    """One cell of a grid: its level (0 is the lowest), row and column."""
+
+    level: int
+    row: int
+    col: int
+
+
+class Cells(NamedTuple):
+    """Cells of a grid: level, row and column of each, int64, of one shape; -1 for none."""
+
+    level: Int
+    row: Int
+    col: Int
+
+
 def num_cells(extent: float, cell_size: float) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 

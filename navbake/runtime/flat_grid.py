@@ -18,7 +18,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import label_islands, step_limit
-from navbake.navgrid.rooms import Room, measure_rooms
+from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def map_rooms(grid: NavGrid) -> RoomMap:
                 numbers[room.index] = position
         # measuring rooms is slow: only where cells name a room that the table lacks
         if ((numbers[index] == 0) & (index > 0)).any():
-            for room in measure_rooms(level, number):
+            for room in level.measure_rooms(number):
                 if not numbers[room.index]:
                     rooms.append(room)
                     numbers[room.index] = len(rooms)
