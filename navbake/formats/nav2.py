@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular
+from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
 from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
@@ -45,7 +45,7 @@ from navbake.formats.occupancy import (
     values_of,
 )
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.source import Files, check_path, path_name, read_bytes
+from navbake.formats.source import Files, check_named, check_path, path_name, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.polygon import cover_cells
@@ -141,6 +141,7 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
         grey = np.where(unknown, 127, grey)
         pixels = np.stack([grey, grey, grey, np.where(unknown, 0, 255)], axis=-1)
     image_path = path.with_suffix(f".{image}")
+    check_named(image_path)
     x_min, y_min, _, _ = level.lattice.bounds
     # in mode scale, a pixel between the thresholds is spread over 0 to 100: so that none is lost
     occupied, free = (1.0, 0.0) if mode == "scale" else (OCCUPIED_THRESHOLD, FREE_THRESHOLD)
@@ -186,7 +187,7 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     values = read_values(read_pixels(rules.image), rules)
     values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
     stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}
-    metadata = {"sceneId": Path(path).stem, "nav2": stated}
+    metadata = {"sceneId": readable_stem(path), "nav2": stated}
     level = level_from_values(values, rules.resolution, (x, y, rules.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level

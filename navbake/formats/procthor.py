@@ -21,6 +21,7 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.files import readable_stem
 from navbake.formats.convert import level_paths
 from navbake.formats.images import encode_png, open_image
 from navbake.formats.source import Files
@@ -110,7 +111,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
             "occupancy": (~free).astype(np.uint8),
             "roomIndex": rooms,
         },
-        metadata={"sceneId": Path(path).stem},
+        metadata={"sceneId": readable_stem(path)},
     )
     text = image.info.get("room_ids_to_name")
     stated = {} if text is None else _parse(text, "room_ids_to_name", path)

@@ -56,11 +56,14 @@ class _Regular:
 
 
 def check_inputs(scene: Path) -> None:
-    """Refuse a scene that names a pipe or a device, which MuJoCo would wait for, for ever.
+    """Refuse what MuJoCo can't be given: names that are not UTF-8, and pipes and devices.
 
     Raises:
-        SceneError: it does, itself or by way of a file that it includes.
+        SceneError: the scene's path is such a name, or the scene names a pipe or a device, for
+            which MuJoCo would wait for ever, itself or by way of a file that it includes.
     """
+    if os.fsencode(scene).decode(errors="replace") != str(scene):
+        raise SceneError(f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it")
     find_inputs(scene, _Regular(), looks=True)
 
 

@@ -169,6 +169,12 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
         raise FormatError(message) from error
 
 
+def check_named(path: Path) -> None:
+    """Refuse a file that another file is to name in UTF-8, and can't."""
+    if path.name != os.fsencode(path.name).decode(errors="replace"):
+        raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
+
+
 def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
     """Write a file, given as bytes or pieces, as a whole or not at all."""
     check_path(path)
@@ -194,6 +200,17 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
             why = f"there is no folder {path_name(missing[0])}" if missing else why
         raise FormatError(f"cannot write {names}: {why}") from error
+
+
+def csv_cell(value: Any) -> Any:
+    """A value as a cell that no spreadsheet takes for a formula, without control characters.
+
+    Source: OWASP, "CSV Injection": an apostrophe goes before what begins a formula.
+    """
+    if not isinstance(value, str):
+        return value
+    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def import_extra(name: str) -> Any:
