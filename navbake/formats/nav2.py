@@ -31,7 +31,7 @@ from navbake.errors import ConfigError, FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
-from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
+from navbake.formats.images import Pixels, encode_image, read_pixels
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import (
     FREE,
@@ -156,8 +156,8 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
         "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # nav2 passes over it
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    encode = encode_pgm if image == "pgm" else encode_png
-    return {image_path: encode(pixels.astype(np.uint8)), path: text.encode()}
+    kind = {"pgm": "PPM", "png": "PNG"}[image]
+    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
 
 
 def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.convert import level_paths
-from navbake.formats.images import encode_png, open_image
+from navbake.formats.images import encode_image, open_image
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
@@ -74,7 +74,7 @@ def encode_procthor(
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
         }
         notes = {key: orjson.dumps(text).decode() for key, text in texts.items()}
-        files[own_path] = encode_png(pixels, notes)
+        files[own_path] = encode_image(pixels, "PNG", notes)
     return files
 
 

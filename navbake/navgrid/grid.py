@@ -394,10 +394,7 @@ class SceneGrid2D(GridBase):
         A file without ``occupancy`` is occupied where weights are infinite; one that keeps it
         in another dtype, where it is not 0. Read-only unless it is the attribute itself.
         """
-        stored = self.attributes.get("occupancy")
-        if stored is None:
-            return _derived((~self.free).astype(np.uint8))
-        return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+        return _flags(self.attributes.get("occupancy", ~self.free))
 
     @property
     def solid(self) -> NDArray[np.uint8]:
@@ -410,7 +407,7 @@ class SceneGrid2D(GridBase):
         stored = self.attributes.get("solid")
         if stored is None or not self.navbake:  # other programs may call anything so
             return self.occupancy
-        return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+        return _flags(stored)
 
     @property
     def free_for_point(self) -> Bool:
@@ -487,6 +484,11 @@ class MultiLevelGrid(GridBase):
             for number, level in enumerate(levels)
         ]
         return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)
+
+
+def _flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
+    """A layer as uint8, 1 where it is not 0; itself if it is of that dtype."""
+    return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:
