@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -280,38 +281,24 @@ Zone = tuple[tuple[str, ...], int, int | Bool]
 index of a room, or the mask of a polygon."""
 
 
-def encode_keepout(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the keepout filter, see `encode_mask`; all polygons count if no `zone`.
-
-    `zone` has names, ids or numbers of rooms, and names of polygons.
-    """
-    return encode_mask(grid, path, False, **options)
-
-
-def encode_speed(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the speed filter, see `encode_mask`.
-
-    `zone` has ``NAME=PERCENT`` each, from 1 to 100; where several overlap, the least counts.
-    """
-    return encode_mask(grid, path, True, **options)
-
-
 def encode_mask(
     grid: NavGrid,
     path: Path,
-    has_limits: bool,
     *,
+    has_limits: bool,
     level: int | None = None,
     image: str | None = None,
     zone: Sequence[str] | None = None,
     zones: str | PathLike[str] | None = None,
 ) -> Files:
-    """Make the masks of a filter, one for each level.
+    """Make the masks of the keepout filter, or of the speed filter, one for each level.
 
     Args:
         path, level, image: as of `encode_nav2`; in mode ``raw``.
         has_limits: whether it is the speed filter, whose zones have limits.
-        zone: which rooms and polygons.
+        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
+            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where several overlap.
+            Of the keepout filter all polygons if None.
         zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
 
     Raises:
@@ -350,6 +337,10 @@ def encode_mask(
                 values[target.room_index == cells if is_room else cells] = value
         files |= _encode_map(target, values, yaml_path, "raw", image)
     return files
+
+
+encode_keepout = partial(encode_mask, has_limits=False)
+encode_speed = partial(encode_mask, has_limits=True)
 
 
 def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:
