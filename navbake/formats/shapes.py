@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
 from navbake.formats.allowance import shown
-from navbake.formats.source import Files, csv_cell, import_extra, path_name, read_object
+from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
@@ -276,8 +276,19 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     for shape in find_shapes(grid):
         wkt = shapely.to_wkt(shape.geometry, rounding_precision=DECIMALS)
         properties = shape.properties
-        table.writerow([wkt, *(csv_cell(properties[column]) for column in COLUMNS)])
+        table.writerow([wkt, *(_plain_cell(properties[column]) for column in COLUMNS)])
     return {path: text.getvalue().encode()}
+
+
+def _plain_cell(value: Any) -> Any:
+    """A value as a cell that no spreadsheet takes for a formula, without control characters.
+
+    Source: OWASP, "CSV Injection": an apostrophe goes before what begins a formula.
+    """
+    if not isinstance(value, str):
+        return value
+    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:

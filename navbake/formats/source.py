@@ -190,17 +190,6 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
         raise FormatError(f"cannot write {names}: {why}") from error
 
 
-def csv_cell(value: Any) -> Any:
-    """A value as a cell that no spreadsheet takes for a formula, without control characters.
-
-    Source: OWASP, "CSV Injection": an apostrophe goes before what begins a formula.
-    """
-    if not isinstance(value, str):
-        return value
-    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
-
-
 def import_extra(name: str) -> Any:
     """Load shapely or networkx, of the extra [convert], or say how to install it."""
     try:

@@ -11,7 +11,6 @@ import math
 from base64 import b64encode
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from navbake.errors import printable
@@ -34,7 +33,7 @@ def show_html(grid: NavGrid) -> str:
     doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
     escaped. The same grid gives the same text.
     """
-    scale = _scale_for(_longest(grid), LEVEL_SIDE)
+    scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [int(np.count_nonzero(np.bincount(v.room_index.ravel())[1:])) for v in grid.levels]
     areas = [np.count_nonzero(v.free) * v.lattice.cell_size**2 for v in grid.levels]
     figures = []
@@ -68,13 +67,16 @@ def draw_png(grid: NavGrid) -> bytes:
     return encode_png(draw_levels(grid, PICTURE_SIDE))
 
 
-def draw_voxels_png(grid: VoxelGrid) -> bytes:
+def draw_voxels(grid: VoxelGrid) -> bytes:
     """Voxels from above as PNG, the higher a column's topmost one, the lighter; white for none."""
     filled, num_z = grid.occupied, grid.shape[2]
     top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
     shade = np.where(filled.any(axis=2), 40 + 170 * top // num_z, 255).astype(np.uint8)
-    scale = _scale_for(max(grid.shape[:2]), PICTURE_SIDE)
-    return encode_png(_scaled(shade.T[::-1], scale))
+    longest = max(shade.shape)
+    image = Image.fromarray(shade.T[::-1]).reduce(-(-longest // PICTURE_SIDE))
+    pixels = max(PICTURE_SIDE // longest, 1)
+    size = image.width * pixels, image.height * pixels
+    return encode_png(image.resize(size, Image.Resampling.NEAREST))
 
 
 def draw_thumbnail(grid: NavGrid) -> bytes:
@@ -95,7 +97,7 @@ def draw_levels(grid: NavGrid, side: int) -> Image.Image:
     columns = math.ceil(math.sqrt(count))
     # a gap of one hundredth between levels
     gap = max(side // 100, 1) if count > 1 else 0
-    scale = _scale_for(_longest(grid), (side - (columns - 1) * gap) // columns)
+    scale = _scale_for(grid, (side - (columns - 1) * gap) // columns)
     levels = [_draw_level(grid, number, scale) for number in range(count)]
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
@@ -119,27 +121,19 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _longest(grid: NavGrid) -> int:
-    """The cells along the longest side of all levels: one scale keeps them comparable."""
-    return max(max(level.shape) for level in grid.levels)
-
-
-def _scale_for(longest: int, side: int) -> tuple[int, int]:
+def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
     """How many pixels a cell has, and how many cells a pixel; one of them is 1.
 
-    Whole numbers keep cells square and alike.
+    Whole numbers keep cells square and alike. One scale for all levels keeps them comparable.
     """
+    longest = max(max(level.shape) for level in grid.levels)
     return max(side // longest, 1), -(-longest // side)
 
 
 def _draw_level(grid: NavGrid, number: int, scale: tuple[int, int]) -> Image.Image:
-    return _scaled(paint_rooms(grid, number), scale)
-
-
-def _scaled(colors: NDArray[np.uint8], scale: tuple[int, int]) -> Image.Image:
-    """A picture of cells; where a pixel has several cells, it has their mean colour."""
+    """Draw a level; where a pixel has several cells, it has their mean colour."""
     pixels, cells = scale
-    image = Image.fromarray(colors).reduce(cells)
+    image = Image.fromarray(paint_rooms(grid, number)).reduce(cells)
     return image.resize((image.width * pixels, image.height * pixels), Image.Resampling.NEAREST)
 
 

@@ -160,7 +160,7 @@ class VoxelGrid:
         return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
 
     save = Method[None]("navbake.formats.voxels:write_voxels")
-    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_voxels_png")
+    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_voxels")
 
 
 def dtype_of(most: int) -> np.dtype[Any]:

@@ -191,11 +191,9 @@ def _plain(group: dict[str, Any]) -> dict[str, Any]:
 
 def _as_csv(rows: Sequence[dict[str, Any]]) -> bytes:
     """Rows as CSV; what is not known stays empty."""
-    from navbake.formats.source import csv_cell  # loads numpy
-
     file = io.StringIO()
     writer = csv.DictWriter(file, list(rows[0]) if rows else ["episode"], lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        writer.writerow({k: "" if v is None or v != v else csv_cell(v) for k, v in row.items()})
+        writer.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
     return file.getvalue().encode()
