@@ -427,9 +427,9 @@ CULPRITS = {
     "raw too long": (attribute([1] * 7, encoding="raw"), "6 values, .* got 7 at `.*a.data`"),
     "runs too short": (attribute([1, 5]), "runs over 6 cells, got runs over 5 at `.*a.data`"),
     "no runs": (attribute([]), "got runs over 0 at `tileAttributes.a.data`"),
-    "runs too long": (attribute([1, 5, 0, 2]), r"a count <= 1, .* got 2 at `.*a.data\[3\]`"),
-    "a run of 10^12": (attribute([1, 10**12]), r"a count <= 6, .*1000000000000 at `.*data\[1\]`"),
-    "a run of 10^300": (attribute([1, 1e300]), r"got 1e\+300 at `.*data\[1\]`"),
+    "runs too long": (attribute([1, 5, 0, 2]), "6 cells, got runs over 7 at `.*a.data`"),
+    "a run of 10^12": (attribute([1, 10**12]), "got runs over 1000000000000 at `.*data`"),
+    "a run of 10^300": (attribute([1, 1e300]), r"got runs over 1e\+300 at `.*data`"),
     "odd runs": (attribute([1, 5, 0]), r"odd number \(3\) of entries at `tileAttributes.a.data`"),
     "count -1": (
         attribute([1, 7, 0, -1]),
