@@ -35,9 +35,8 @@ REAL = int | float | np.integer | np.floating
 class FlatGrid:
     """All levels of a grid as one row of cells, and where steps lead from level to level.
 
-    The flat id of a cell is ``start[level] + row * width[level] + col``. Two neighbours on one
-    level are a step apart where both are free and their floors differ by at most `max_step`; two
-    that a link joins, whenever both are free.
+    The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
+    neighbours whose floors differ by at most `max_step`, and any two free cells that a link joins.
     """
 
     layout: Layout  # where the cells of each level lie
@@ -72,9 +71,7 @@ class FlatGrid:
         cells = np.asarray(cells, dtype=np.int64)
         level = self.level_of(cells)
         row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
-        if (level < 0).any():
-            row, col = (np.where(level < 0, -1, v) for v in (row, col))
-        return Cells(level, row, col)
+        return Cells(level, *(np.where(level < 0, -1, v) for v in (row, col)))
 
     def cell(self, cell: int) -> Cell:
         """Level, row and column of one cell by its flat id."""
@@ -298,14 +295,9 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
     number = label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
     )
-    sizes = np.bincount(number, minlength=1)
-    sizes[0] = 0
-    # one size of cells on all levels is the rule; else each level's cells count by their own area
-    areas = sizes * layout.cell_size[0] ** 2
-    if len(set(layout.cell_size)) > 1:
-        areas = np.zeros(len(sizes))
-        for level, size in enumerate(layout.cell_size):
-            of_level = number[flat.cells_of(level)]
-            areas += np.bincount(of_level, minlength=len(sizes)) * size**2
-        areas[0] = 0.0
+    # cells count by the area of their level's, which is the same on all levels but in few files
+    areas = np.zeros(int(number.max(initial=0)) + 1)
+    for level, size in enumerate(layout.cell_size):
+        of_level = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
+        areas[1:] += of_level[1:] * size**2
     return IslandMap(number, areas)
