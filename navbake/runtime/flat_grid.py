@@ -17,8 +17,8 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import step_limit
-from navbake.navgrid.rooms import Room, measure_rooms
+from navbake.navgrid.islands import label_islands, step_limit
+from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.arrays import Floors, Layout, Links
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
-connect = lazy("navbake.navgrid.kernels.connect")
 places = lazy("navbake.runtime.kernels.places")
 
 REAL = int | float | np.integer | np.floating
@@ -223,7 +222,7 @@ def map_rooms(grid: NavGrid) -> RoomMap:
                 numbers[room.index] = position
         # measuring rooms is slow: only where cells name a room that the table lacks
         if ((numbers[index] == 0) & (index > 0)).any():
-            for room in measure_rooms(level, number):
+            for room in level.measure_rooms(number):
                 if not numbers[room.index]:
                     rooms.append(room)
                     numbers[room.index] = len(rooms)
@@ -293,12 +292,12 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
             cells = np.flatnonzero(moves & bit)
             others = cells + layout.width[flat.level_of(cells)] + across
             links.append(np.stack([cells, others], axis=1))
-    number, sizes = connect.label_islands(
+    number = label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
     )
     # cells count by the area of their level's, which is the same on all levels but in few files
-    areas = np.zeros(len(sizes))
+    areas = np.zeros(int(number.max(initial=0)) + 1)
     for level, size in enumerate(layout.cell_size):
-        of_level = np.bincount(number[flat.cells_of(level)], minlength=len(sizes))
+        of_level = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
         areas[1:] += of_level[1:] * size**2
     return IslandMap(number, areas)

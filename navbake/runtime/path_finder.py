@@ -174,3 +174,13 @@ class PathFinder(DrawQuestions):
             "lookahead": lookahead, "tolerance": tolerance,
         }  # fmt: skip
         return Follower(self._search, path, limits)
+
+
+def plan_path(
+    grid: NavGrid, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
+) -> Path | None:
+    """Find the cheapest path on a grid, see `PathFinder.find_path`.
+
+    Each call prepares the whole grid; a `PathFinder` does it once for many questions.
+    """
+    return PathFinder(grid).find_path(start, goal, level=level, smooth=smooth)

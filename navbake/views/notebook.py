@@ -19,6 +19,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.paths import Path
 from navbake.views.layers import paint_rooms
+from navbake.voxels.grid import VoxelGrid
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
@@ -67,6 +68,18 @@ def show_html(grid: NavGrid) -> str:
 def draw_png(grid: NavGrid) -> bytes:
     """One picture of the levels, row by row from the lowest: at most `PICTURE_SIDE` pixels long."""
     return encode_png(draw_levels(grid, PICTURE_SIDE))
+
+
+def draw_voxels(grid: VoxelGrid) -> bytes:
+    """Voxels from above as PNG, the higher a column's topmost one, the lighter; white for none."""
+    filled, num_z = grid.occupied, grid.shape[2]
+    top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
+    shade = np.where(filled.any(axis=2), 40 + 170 * top // num_z, 255).astype(np.uint8)
+    longest = max(shade.shape)
+    image = Image.fromarray(shade.T[::-1]).reduce(-(-longest // PICTURE_SIDE))
+    pixels = max(PICTURE_SIDE // longest, 1)
+    size = image.width * pixels, image.height * pixels
+    return encode_png(image.resize(size, Image.Resampling.NEAREST))
 
 
 def draw_path(path: Path) -> bytes | None:
