@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
@@ -67,6 +68,18 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     form = "svg" if path.name.lower().endswith(".svg") else "png"
     write_bytes(render_picture(grid, form, **drawn), path)
     return path
+
+
+def plot(
+    grid: NavGrid, path: str | PathLike[str] | None = None, **drawn: Any
+) -> Image.Image | Path:
+    """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
+
+    With a path, the picture is written there, and the path returned; see `plot_grid`.
+    """
+    if path is not None:
+        return plot_grid(grid, path, **drawn)
+    return Image.open(io.BytesIO(render_picture(grid, **drawn)))
 
 
 def render_picture(

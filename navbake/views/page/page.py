@@ -64,6 +64,10 @@ def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
 
 
 def pack(content: Json) -> str:
-    """Compress JSON with arrays into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
-    data = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+    """Pack JSON with arrays, as `to_text`."""
+    return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
+
+
+def to_text(data: bytes) -> str:
+    """Compress JSON into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
     return b64encode(zlib.compress(data, LEVEL)).decode("ascii")

@@ -25,8 +25,7 @@ from navbake.errors import NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.colors import rgb_of
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Float, Json
