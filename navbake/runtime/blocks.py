@@ -26,26 +26,26 @@ def block(
     height: float | None = None,
     margin: float | None = None,
 ) -> Block:
-    """Block cells for something that moves, until they are freed.
+    """Block cells of a grid for a moving thing until they are freed.
 
-    Weights, occupancy and, if it is there, the layer ``clearance`` of this very grid change;
-    so do the answers of every `PathFinder` on it. Blocks may overlap. A disc or a box takes
-    the cells where an agent that stands on the floor would meet it: those whose square it
-    meets, or the disc of `margin` round whose centre. A grid that is derived from this one
-    keeps what is blocked when it is made.
+    The grid's weights, occupancy and ``clearance`` layer change in place, and each
+    `PathFinder` on it takes the change over. Blocks may overlap. A disc or box blocks the cells
+    where an agent on the floor would collide with it: their square overlaps it, or a disc of
+    `margin` round their centre does. Grids derived from this one keep its current blocks.
 
-    Call `free` of what is returned, or use it as a context manager, to free the cells. Raises
-    QueryError where not one of cells, disc and box is given, or it is none.
+    Free the cells by `free` of the returned block, or use the block as a context manager.
 
     Args:
-        cells: level, row and column, as `cell_at` and `cells_at` give them; they alone.
-        disc: centre and radius [m]; it stands at the centre's z, on all levels that it
-            reaches into. Of x, y alone, it is as high as the level.
-        box: lower and upper corner, world frame [m]; of x, y alone, as high as the level.
+        cells: level, row and column, as `cell_at` and `cells_at` return them; without the rest.
+        disc: centre and radius [m]; blocks all levels that it reaches into from the centre's z
+            up, or the level's whole height if the centre is x, y.
+        box: lower and upper corner, world frame [m]; of the level's height if x, y.
         level: block this level only; then a position needs no z.
         height: of the disc [m]; the agent's if None.
-        margin: radius of the agent [m]; that of the grid's inflation, or else of its bake, if
-            None.
+        margin: the agent's radius [m]; if None, that of the inflation, else of the bake.
+
+    Raises:
+        QueryError: not exactly one of cells, disc and box is given, or it is not valid.
     """
     if sum(thing is not None for thing in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")
@@ -54,7 +54,7 @@ def block(
         number, row, col = check_cells(grid, cells)
         ids = [(row * part.width + col)[number == k] for k, part in enumerate(grid.levels)]
         return Block(grid, [[np.unique(of_level)] * NUM_LAYERS for of_level in ids])
-    # an upright obstacle, from above a rectangle between two corners that is grown by a radius
+    # an upright obstacle; from above, a rectangle dilated by a radius
     radius, tall, levels = 0.0, 0.0, len(grid.levels)
     wanted = "a disc's centre and radius" if disc else "a box's lower and upper corner"
     things: Any = disc or box
@@ -78,7 +78,7 @@ def block(
     margins, step = (0.0, *margins_of(grid, margin)), step_limit(grid) * grid.unit
 
     def away(x: Float, y: Float, half: float) -> Float:
-        """From the rectangle to squares round points, of half an edge."""
+        """Distances from the rectangle to squares of half edge `half` round points."""
         dx = np.maximum(np.maximum(low[0] - x, x - high[0]) - half, 0.0)
         dy = np.maximum(np.maximum(low[1] - y, y - high[1]) - half, 0.0)
         return np.asarray(np.hypot(dx, dy))
@@ -97,7 +97,7 @@ def block(
         floor = np.where(np.isnan(floor), part.ground, floor)
         in_band = (bottom < floor + grid.agent_height) & (top > floor + step)
         to_square, gap = away(x, y, size / 2), away(x, y, 0.0)
-        # a disc is open: it may touch a square. A box is closed, so that a flat one has cells, too.
+        # a disc is open: it may touch a square. A box is closed, so that a flat one blocks cells.
         meets = in_band & (to_square < radius if radius > 0 else to_square <= 0)
         held = [meets | (in_band & (gap < radius + more)) for more in margins]
         first = np.arange(rows.start, rows.stop)[:, None] * part.width

@@ -1,11 +1,8 @@
-"""Places agents at random, none too near to another, and says how many can fit at most.
+"""Places agents at random with a minimum distance, and bounds how many fit.
 
-Agents are placed one after the other, each uniformly on what the others before it leave free:
-Poisson-disc sampling by dart throwing (Cook 1986) without the darts that miss. A crowd that jams is
-drawn again, and at last packed in order, row by row.
-
-Agents clash whose centres are up to `reach` apart on the map [m], unless their floors are `height`
-or more apart [m]. Which cells the agents so far leave to others is in `taken`, by flat id, bool.
+Poisson-disc sampling by dart throwing (Cook 1986), on the cells that are still free of the agents
+before. A crowd that jams is drawn again, and at last packed row by row. Two agents clash if their
+centres are less than `reach` [m] apart on the map and their floors less than `height` [m].
 """
 
 import math
@@ -17,8 +14,8 @@ from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.places import cells_in_annulus
 from navbake.types import Bool, Int
 
-TRIES = 8  # random crowds that are drawn before one is packed
-DARTS = 32  # cells that are drawn at once
+TRIES = 8  # random crowds before one is packed
+DARTS = 32  # cells drawn at once
 SHIFTS = 3  # of the honeycomb, along each axis
 REMEDY = "expected fewer agents, or a smaller min_distance or clearance"
 
@@ -31,11 +28,10 @@ def place_crowd(
     rng: np.random.Generator,
     words: tuple[str, str],
 ) -> Int:
-    """Draw a cell for each of n agents, by flat ids in random order; QueryError if they don't fit.
+    """Draw a cell for each of n agents: flat ids in random order; QueryError if they don't fit.
 
-    Each part, an array of flat ids, gets the same number of agents, give or take one; those that
-    don't fit into their part go into others. `apart` are `reach` and `height`, see the module's
-    head; `words` are for the error: which agents they are, and where they were to stand.
+    Each part, an array of flat ids, gets n / len(parts) agents, rounded; agents that don't fit go
+    to other parts. `apart` is (`reach`, `height`); `words` name the agents and the area in errors.
     """
     agents, where = f"{'1 agent' if n == 1 else f'{n} agents'} {words[0]}", words[1]
     found = most = 0
@@ -60,10 +56,10 @@ def place_crowd(
 
 
 def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int:
-    """A number of agents that some cells can't hold more than, though perhaps less.
+    """An upper bound of the number of agents that fit on some cells.
 
-    A honeycomb whose hexagons are as wide as agents are apart holds one agent in each. Of several
-    honeycombs the one of whose hexagons the fewest have a cell counts.
+    In a honeycomb whose hexagons are `reach` wide, each hexagon holds one agent. The bound is the
+    least number of hexagons with cells over several shifted honeycombs.
     """
     reach, height = apart[0] * (1.0 - 1e-6), apart[1]
     if reach <= 0.0 or not len(cells):
@@ -90,7 +86,7 @@ def most_that_fit(flat: FlatGrid, cells: Int, apart: tuple[float, float]) -> int
 
 
 def _take(flat: FlatGrid, apart: tuple[float, float], taken: Bool, cell: int) -> None:
-    """Take what is too near to a cell."""
+    """Mark the cells that are too near to a cell as taken."""
     (reach, height), here = apart, flat.positions(cell)
     for level in range(flat.num_levels):
         near = cells_in_annulus(flat, level, here, (0.0, reach), flat.free)
@@ -108,12 +104,11 @@ def _draw_crowd(
     owner: Int,
     rng: np.random.Generator,
 ) -> Int:
-    """Draw a cell for each agent from its part, or another one; fewer where none is left."""
+    """Draw a cell for each agent from its part, else from another; stops early if none is left."""
     left, chosen = list(parts), np.empty(len(owner), dtype=np.int64)
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
 
     def throw(cells: Int) -> Int:
-        """The darts that hit a cell which isn't taken."""
         darts = cells[draw_cells(flat, cells, rng, DARTS)] if len(cells) else cells
         return darts[~taken[darts]]
 
@@ -135,7 +130,7 @@ def _draw_crowd(
 def _pack_crowd(
     flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: np.random.Generator
 ) -> Int:
-    """Place up to n agents line by line, from a random side, each in the first cell left."""
+    """Place up to n agents row by row from a random side, each in the first cell left."""
     swap, signs = rng.integers(2), rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
@@ -148,26 +143,24 @@ def _pack_crowd(
 
 
 def draw_cells(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int) -> Int:
-    """Draw indices into some cells, each cell as likely as its area has it."""
+    """Draw indices into cells, with probability in proportion to the cells' areas."""
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:
         return rng.integers(len(cells), size=count)
-    # cells of different areas: a point on their areas in a row falls into one of them
+    # cells of different areas: search a random number in the cumulative area
     edges = np.cumsum(sizes[flat.level_of(cells)] ** 2)
     found = np.searchsorted(edges, rng.uniform(0.0, edges[-1], size=count), side="right")
     return np.minimum(found, len(cells) - 1)
 
 
 def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]:
-    """Cut cells, ordered by `along_hilbert`, into n parts of one area each; some may be empty.
+    """Cut cells, ordered by `along_hilbert`, into n parts of equal area; some may be empty.
 
-    The first part begins at a share `start` of the whole, at random, so that each cell is as likely
-    as its area has it.
-
+    The first part begins at the share `start` of the whole area.
     Source: He and Owen, "Extensible grids: uniform sampling on a space filling curve" (2016).
     """
     ends = np.cumsum(flat.layout.cell_size[flat.level_of(cells)] ** 2)
-    # a cell belongs to the part that its middle is in
+    # a cell belongs to the part that contains its middle
     middle = (ends - np.diff(ends, prepend=0.0) / 2) / ends[-1]
     part = np.floor(((middle - start) % 1.0) * n).astype(np.int64)
     order = np.argsort(part, kind="stable")
@@ -175,7 +168,7 @@ def parts_of_area(flat: FlatGrid, cells: Int, n: int, start: float) -> list[Int]
 
 
 def along_hilbert(flat: FlatGrid, cells: Int) -> Int:
-    """Cells along the curve of Hilbert (1891), level by level: neighbours in the row are near."""
+    """Sort cells by level and along the curve of Hilbert (1891)."""
     level, row, col = flat.split(cells)
     x, y, index = col, row, np.zeros_like(row)
     side = 1 << max(int(max(row.max(initial=0), col.max(initial=0))).bit_length() - 1, 0)

@@ -22,26 +22,26 @@ walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 INSIDE = 1e-6  # of a cell: how far from its edges a point stays
 STRATA = ("area", "room", "island")
 STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-NEAR = 1e-4  # of a cell: how far from where it should be a step may end
-TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
+NEAR = 1e-4  # of a cell: tolerance of a step's end
+TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
 
 
 class Pose(NamedTuple):
-    """Where an agent stands and looks."""
+    """An agent's position and heading."""
 
     position: Float  #: World x, y and floor z [m], shape (3,), float64.
     heading: float  #: 0 along x, counted towards y, -pi to pi [rad].
 
 
 class Spawns(NamedTuple):
-    """Where agents start; as `Pose`, of shapes (n, 3) and (n,)."""
+    """Start poses of many agents."""
 
     positions: Float
     headings: Float
 
 
 class DrawQuestions(PlaceQuestions):
-    """Random places and poses, where many agents start, and the lattice that steps lead to."""
+    """Draws random places, poses and start poses, and lists the lattice of reachable positions."""
 
     def random_point(
         self,
@@ -54,13 +54,13 @@ class DrawQuestions(PlaceQuestions):
         reachable_from: ArrayLike | None = None,
         anywhere: bool = False,
     ) -> Float:
-        """Draw places where an agent can stand, each as likely as its area has it.
+        """Draw places where an agent can stand, uniformly by area.
 
         Args:
             count: how many, with repetition; one unless given.
             level, room, island: only there.
-            reachable_from: only where a path leads to from this position, where an agent can stand.
-            anywhere: draw points all over the cells, so up to half a cell nearer to obstacles;
+            reachable_from: only where a path leads to from this free position.
+            anywhere: draw points anywhere in the cells, up to half a cell nearer to obstacles;
                 else the cells' centres, where the agent's radius fits.
 
         Raises:
@@ -85,10 +85,10 @@ class DrawQuestions(PlaceQuestions):
         level: int | None = None,
         anywhere: bool = False,
     ) -> Float:
-        """Draw places near a position, else as `random_point` does.
+        """Draw places near a position, else as `random_point`.
 
-        Distances [m] to cells' centres are those of the shortest path, from a position where an
-        agent can stand; or, if `straight`, on the map of its level, through walls as well.
+        Distances [m] to cells' centres are those of the shortest path, from a free position; or,
+        if `straight`, straight-line distances on the map of its level, also through walls.
         """
         cells, limits = self._cells_near(position, (min_distance, max_distance), straight, level)
         if room is not None:
@@ -103,7 +103,7 @@ class DrawQuestions(PlaceQuestions):
         *,
         level: int | None = None,
     ) -> bool:
-        """Whether a free cell's centre is so far from a position, on the map of its level [m]."""
+        """Whether a free cell's centre lies in an annulus [m] round a position, on its level."""
         cells, _ = self._cells_near(position, (min_distance, max_distance), True, level)
         return len(cells) > 0
 
@@ -118,14 +118,14 @@ class DrawQuestions(PlaceQuestions):
         same_room: bool = False,
         level: int | None = None,
     ) -> Pose:
-        """Draw where an agent stands and looks: at a target, if there is one.
+        """Draw a pose, facing a target if there is one.
 
         Args:
-            target: a position, which may be in something; the agent stands on its level.
-            max_distance, min_distance: from the target, straight on the map [m].
-            in_sight: nothing stands between, but for what the target is in, as with `snap`.
+            target: a position, which may be inside an object; the agent stands on its level.
+            max_distance, min_distance: from the target, in a straight line on the map [m].
+            in_sight: only the object that the target is in may be in between, as with `snap`.
             same_room: stand in the target's room.
-            level: which level the target is on; without one, where to stand.
+            level: of the target; without a target, of the agent.
 
         Raises:
             QueryError: as `random_point`.
@@ -141,7 +141,7 @@ class DrawQuestions(PlaceQuestions):
         if same_room:
             cells = cells[(number[cells] == number[home]) & (number[home] > 0)]
         if in_sight:
-            # the first that sees the target, in a random order: as if drawn from all that do
+            # the first in a random order that sees the target: uniform among all that do
             cells = rng.permutation(cells)
             points = np.ascontiguousarray(flat.positions(cells)[:, :2])
             found = walks.first_in_sight(*search.sight, number, home, p, cells, points)
@@ -163,27 +163,27 @@ class DrawQuestions(PlaceQuestions):
         facing: ArrayLike | None = None,
         stratify: str | None = None,
     ) -> Spawns:
-        """Draw where many agents start: none meets anything, or another one.
+        """Draw collision-free start poses for many agents.
 
-        Places are centres of cells, drawn one after the other, evenly by area, from those that are
-        far enough from all before it, on the map (Poisson-disc sampling). Agents on floors that are
-        the agent's height or more apart don't count.
+        Positions are centres of cells, drawn one after the other, uniformly by area, from the
+        cells far enough from all earlier ones on the map (Poisson-disc sampling). Agents whose
+        floors are the agent's height or more apart are always far enough.
 
         Args:
             n: how many agents, >= 1.
             rooms: in these rooms; one or several.
             level, island, reachable_from: see `random_point`.
-            clearance: a disc of this radius round each agent meets no obstacle and no drop, as
-                with `grid.inflate` [m]; unless `min_distance` is given, nor another agent's.
-            min_distance: between the centres of any two agents [m]; in any case more than twice
-                the agent's radius, that of the grid's inflation, or else of its bake.
-            facing: where all look: a position, or a heading [rad]; everywhere, if None.
-            stratify: ``area`` draws one agent in each of n parts of one area; ``room`` and
-                ``island`` as many in each, give or take one, and none in cells of no room. Agents
+            clearance: a disc of this radius round each agent touches no obstacle and no drop, as
+                with `grid.inflate` [m]; nor another agent's, unless `min_distance` is given.
+            min_distance: between the centres of any two agents [m]; always more than twice the
+                agent's radius, that of the grid's inflation, or else of its bake.
+            facing: a position or a heading [rad] that all face; random headings if None.
+            stratify: ``area`` draws one agent in each of n parts of equal area; ``room`` and
+                ``island`` share the agents out evenly, none in cells of no room. Agents
                 that don't fit into a part go to others.
 
         Raises:
-            QueryError: they don't fit, with how many do at most where that can be proved at once.
+            QueryError: they don't fit; the message has an upper bound where one is known.
         """
         rng, search, grid = as_generator(rng), self.search, self.grid
         check_level(level, search.flat.num_levels)
@@ -212,11 +212,10 @@ class DrawQuestions(PlaceQuestions):
         where += f" on island {island}" if island is not None else ""
 
         def find() -> Int:
-            """The cells that agents may start in, along Hilbert's curve."""
             allowed = search.allowed(level=level, island=island)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:  # where a disc of it meets nothing, as `grid.inflate` has it
+            if clearance is not None:  # as in `grid.inflate`
                 ledges, levels = ledges_of(grid) if exact_radius(grid) else "avoid", grid.levels
                 blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
                 allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
@@ -236,7 +235,7 @@ class DrawQuestions(PlaceQuestions):
             order = np.argsort(number, kind="stable")[np.count_nonzero(number == 0) :]
             _, first = np.unique(number[order], return_index=True)
             parts = np.split(cells[order], first[1:])
-        # centres clash up to this distance, slack for rounding aside: discs do not touch
+        # centres up to this distance apart clash, with slack for rounding
         reach = max(2.0 * radius, least - 2.0 * SLACK, 0.0)
         words = f"{least:g} m apart" if least > 2.0 * radius else f"of radius {radius:g} m"
         apart = reach, grid.agent_height
@@ -255,12 +254,11 @@ class DrawQuestions(PlaceQuestions):
     def reachable_positions(
         self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
     ) -> Float:
-        """List the positions that steps of one length along x and y lead to, as AI2-THOR does.
+        """List the lattice positions that steps along x and y reach from a start, as AI2-THOR does.
 
-        They are on a square lattice through the start. A step is taken where `try_step` gets to its
-        end without sliding, and where the agent's disc meets no obstacle at its end. The start,
-        where an agent can stand, comes first, then the places of the fewest steps. The spacing is a
-        cell's size or more [m].
+        The square lattice goes through the start, a free position. A step counts if `try_step`
+        reaches its end without sliding and the agent's disc is free of obstacles there. The start
+        comes first, then positions by number of steps. `spacing` is at least a cell's size [m].
         """
         flat, radius = self.search.flat, agent_radius(self.grid)
         cell = float(flat.layout.cell_size.max())
@@ -281,7 +279,7 @@ class DrawQuestions(PlaceQuestions):
             points = list(zip(flat.level_of(cells).tolist(), *at.T.tolist(), strict=True))
             new = [p not in seen and seen.add(p) is None for p in points]  # type: ignore[func-returns-value]
             at, places, cells = at[new], places[new], cells[new]
-            # at a free cell's centre the agent's disc meets nothing; beside it, that is measured
+            # free cells' centres are free of obstacles; elsewhere, measure the clearance
             off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
             is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
             clearance = self.clearance(places, max_distance=2.0 * radius + 1.0)
@@ -298,7 +296,7 @@ class DrawQuestions(PlaceQuestions):
         anywhere: bool,
         **limits: object,
     ) -> Float:
-        """Draw places in some cells; `limits` say which, for the message where there are none."""
+        """Draw places in some cells; `limits` are named in the error if there are none."""
         rng = as_generator(rng)
         if count is not None and (not isinstance(count, int | np.integer) or count < 0):
             raise QueryError(f"expected a count >= 0, got {count!r}")
@@ -318,7 +316,7 @@ class DrawQuestions(PlaceQuestions):
     def _cells_near(
         self, position: ArrayLike, distances: tuple[float, float], straight: bool, level: int | None
     ) -> tuple[Int, dict[str, object]]:
-        """The free cells so far from a position, and the limits as `_draw` takes them."""
+        """The free cells within distances of a position, and the limits for `_draw`."""
         low, high = distances
         if not (isinstance(low, REAL) and isinstance(high, REAL) and 0 <= low <= high):
             wanted = "0 <= min_distance <= max_distance [m]"
@@ -339,7 +337,7 @@ class DrawQuestions(PlaceQuestions):
 
 
 def as_generator(rng: object) -> np.random.Generator:
-    """The generator given, or a new one for None; raises QueryError for anything else."""
+    """The given generator, or a new one for None; raises QueryError for anything else."""
     if rng is None:
         return np.random.default_rng()
     if not isinstance(rng, np.random.Generator):

@@ -1,7 +1,4 @@
-"""The flat view of a grid that kernels work on: the cells of all levels, one after the other.
-
-Its rooms, doors and islands go by the same flat ids.
-"""
+"""The flat view of a grid for kernels: cells, rooms, doors and islands by flat id."""
 
 from __future__ import annotations
 
@@ -33,10 +30,10 @@ REAL = int | float | np.integer | np.floating
 
 @dataclass(frozen=True, eq=False)
 class FlatGrid:
-    """All levels of a grid as one row of cells, and where steps lead from level to level.
+    """The cells of all levels in one array, and the steps between levels.
 
     The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
-    neighbours whose floors differ by at most `max_step`, and any two free cells that a link joins.
+    neighbours whose floors differ by at most `max_step`, or two free cells joined by a link.
     """
 
     layout: Layout  # where the cells of each level lie
@@ -50,20 +47,18 @@ class FlatGrid:
 
     @property
     def num_levels(self) -> int:
-        """Number of levels, at least 1."""
         return len(self.layout.width)
 
     @property
     def num_cells(self) -> int:
-        """Number of cells of all levels."""
         return int(self.layout.start[-1])
 
     def cells_of(self, level: int) -> slice:
-        """Where the cells of a level are among the flat ids."""
+        """The flat ids of a level's cells."""
         return slice(int(self.layout.start[level]), int(self.layout.start[level + 1]))
 
     def level_of(self, cells: Int | int) -> Int:
-        """The levels of cells, by flat id, same shape."""
+        """Levels of cells by flat id, same shape."""
         return np.searchsorted(self.layout.start, cells, side="right") - 1
 
     def split(self, cells: Int | int) -> Cells:
@@ -100,7 +95,7 @@ class FlatGrid:
         return p
 
     def free_cell_at(self, position: ArrayLike, level: int | None = None) -> tuple[Float, int]:
-        """As `locate`; raises QueryError where no agent can stand."""
+        """As `locate`; raises QueryError where the cell isn't free."""
         p, cell = self.locate(position, level)
         if cell < 0 or not self.free[cell]:
             hint = "snap it to the nearest place first"
@@ -118,7 +113,7 @@ class FlatGrid:
         return np.stack([x, y, z], axis=-1)
 
     def link_ends(self) -> tuple[Int, Int]:
-        """The cells that each link leads from and to, by flat id; each link is there both ways."""
+        """The flat ids that each link leads from and to; each link is listed both ways."""
         return np.repeat(self.links.cell, np.diff(self.links.start)), self.links.target
 
 
@@ -129,18 +124,17 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
 
 
 def text_of(position: Float) -> str:
-    """A position for a message."""
     return ", ".join(f"{v:g}" for v in position)
 
 
 def as_points(p: Float, level: int | None) -> tuple[int, Float]:
-    """Checked positions as kernels take them: the level, -1 for any, and positions (n, 2 or 3)."""
+    """The level, -1 for any, and positions (n, 2 or 3), as kernel arguments."""
     on = 0 if level is None and p.shape[-1] == 2 else -1 if level is None else int(level)
     return on, np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
 
 
 def flatten(grid: NavGrid) -> FlatGrid:
-    """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
+    """Copy the levels of a grid into a flat grid; later changes of the grid don't affect it."""
     levels = grid.levels
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
     width, height = width.astype(np.int64), height.astype(np.int64)
@@ -206,12 +200,12 @@ class RoomMap:
         return self.rooms[number - 1].id if number else None
 
     def cells(self, name: str) -> Int:
-        """Flat ids of the cells of a room, see `find`, free or not; ascending, int64."""
+        """Flat ids of a room's cells, free or not; ascending, int64."""
         return np.flatnonzero(self.number == self.find(name))
 
 
 def map_rooms(grid: NavGrid) -> RoomMap:
-    """Number the rooms of a grid; those that its table leaves out get the id ``level:index``."""
+    """Number the rooms of a grid; rooms missing in its table get the id ``level:index``."""
     rooms = list(grid.rooms)
     parts = []
     for number, level in enumerate(grid.levels):
@@ -235,7 +229,7 @@ DoorMap = dict[int, list[str]]
 
 
 def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
-    """Find the cells that each door blocks when closed or as it stands, or that user data name."""
+    """Find each door's cells: those it blocks, closed or as it is, and those named in user data."""
     found: DoorMap = {}
     start = flat.layout.start.tolist()
     for door in grid.doors:
@@ -253,7 +247,7 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
 
 
 def doors_on(doors: DoorMap, cells: Int) -> list[str]:
-    """The doors that a route goes through, in order; a door that is entered again is repeated."""
+    """The doors along a route, in order; a door that is entered again is repeated."""
     passed: list[str] = []
     current: Iterable[str] = ()
     for cell in cells.tolist():
@@ -265,18 +259,17 @@ def doors_on(doors: DoorMap, cells: Int) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:
-    """The connected parts of a grid as it is now, by number from 1, the one of the most cells."""
+    """The connected parts of a grid as it is now, numbered from 1 by falling number of cells."""
 
     number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
 
     @property
     def count(self) -> int:
-        """Number of islands."""
         return len(self.areas) - 1
 
     def check(self, island: int) -> int:
-        """Raise QueryError for the number of an unknown island."""
+        """Raise QueryError for an unknown island's number."""
         if isinstance(island, int | np.integer) and 1 <= island <= self.count:
             return int(island)
         there_are = f"1 to {self.count}, 1 the largest" if self.count else "none"
@@ -284,7 +277,7 @@ class IslandMap:
 
 
 def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> IslandMap:
-    """`navbake.navgrid.islands.find_islands`; with `moves`, diagonal ones join cells, too."""
+    """As `navbake.navgrid.islands.find_islands`; with `moves`, diagonal moves join cells, too."""
     layout, floors = flat.layout, flat.floors
     links = [np.stack(flat.link_ends(), axis=1)]
     if moves is not None:

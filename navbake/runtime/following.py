@@ -1,9 +1,8 @@
-"""Drives a mobile base along a path: by pure pursuit, round what comes into its way, or not at all.
+"""Drives a mobile base along a path by pure pursuit, and replans when cells are blocked or freed.
 
-Source: Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm" (1992). What is
-different: the point ahead is drawn nearer where the straight line to it isn't free; the base turns
-on the spot where the point is far to its side; and it slows down so as to stop at its goal, and at
-what is blocked.
+Source: Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm" (1992). Different: the
+lookahead shrinks where the straight line isn't free; the base turns on the spot if the point is far
+to its side; and it brakes for its goal and for blocked cells.
 """
 
 import math
@@ -24,7 +23,7 @@ TURN_FIRST = math.radians(20.0)  # bearing of the point ahead over which a base 
 TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 CLOSER = (1.0, 0.5, 0.25)  # shares of the lookahead that are tried
 WORTH = 0.1  # a new path is taken where it is shorter than the rest of the old one by this share
-STANDSTILL = 0.01  # [m] to what is blocked: less is no way left
+STANDSTILL = 0.01  # [m] of free path; less counts as blocked
 LEAST = 1e-9  # [m] that a leg's length is divided by at least
 INSIDE = 1e-3  # share of a line by which its ends are moved in, off the edges of cells
 HALVINGS = 10  # of a blocked line, to find how far it is free
@@ -32,7 +31,7 @@ HALVINGS = 10  # of a blocked line, to find how far it is free
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What a base should do now."""
+    """Velocities and target of a mobile base."""
 
     forward: float  #: Speed along its heading [m/s], >= 0.
     turn: float  #: Rate of its heading, counter-clockwise [rad/s].
@@ -40,12 +39,12 @@ class Command:
 
 
 class Follower:
-    """Follows a path; `PathFinder.follow` makes it.
+    """Follows a path; made by `PathFinder.follow`.
 
-    When cells of its grid are blocked or freed, it plans anew, and takes the new path where the
-    rest of its own is blocked, or a tenth longer. Without a path, it drives on to where its own is
-    blocked, and waits. Its `path` is the one that it follows now, its `state` ``driving``,
-    ``waiting`` or ``arrived``; `num_replans` counts the new paths that it took.
+    When cells of its grid are blocked or freed, it replans, and switches to the new path if the
+    rest of the current one is blocked or a tenth longer. Without a path, it drives up to the
+    blocked part and waits. `path` is the current path, `state` is ``driving``, ``waiting`` or
+    ``arrived``, and `num_replans` counts the switches.
     """
 
     def __init__(self, search: Search, path: Path, limits: dict[str, float]) -> None:
@@ -61,14 +60,15 @@ class Follower:
 
     @property
     def left(self) -> float:
-        """How long the rest of the path is, seen from above [m]."""
+        """Length of the rest of the path, seen from above [m]."""
         return self._length - self._distance
 
     def command(self, position: ArrayLike, heading: float) -> Command:
-        """What a base with two driven wheels should do now.
+        """Compute the velocities of a differential-drive base; call it once per control step.
 
-        Call it as often as the base is steered, such as every 0.05 s, with its position, world x,
-        y, z [m], and its heading, 0 along x, counted towards y [rad].
+        Args:
+            position: the base's, world x, y, z [m].
+            heading: the base's, 0 along x, counted towards y [rad].
         """
         p = self._advance(position)
         if not isinstance(heading, REAL) or not math.isfinite(heading):
@@ -89,15 +89,15 @@ class Follower:
         return Command(forward, forward * curvature, target)
 
     def waypoint(self, position: ArrayLike) -> Float:
-        """Where a base that drives to positions should head for now: world x, y, z [m], shape (3,).
+        """Compute the point for a position-controlled base to head for: world [m], shape (3,).
 
-        It is at most the lookahead away along the path; the base's own position, while it waits.
+        It lies on the path within the lookahead; while the base waits, it is its own position.
         """
         p = self._advance(position)
         return p if self.state == WAITING else self._point_ahead(p)
 
     def replan(self, position: ArrayLike) -> bool:
-        """Plan anew from a position, and take that path; False where there is none."""
+        """Plan from a position and switch to that path; False if there is none."""
         path = self._plan(self._check(position))
         if path is not None:
             self._take(path)
@@ -111,7 +111,7 @@ class Follower:
         return p if len(p) == 3 else np.append(p, float(flat.floors.ground[0]))
 
     def _advance(self, position: ArrayLike) -> Float:
-        """Find how far the base has come, see what has changed, and set the state."""
+        """Update the progress along the path, changes of the grid, and the state."""
         p, search = self._check(position), self._search
         self._distance = self._nearest(p)
         if search.version != self._version:  # look at the path again
@@ -131,21 +131,17 @@ class Follower:
         return p
 
     def _plan(self, p: Float) -> Path | None:
-        """A path to the goal from the base, or from the nearest free place if it is in none."""
+        """Plan from the base, or from the nearest free place if its own cell isn't free."""
         flat = self._search.flat
         start, cell = snap(flat, flat.free, p, max_distance=self._lookahead)
         return find_path(self._search, start, self._goal, None, smooth=True) if cell >= 0 else None
 
     def _take(self, path: Path) -> None:
-        """Follow a path from its start on, leg by leg, seen from above.
-
-        The level of a leg is -1 for a step over a link. `_is_swept` says whether the agent's disc
-        can be swept along it; if not, it leads from centre to centre.
-        """
+        """Set the path, and split it into legs; the level of a leg over a link is -1."""
         self._search.update()
         self.path, self._version = path, self._search.version
         self._points = p = path.positions[:, :2]
-        self._run = run_of(path.positions)  # distances along the path of its points [m]
+        self._run = run_of(path.positions)  # of the points along the path [m]
         self._length, self._distance = float(self._run[-1]), 0.0
         one, other = path.levels[:-1], path.levels[1:]
         self._leg_level = np.where(one == other, one, -1)
@@ -156,7 +152,7 @@ class Follower:
         self._free_until = self._find_free(0.0)
 
     def _nearest(self, position: Float) -> float:
-        """The distance along the path, within twice the lookahead, where a position is nearest."""
+        """The distance along the path of its point nearest to a position, within two lookaheads."""
         if self._length == 0.0:
             return 0.0
         low, high = self._distance, min(self._distance + 2.0 * self._lookahead, self._length)
@@ -170,7 +166,7 @@ class Follower:
         return float(distance[int(np.argmin(off))])
 
     def _find_free(self, begin: float) -> float:
-        """The distance along the path up to which it is free now, from `begin` on [m]."""
+        """The distance along the path up to which it is free, from `begin` [m]."""
         run = self._run
         first = max(int(np.searchsorted(run, begin, side="right")) - 1, 0)
         for k in range(first, len(self._leg_level)):
@@ -187,17 +183,17 @@ class Follower:
         return self._length
 
     def _is_free(self, leg: int, begin: float, end: float) -> bool:
-        """Whether a leg is free now, from a share of it to another."""
+        """Whether a leg is free between two shares of its length."""
         search, flat, level = self._search, self._search.flat, int(self._leg_level[leg])
         start, way = self._points[leg], self._points[leg + 1] - self._points[leg]
         if level < 0:
-            return True  # the legs before and after it end in the cells that the link joins
+            return True  # the legs beside it end in the link's cells
         if self._is_swept[leg]:
             return search.can_pass(start + begin * way, start + end * way, level)
         cell = float(flat.layout.cell_size[level])
         count = max(round(float(np.abs(way).max()) / cell), 1)
         shares = np.clip(np.arange(count + 1) / count, INSIDE, 1.0 - INSIDE)
-        # of the centres that it passes, the last before the part begins counts as well
+        # with the last centre before the part
         shares = shares[(shares > begin - 1.0 / count) & (shares <= end + LEAST)]
         cells = flat.cells_at(start + shares[:, None] * way, level)
         is_diagonal = bool((np.abs(way) > cell / 4).all())
@@ -209,7 +205,7 @@ class Follower:
         return int(self.path.levels[min(after, len(self._run) - 1)])
 
     def _point_ahead(self, p: Float) -> Float:
-        """The point of the path to head for: as far ahead as a straight line to it is free."""
+        """The farthest lookahead point that a free straight line leads to."""
         level, target = self._level_at(self._distance), p
         for share in CLOSER:
             distance = self._distance + share * self._lookahead

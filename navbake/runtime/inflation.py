@@ -1,15 +1,13 @@
-"""The same grid for a larger agent: cells that it can't stand on, costs near walls, and margins.
+"""Inflates a grid: blocked cells for a larger agent, costs near walls, and footprints.
 
-Which cells `exact` blocks: `navbake.runtime.surroundings`. A footprint that isn't round counts
-alike: it must not meet the square of an occupied cell (touching is not meeting), and a floor is
-needed under the agent's origin only.
+`navbake.runtime.surroundings` has the rule for blocked cells. A footprint must not overlap an
+occupied cell's square (touching is allowed) and needs a floor under its origin only.
 
-In an inflated grid, an agent may stand at the centres of free cells. Elsewhere in a cell, it may be
-nearer to an obstacle. So diagonal steps need cells that would be free for a radius so much larger
-that the discs round both ends cover the way; straight ones need nothing more. Lines off the centres
-need cells in which the agent may be anywhere; or cells near which nothing but solid squares of
-their own level is in the way, so that a sweep of the disc along the line decides. Beside a step of
-the floor, edges are known to half a cell only: there, steps go from centre to centre.
+In an inflated grid, free means that an agent fits at a cell's centre. Diagonal steps therefore need
+cells that are free for a larger radius, whose discs at both ends cover the way. Lines off the
+centres need cells in which the agent fits anywhere; or cells with only squares of their own level
+nearby, where a sweep of the disc decides. Beside a step of the floor, which is known to half a cell
+only, steps go from centre to centre.
 
 Source: ``refine`` of the original client (sstk, ``NavScene.js``) for `minos` and the share of
 floor; the inflation layer of nav2 (``nav2_costmap_2d``) for `costs="nav2"`.
@@ -58,27 +56,27 @@ def inflate(
     scaling: float = SCALING,
     ledges: str = "avoid",
 ) -> AnyGrid:
-    """The same grid for an agent of another radius; its metadata list it under ``inflation``.
+    """Inflate a grid for an agent of another radius; the metadata list it under ``inflation``.
 
-    ``exact``: a cell stays free if the open disc of the radius round its centre meets no occupied
-    cell's square, and no floor more than a step higher or lower (see
-    `navbake.runtime.surroundings`). The radius replaces the baked one. ``minos``: the weights that
-    the original client's ``refine`` gives, cell for cell.
+    ``exact``: a cell stays free if the open disc of the radius round its centre overlaps no
+    occupied cell's square, and no floor more than a step higher or lower (see
+    `navbake.runtime.surroundings`). The radius replaces the baked one. ``minos``: the weights of
+    the original client's ``refine``, cell for cell.
 
-    A cell that isn't free stays so, unless only the baked disc closed it (see `SceneGrid2D.solid`;
+    A blocked cell stays so, unless only the baked disc blocked it (see `SceneGrid2D.solid`;
     or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked.
 
     Args:
         radius: of the agent [m], 0 to 10,000.
-        clearance: how far beyond the radius cells cost more [m]; None for none with ``step``,
-            and for as far as the cost reaches 1 with ``nav2``.
+        clearance: how far beyond the radius cells cost more [m]; None is 0 for ``step``, and
+            the distance where the cost falls to 1 for ``nav2``.
         mode: ``exact`` or ``minos``.
-        costs: what such a cell weighs at least: ``step``, 10; ``nav2``, the cost of nav2's
+        costs: the least weight of such a cell: ``step``, 10; ``nav2``, the cost of nav2's
             inflation layer, ``floor(252 exp(-scaling (d - radius)))``, d from the centre of
             the nearest occupied cell of the level.
         scaling: of ``nav2`` [1/m], > 0.
         ledges: of ``exact``: ``avoid`` keeps the disc off floors more than a step lower,
-            ``ignore`` lets it hang over them.
+            ``ignore`` allows it to overhang them.
     """
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if clearance is None:
@@ -110,7 +108,7 @@ def inflate(
 
 
 def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
-    """The weights that the original client's ``refine`` gives, by radii in cells.
+    """The weights of the original client's ``refine``, by radii in cells.
 
     The client divides the sum of radius and clearance; its window lacks its far row and column.
     """
@@ -131,7 +129,7 @@ def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
 def nav2_costs(
     level: SceneGrid2D, radius: float, inflation_radius: float, scaling: float = SCALING
 ) -> NDArray[np.uint8]:
-    """The costs that nav2's inflation layer gives the cells of a level.
+    """The costs of nav2's inflation layer for a level's cells.
 
     254 on occupied cells, 253 up to the inscribed radius, then ``floor(252 exp(-scaling (d -
     radius)))`` [1/m], 0 beyond the inflation radius [m]; d to the nearest occupied cell's centre.
@@ -139,7 +137,7 @@ def nav2_costs(
     solid, cell = level.solid != 0, level.lattice.cell_size
     if not solid.any():
         return np.zeros(level.shape, dtype=np.uint8)
-    # squared distances in cells are whole numbers: a table has the cost of each
+    # squared distances in cells are whole numbers: tabulate their costs
     squares = np.rint(ndimage.distance_transform_edt(~solid) ** 2).astype(np.int32)
     last = min(int(squares.max()), math.ceil((inflation_radius / cell) ** 2 * 1.001) + 1)
     distance, slack = np.sqrt(np.arange(last + 1)) * cell, 1e-9 * cell
@@ -158,7 +156,6 @@ def check_radius(radius: float, name: str = "radius") -> None:
 
 
 def check_word(value: str, known: tuple[str, ...], name: str) -> None:
-    """Raise a QueryError for anything but the known words."""
     if value not in known:
         raise QueryError(f"expected {' or '.join(known)} as {name}, got {value!r}")
 
@@ -166,7 +163,7 @@ def check_word(value: str, known: tuple[str, ...], name: str) -> None:
 def check_arguments(
     radius: float, clearance: float | None, mode: str, *, costs: str, scaling: float, ledges: str
 ) -> None:
-    """Raise a QueryError for what `inflate` can't do."""
+    """Raise a QueryError for arguments that `inflate` doesn't take."""
     check_radius(radius)
     if clearance is not None:
         check_radius(clearance, "clearance")
@@ -180,7 +177,7 @@ def check_arguments(
 
 
 def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> AnyGrid:
-    """The grid with other weights, layers that follow from them, and a note in its metadata."""
+    """Replace the weights and the layers derived from them, and note it in the metadata."""
 
     def noted(metadata: dict[str, Any]) -> dict[str, Any]:
         earlier: Any = metadata.get("inflation")
@@ -192,7 +189,7 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
         # that inflating does not change them, and the grid can be inflated again.
         baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
         kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
-        if not level.uses_cell_floors:  # what the file stores is not the floor
+        if not level.uses_cell_floors:  # the file's values are not the floor
             kept["floorHeight"] = baked["floorHeight"].copy()
         metadata = noted(level.metadata)
         levels.append(level.with_layers(weights=weight, attributes=kept, metadata=metadata))
@@ -217,18 +214,18 @@ def _exact_entries(grid: NavGrid) -> list[Json]:
 
 
 def ledges_of(grid: NavGrid) -> str:
-    """Whether the grid's inflation avoids ledges: ``avoid`` or ``ignore``, as old files do."""
+    """The `ledges` of the grid's inflation; ``ignore`` in files without it."""
     avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
     return "avoid" if avoids else "ignore"
 
 
 def agent_radius(grid: NavGrid) -> float:
-    """The radius of the agent [m]: that of the inflation, else that of the bake."""
+    """The agent's radius [m]: that of the inflation, else that of the bake."""
     return exact_radius(grid) or grid.agent_radius
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
-    """How far from a block a centre has to be, to stand, step diagonally, be off the centre [m]."""
+    """Least distances [m] from a block to stand, to step diagonally, and to be off the centre."""
     if radius is not None:
         check_radius(radius, "margin")
     radius = agent_radius(grid) if radius is None else float(radius)
@@ -238,11 +235,11 @@ def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float
 
 
 def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
-    """Find the cells with room for more than standing on their centres, in an inflated grid.
+    """Find the cells of an inflated grid where an agent fits off their centres.
 
-    Returns three masks over flat cells: (1) room for a diagonal step; (2) room at any position in
-    the cell; (3) as 2, but also cells blocked only by occupied squares of their own level. False
-    beside a step of the floor. None if the radius is 0.
+    Returns three masks over flat cells, False beside a step of the floor: (1) fits on a diagonal
+    step; (2) fits anywhere in the cell; (3) as 2, but cells blocked only by occupied squares of
+    their own level count, too. None if the radius is 0.
     """
     radius = exact_radius(grid)
     if radius == 0.0:
@@ -265,7 +262,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
 
 
 def _larger(radius: float, cell_size: float) -> tuple[float, float]:
-    """Radii [m] at a cell's centre that make a diagonal step, or any position in the cell, free."""
+    """Radii [m] at a cell's centre that free a diagonal step, and any position in the cell."""
     # Halfway along a diagonal step, half a diagonal from both ends, a point at distance r from the
     # way is the farthest from them: sqrt(r² + (s / sqrt 2)²). A corner of the cell is s / sqrt 2
     # from its centre.
@@ -275,18 +272,17 @@ def _larger(radius: float, cell_size: float) -> tuple[float, float]:
 def inflate_footprint(
     grid: NavGrid, polygon: ArrayLike, num_headings: int = 16, *, ledges: str = "avoid"
 ) -> list[Bool]:
-    """Where an agent that isn't round can stand, heading by heading.
+    """Find where an agent with a polygonal footprint can stand, by heading.
 
     Args:
         polygon: its outline from above, shape (n, 2), n >= 3, in its own frame [m]: x ahead,
             y to the left, its centre at the origin. Without crossings.
-        num_headings: how many headings; number k looks along ``2 π k / num_headings``,
-            counter-clockwise from the world's x.
+        num_headings: number k is ``2 π k / num_headings``, counter-clockwise from the world's x.
         ledges: as of `inflate`.
 
     Returns:
         For each level, shape (num_headings, height, width), bool: whether the cell is free
-        and the polygon, its origin on the cell's centre, meets no occupied cell's square.
+        and the polygon, its origin on the cell's centre, overlaps no occupied cell's square.
     """
     check_word(ledges, LEDGES, "ledges")
     wanted = "expected a polygon of shape (n, 2) [m]"
@@ -324,10 +320,7 @@ def inflate_footprint(
 
 
 def _footprint_offsets(x: Float, y: Float) -> Int:
-    """Steps (row, col) from a cell to those whose squares a polygon on its centre meets.
-
-    It does where an edge runs through the square's inside, or the centre is within the polygon.
-    """
+    """Steps (row, col) to the squares with an edge in them or their centre in the polygon."""
     low, high = math.floor(min(y.min(), 0) - 0.5), math.ceil(max(y.max(), 0) + 0.5)
     left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
     rows, cols = np.mgrid[low : high + 1, left : right + 1].astype(np.float64)
@@ -352,7 +345,7 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
 
 
 def count_runs(mask: Bool, runs: Int) -> Int32:
-    """Count the marked cells that a shape of runs (row, first column, last column) covers."""
+    """Count the marked cells under a shape of runs (row, first column, last column)."""
     (rows, cols), pad = mask.shape, int(np.abs(runs).max(initial=0)) + 1
     before = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
     count = np.zeros(mask.shape, dtype=np.int32)
@@ -363,7 +356,7 @@ def count_runs(mask: Bool, runs: Int) -> Int32:
 
 
 def _to_runs(offsets: Int) -> Int:
-    """Pack steps, by row and column, into runs: row, first column, last column."""
+    """Pack steps (row, col) into runs: row, first column, last column."""
     row, col = offsets.T
     is_first = np.ones(len(row), dtype=np.bool_)
     is_first[1:] = (row[1:] != row[:-1]) | (col[1:] != col[:-1] + 1)

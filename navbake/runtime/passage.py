@@ -1,9 +1,9 @@
-"""The widest agent that gets from one place to another, and why there is no path, in one sentence.
+"""The widest agent that passes from one place to another, and the reason why there is no path.
 
-A larger radius never frees a cell, so a bisection finds the largest. It is exact, because inflation
-tells only a few radii apart: those at which a disc round a cell's centre touches a square or a
-centre of another cell, so that four times their square, in cells, is a whole number; and the baked
-radius, up to which higher floors don't count.
+A larger radius never frees a cell, so a bisection finds the largest. It is exact, as the free cells
+change at few radii only: where a disc round a cell's centre touches a square or a centre of another
+cell, so that four times the squared radius, in cells, is a whole number; and at the baked radius,
+up to which higher floors don't count.
 """
 
 import math
@@ -23,24 +23,23 @@ from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Bool, Float, Int
 
-spatial = lazy("scipy.spatial")  # few need it
+spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-NARROW = 1000.0  # weight of a cell that a larger agent loses: a way goes round it if it can
-SHUT = 10_000.0  # of a cell that a door shuts: 10 km are walked rather than 1 m through doors
-MAX_NAMES = 4  # of what blocks, listed in a sentence
+NARROW = 1000.0  # weight of a cell that is blocked for a larger agent: a way avoids it if it can
+SHUT = 10_000.0  # weight of a cell that a door blocks: a way of 10 km costs as much as 1 m of it
+MAX_NAMES = 4  # of obstacles, listed in a sentence
 RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
-BESIDE = 3  # cells along a route, before and after what blocks it, that show whether it rises
+BESIDE = 3  # cells along a route before and after its block, for its rise
 
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """The widest agent that gets from one place to another."""
+    """The widest agent that passes from one place to another."""
 
     radius: float  #: Of the agent [m]; inf where no radius is too large.
     position: Float | None
-    """World x, y and floor z [m] of the bottleneck, where the agent only just fits, shape (3,): the
-    centre of a cell that any larger agent loses. Where there are several bottlenecks in a row, the
-    first. None where no radius is too large."""
+    """World x, y and floor z [m] of the first bottleneck, shape (3,): the centre of a cell that is
+    blocked for any larger agent. None where no radius is too large."""
 
 
 def find_passage(
@@ -78,10 +77,10 @@ def find_passage(
 def find_widest(
     grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, ledges: str, *, corners: bool = False
 ) -> tuple[float, Bool, Bool] | None:
-    """Find the largest radius that gets from a cell to the nearest of several, by flat ids.
+    """Find the largest radius that passes from a cell to the nearest of several, by flat ids.
 
-    None if not even an agent without a radius gets there; else the radius [m], inf where none is
-    too large, and what is free for it and for the next radius that inflation tells from it.
+    Returns the radius [m], inf if no radius is too large, and the cells free for it and for the
+    next larger radius; None if not even a point passes.
     """
 
     def passes(radius: float) -> bool:
@@ -89,7 +88,7 @@ def find_widest(
         ends = goals[free[goals]]
         if not free[origin] or not len(ends):
             return False
-        if corners:  # over which islands are joined, too
+        if corners:  # they join islands, too
             weights = np.where(free, 1.0, np.inf)
             islands = Search(with_weights(grid, weights), cut_corners=True).islands
         else:
@@ -123,14 +122,14 @@ def find_widest(
 
 
 def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
-    """The cells that are free in ``grid.inflate(radius)``, by flat id; the grid isn't inflated."""
+    """The free cells of ``grid.inflate(radius)``, by flat id, without inflating the grid."""
     levels = enumerate(grid.levels)
     free = [v.free_for_point & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
     return np.concatenate([mask.ravel() for mask in free])
 
 
 def deflated(grid: NavGrid) -> NavGrid:
-    """The grid for an agent without a radius, with weights of 1; itself if it wasn't inflated."""
+    """The grid for a point agent, with weights of 1; itself if it wasn't inflated."""
     if "inflation" not in grid.metadata:
         return grid
     free = [(v.solid == 0) & ~np.isnan(v.floor_height) | v.free for v in grid.levels]
@@ -148,7 +147,6 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
 
 
 def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) -> Int | None:
-    """`Search.route` on another grid of the same cells, without its cost."""
     found = Search(grid, cut_corners=corners).route(origin, goals)
     return found and found[0]
 
@@ -156,10 +154,10 @@ def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) ->
 def find_bottleneck(
     grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, free: Bool, lost: Bool, corners: bool
 ) -> int:
-    """Find the bottleneck: the cell where the widest agent only just fits, by its flat id.
+    """Find the flat id of the bottleneck, the cell where the widest agent only just fits.
 
-    Its route avoids the cells that are `lost` to a larger agent wherever it can. Of the first run
-    of them on it, the middle one is returned; if there is none, one beside a diagonal step.
+    The route avoids the cells that are `lost` to a larger agent if it can. The bottleneck is the
+    middle of the first run of them on it; without one, a lost cell beside a diagonal step.
     """
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
     route = find_route(with_weights(grid, weights), origin, goals, corners)
@@ -168,7 +166,7 @@ def find_bottleneck(
     if len(stops):
         row = np.split(stops, np.flatnonzero(np.diff(stops) > 1) + 1)[0]
         return int(route[row[(len(row) - 1) // 2]])
-    # it squeezes through diagonally, between cells that no step may cut
+    # the route passes diagonally between two cells
     level, row, col = flat.split(route)
     one = np.flatnonzero((np.abs(np.diff([level, row, col])).T == (0, 1, 1)).all(axis=1))
     across = col[one + 1] - col[one]
@@ -203,7 +201,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         or _gap(search, origin, goals)
         or _links(search, origin, goals)
     )
-    if not because and cells is not None:  # what stands on the line between the nearest cells
+    if not because and cells is not None:  # objects on the line between the nearest cells
         on, row, col = flat.split(cells)
         count = int(np.abs(np.diff([row, col])).max()) + 1
         line = np.rint(np.linspace((row[0], col[0]), (row[1], col[1]), count)).astype(np.int64)
@@ -214,7 +212,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
 
 
 def _why_not_free(search: Search, position: Float, cell: int) -> str:
-    """Why no agent can stand at a position, and where the nearest free cell is."""
+    """Say why a position isn't free, and where the nearest free cell is."""
     grid, flat = search.grid, search.flat
     if cell < 0:
         boxes = np.array([level.lattice.bounds for level in grid.levels])
@@ -245,7 +243,7 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
 
 
 def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
-    """Name the two islands, and find their two nearest cells, if on one level."""
+    """Name the two islands, and find their two nearest cells on one level."""
     flat, islands = search.flat, search.islands
     home = islands.number[origin]
     away = np.unique(islands.number[goals])
@@ -271,7 +269,7 @@ def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
 
 
 def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
-    """What `grid.block` blocks on the way there would be."""
+    """Name the current blocks on the route that a grid without them has."""
     grid, flat = search.grid, search.flat
     clean = grid.without_blocks()
     if clean is grid:
@@ -292,7 +290,7 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
 
 
 def _doors(search: Search, origin: int, goals: Int) -> str | None:
-    """The doors in the way: those on the route through the fewest cells that doors shut."""
+    """Name the doors on the route through the fewest cells that doors block."""
     grid, flat = search.grid, search.flat
     if not grid.doors:
         return None
@@ -304,7 +302,7 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
         without = without.inflate(radius, ledges=inflation.ledges_of(grid))
     route = find_route(without, origin, goals, search.cut_corners)
     blocked = NO_CELLS if route is None else route[~flat.free[route]]
-    # a door shuts what the agent's disc reaches, not only the cells that it stands in
+    # a door blocks all cells from which the agent's disc reaches it
     stands = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
     reach = inflation.agent_radius(grid) + 1.5 * float(flat.layout.cell_size.max())
     tree = spatial.cKDTree(flat.positions(stands))
@@ -319,10 +317,9 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
 
 
 def _gap(search: Search, origin: int, goals: Int) -> str | None:
-    """The gap that keeps an agent of an inflated grid's radius from a goal.
+    """Describe the gap, its width between obstacles [m], that is too narrow for the agent.
 
-    Its width is that between the obstacles [m]; on the centres of cells, up to a cell more is
-    needed. None if the grid isn't inflated, or no smaller radius passes.
+    None if the grid isn't inflated, or no smaller radius passes.
     """
     grid, flat, agent = search.grid, search.flat, inflation.exact_radius(search.grid)
     plain = deflated(grid.without_blocks())
@@ -342,7 +339,7 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     nearest = np.clip(here, low, high) - here
     distance = np.linalg.norm(nearest, axis=1)
     if len(distance):
-        # from what is nearest to the other side, within 60 degrees of the opposite direction
+        # from the square nearest to the other side, within 60 degrees of the opposite direction
         k = int(np.argmin(distance))
         opposite = nearest @ -nearest[k] > 0.5 * distance * distance[k]
         if opposite.any():
@@ -354,7 +351,7 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
 
 
 def _links(search: Search, origin: int, goals: Int) -> str | None:
-    """Name levels that no step joins, or no step that can be taken."""
+    """Name the levels that no step joins, or only steps that are blocked."""
     flat = search.flat
     home = int(flat.level_of(origin))
     if home in flat.level_of(goals):
@@ -369,7 +366,7 @@ def _links(search: Search, origin: int, goals: Int) -> str | None:
 
 
 def _closed_steps(search: Search) -> list[str]:
-    """How many steps lead from a level to another of which none can be taken, in words."""
+    """Describe each pair of levels whose steps are all blocked."""
     flat, closed = search.flat, []
     source, target = flat.link_ends()
     low, high = flat.level_of(source), flat.level_of(target)
@@ -383,7 +380,7 @@ def _closed_steps(search: Search) -> list[str]:
 
 
 def _names(search: Search, cells: Int) -> str:
-    """The names of what blocks cells, as far as the file tells."""
+    """The names of the things that block cells, if the file has them."""
     grid, flat = search.grid, search.flat
     blocked = cells[~flat.free[cells]]
     levels, (x, y, _) = flat.level_of(blocked), flat.positions(blocked).T

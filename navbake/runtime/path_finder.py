@@ -1,4 +1,4 @@
-"""Plans paths on a grid, and answers questions about places on it."""
+"""Plans paths on a grid, and answers queries about places on it."""
 
 import os
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from navbake.types import Float
 
 
 class PathFinder(DrawQuestions):
-    """Answers an agent's questions about ways through a grid, and about places on it.
+    """Plans paths on a grid, and answers queries about places on it.
 
     A path steps over the edges and corners of free cells and over links between levels. Floors of
     neighbours differ by at most the grid's `traversableFloorHeight`. A step costs its length [m]
@@ -29,22 +29,21 @@ class PathFinder(DrawQuestions):
     - a position is world x, y, z [m], on the level of the nearest floor below. With `level`,
       positions are on that level (0 is the lowest) and z is ignored. x, y are enough with `level`,
       or on a grid of one level;
-    - a goal is a position, several of them (the one that is the cheapest to reach counts),
-      ``room:NAME``, or ``object:NAME`` with a name of the user data (the nearest free cells of each
-      island that comes within 1 m of it);
-    - a room goes by its id or its name, an island by its number; 1 is the largest;
+    - a goal is a position, several of them (the cheapest to reach counts), ``room:NAME``, or
+      ``object:NAME`` with a name of the user data (the nearest free cells of each island within
+      1 m of it);
+    - a room is given by its id or name, an island by its number; 1 is the largest;
     - a place is world x, y and floor z [m], shape (3,), or (n, 3) for several, float64;
-    - `rng` draws what is random; without one, another generator does each time. One with a seed
-      repeats itself;
-    - QueryError is raised where a position is not valid, or where there is no such level, room,
+    - `rng` is a numpy Generator; None makes a new one for each call;
+    - QueryError is raised for a position that is not valid, and for an unknown level, room,
       object or island.
 
-    One object serves one thread at a time.
+    Not thread-safe: use one object per thread.
 
     Args:
-        grid: a grid of one or several levels, or its file. What is written into its arrays later is
-            not seen; what `grid.block` blocks is.
-        cut_corners: let diagonal steps pass blocked corners.
+        grid: a grid of one or several levels, or its file. Later writes into its arrays have no
+            effect; `grid.block` has.
+        cut_corners: allow diagonal steps past blocked corners.
 
     Raises:
         QueryError: a weight is negative.
@@ -58,7 +57,7 @@ class PathFinder(DrawQuestions):
         self.use(grid)
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
-        """Answer about another grid from now on, as after `Baker.update`."""
+        """Switch to another grid, as after `Baker.update`."""
         if isinstance(grid, str | os.PathLike):
             self.grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
         else:
@@ -78,10 +77,10 @@ class PathFinder(DrawQuestions):
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
     ) -> Path | None:
-        """Find the cheapest path; None where there is none: `why_not` tells the reason.
+        """Find the cheapest path; None if there is none, for the reason that `why_not` returns.
 
         If `smooth`, it is pulled straight where that stays free; else it runs through the cells'
-        centres. It begins and ends at the positions themselves unless they are nearer to obstacles
+        centres. It begins and ends at the given positions, unless they are nearer to obstacles
         than the agent may be.
         """
         return find_path(self.search, start, goal, level, smooth=smooth)
@@ -89,16 +88,16 @@ class PathFinder(DrawQuestions):
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say in one sentence why there is no path; None if there is one.
 
-        It names a start or goal that isn't free, and the nearest cell that is; or the islands of
-        both, and the first of these between them: cells that are blocked for now, doors, a gap that
-        is too narrow, steps between levels that can't be taken, names of what stands there.
+        The sentence names a start or goal that isn't free, with the nearest free cell; else the
+        islands of both, and the first obstacle found of these: blocked cells, doors, a gap that is
+        too narrow, blocked steps between levels, and things in between by name.
         """
         return why_not(self.search, start, goal, level)
 
     def distance_field(
         self, goal: Goal, *, level: int | None = None, weighted: bool = True
     ) -> list[Float]:
-        """Find what the cheapest path from every cell to the goal costs.
+        """Compute the cost of the cheapest path from every cell to the goal.
 
         If `weighted`, as in `find_path`; else the length of the shortest path [m]. One array a
         level, shape (height, width), float64, inf where no path leads to the goal; read-only.
@@ -115,10 +114,10 @@ class PathFinder(DrawQuestions):
         level: int | None = None,
         weighted: bool = True,
     ) -> Float:
-        """Look up `distance_field` at starts of shape (..., 3): shape (...), inf where none leads.
+        """Look up `distance_field` at starts of shape (..., 3): shape (...), inf for no path.
 
-        Of a goal of several positions, the cheapest to reach counts. With `goals`, m of them, the
-        distances from each start to each goal: shape (..., m). The last few goals' fields are kept.
+        With m `goals`, the distances from each start to each goal: shape (..., m). The fields of
+        the last few goals are cached.
         """
         if goal is not None and goals is None:
             return self.distances(starts, goals=[goal], level=level, weighted=weighted)[..., 0]
@@ -134,13 +133,12 @@ class PathFinder(DrawQuestions):
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"
     ) -> Passage | None:
-        """Find the widest agent that gets from a place to a goal, and its bottleneck.
+        """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for none that is larger; `ledges` as there. What is blocked now counts. An inflated grid
-        answers as the grid before, if the file tells. None where no agent gets there, however
-        narrow. Raises QueryError where start or goal is beside the grid or in something, and where
-        the goal is an object.
+        for no larger one; `ledges` as there. Current blocks count. The result for an inflated grid
+        is that of the grid before, if the file has it. None if not even a point gets there. Raises
+        QueryError if start or goal is outside the grid or occupied, or if the goal is an object.
         """
         return find_passage(self.search, start, goal, level, ledges)
 
@@ -156,16 +154,16 @@ class PathFinder(DrawQuestions):
     ) -> Follower:
         """Follow a path with a mobile base: velocities or waypoints, step by step.
 
-        The base keeps to the path within some centimetres, so plan it on a grid that is inflated
-        for a radius by so much larger than the base's.
+        The base stays within some centimetres of the path, so plan it on a grid that is inflated
+        for a radius larger by that much.
 
         Args:
-            path: that `find_path` of this finder has found.
+            path: a path found by this object.
             speed: the highest [m/s].
-            acceleration: with which the base brakes [m/s²].
+            acceleration: of braking [m/s²].
             turn_rate: the highest [rad/s].
-            lookahead: how far ahead on the path the base heads for [m].
-            tolerance: the base has arrived where its goal is as near as this [m].
+            lookahead: distance along the path to the point that the base heads for [m].
+            tolerance: distance to the goal at which the base has arrived [m].
         """
         if not isinstance(path, Path):
             raise QueryError(f"expected a path that find_path has found, got {path!r}")
@@ -181,6 +179,6 @@ def plan_path(
 ) -> Path | None:
     """Find the cheapest path on a grid, see `PathFinder.find_path`.
 
-    Each call prepares the whole grid; a `PathFinder` does it once for many questions.
+    Each call prepares the whole grid; use a `PathFinder` for many queries.
     """
     return PathFinder(grid).find_path(start, goal, level=level, smooth=smooth)

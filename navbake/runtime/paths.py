@@ -1,4 +1,4 @@
-"""Paths: what one may lead to, how it is planned, and what it goes through."""
+"""Paths and their goals: planning, and the rooms and doors along a path."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
 NOWHERE = np.full(2, np.nan)
-MAX_REACH = 1.0  # metres that a place next to an object may be away from it
+MAX_REACH = 1.0  # [m] from an object to a place next to it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,13 +35,13 @@ class Path:
     """World x, y, z [m], shape (n, 3), n >= 1; z is the floor's height. Straight in between."""
     levels: Int  #: Level of each position, shape (n,), int64.
     cells: Int
-    """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path leaves
-    the route's cells where that is shorter and costs no more."""
+    """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path may
+    leave these cells where that is shorter and costs no more."""
     length: float  #: Of the path, seen from above [m].
     cost: float  #: Of the route: of each step [m] times the weight of the cell that it leads to.
     rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors on the way, in order.
-    grid: NavGrid | None = None  #: On which it was found.
+    grid: NavGrid | None = None  #: The grid of the search.
 
     _repr_png_ = Method[bytes | None]("navbake.views.notebook:draw_path")
 
@@ -63,26 +63,26 @@ class Path:
 
 
 def run_of(positions: Float) -> Float:
-    """The distances along straight lines up to each position in a row, seen from above [m]."""
+    """Distances along a polyline up to each of its points, seen from above [m]."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(positions[:, :2], axis=0).T)))
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Cells that a path may lead to."""
+    """The cells of a goal."""
 
-    name: str  # what they are, for messages
+    name: str  # for messages
     cells: Int  # flat ids, free or not; -1 for positions in no cell
-    positions: Float | None = None  # that they were given by, world, shape (n, 2) or (n, 3)
+    positions: Float | None = None  # given ones, world, shape (n, 2) or (n, 3)
 
     def free_cells(self, flat: FlatGrid) -> Int:
-        """Those that are free, ascending and each once."""
+        """The free ones, ascending and each once."""
         inside = self.cells[self.cells >= 0]
         return np.unique(inside[flat.free[inside]])
 
 
 def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
-    """Find the cells of a goal, see `PathFinder`; raises QueryError for an unknown or wrong one."""
+    """Find the cells of a goal; raises QueryError for an unknown or wrong one."""
     flat = search.flat
     if isinstance(goal, str):
         kind, _, name = goal.partition(":")
@@ -102,9 +102,9 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
 def cells_around(search: Search, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
-    On each level they are looked for ring by ring from the cells that carry the name, up to 1 m
-    away, over cells in which nothing stands; from what is shut in by other objects, as on a table,
-    over these, too. Of each island, the nearest ring that it has a cell in counts, and the next.
+    A search runs ring by ring on each level from the object's cells, up to 1 m away, over cells
+    without obstacles; an object enclosed by others, as on a table, is left over these. Each
+    island's nearest ring and the next one count.
     """
     grid, flat, islands, found = search.grid, search.flat, search.islands.number, []
     named = cells_named(grid, flat, name)
@@ -139,7 +139,7 @@ def cells_around(search: Search, name: str) -> Int:
 
 
 def _hold_objects(entries: list[Json], shape: tuple[int, ...]) -> Bool:
-    """Whether cells hold objects, or are blocked by objects alone, and by no wall."""
+    """Whether cells are empty or blocked by objects alone, and by no wall."""
     walls = {name for entry in entries for name in names_in(entry, "walls")}
     in_way = [{*names_in(entry, "objects"), *names_in(entry, "blockers")} for entry in entries]
     holds = [
@@ -150,7 +150,7 @@ def _hold_objects(entries: list[Json], shape: tuple[int, ...]) -> Bool:
 
 
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
-    """The cells that an object, a door or a wall is in, by its name: flat ids, at least one."""
+    """The flat ids of a named object's, door's or wall's cells, at least one."""
     if not isinstance(name, str):
         raise QueryError(f"expected the name of an object, got {name!r}")
     cells = [
@@ -202,7 +202,7 @@ def find_path(
 
 def find_field(search: Search, goal: Goal, level: int | None, *, weighted: bool = True) -> Float:
     """The costs of `PathFinder.distance_field`, by flat id; read-only."""
-    # goals in other words but of the same cells share a field
+    # goals of the same cells share a field
     goals = find_target(search, goal, level).free_cells(search.flat)
 
     def make() -> Float:

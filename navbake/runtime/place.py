@@ -1,4 +1,4 @@
-"""What a grid holds at one position, or one layer of it at many positions."""
+"""The layers of a grid at one position, or one layer at many positions."""
 
 import math
 from collections.abc import Callable
@@ -29,7 +29,7 @@ LAYERS: dict[str, tuple[Callable[[NavGrid], list[NDArray[Any]]], float]] = {
 
 @dataclass(frozen=True)
 class Place:
-    """What a grid holds in one cell."""
+    """The layers of a grid in one cell."""
 
     cell: Cell  #: Level, row and column.
     floor: float | None  #: World z of the floor [m], None where there is none.
@@ -37,7 +37,7 @@ class Place:
     occupied: bool  #: Something stands in the agent's way.
     weight: float  #: Cost of the cell, infinite where it isn't free.
     room: str | None  #: Id of the room in the grid's `rooms`, None for none.
-    grid: NavGrid = field(repr=False, compare=False)  #: What was asked.
+    grid: NavGrid = field(repr=False, compare=False)  #: The grid.
 
     @property
     def island(self) -> int | None:
@@ -47,20 +47,19 @@ class Place:
 
     @property
     def is_blocked(self) -> bool:
-        """Whether `grid.block` blocks the cell now."""
+        """Whether `grid.block` currently blocks the cell."""
         level, row, col = self.cell
         state = self.grid.levels[level].block_state
         return state is not None and bool(state.held(BLOCKED)[row, col])
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:
-    """Look up what a grid holds in the cell of a position; see `navbake.navgrid.cells.cell_at`."""
+    """Look up all layers in the cell of a position; see `navbake.navgrid.cells.cell_at`."""
     cell = cell_at(grid, position, level)
     return None if cell is None else place_in(grid, cell)
 
 
 def place_in(grid: NavGrid, cell: Cell) -> Place:
-    """What a grid holds in one of its cells."""
     part, at = grid.levels[cell.level], (cell.row, cell.col)
     floor, weight = float(part.floor_height[at]), float(part.weights[at])
     free = math.isfinite(weight)
@@ -84,9 +83,9 @@ def values_at(
 
     Layers are ``floor`` (world z [m], float64), ``free`` (bool), ``occupancy`` (uint8), ``weight``
     (float64), ``room`` (its number on its level, uint16), ``island`` (int32), ``clearance`` ([m],
-    float32, as `navbake.navgrid.islands.clearance`), or an attribute by the name it has in the
-    file, as it stands there. Shape (...). Where there is no cell: NaN, False, 1, inf, 0, 0, 0; of
-    an attribute NaN or 0, as its dtype has it. Raises QueryError where there is no such layer.
+    float32, as `navbake.navgrid.islands.clearance`), or a stored attribute by its name in the
+    file. Shape (...). Outside the grid: NaN, False, 1, inf, 0, 0, 0; of an attribute NaN or 0,
+    by its dtype. Raises QueryError for an unknown layer.
     """
     cells = cells_at(grid, positions, level)
     find, outside = LAYERS.get(layer, (None, None))

@@ -1,7 +1,4 @@
-"""Places: can an agent stand there, what is near, what is in sight, where does a step lead.
-
-The answer for one position is that for an array of one.
-"""
+"""Queries about places: free space, neighbourhood, lines of sight, and steps."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +21,7 @@ places = lazy("navbake.runtime.kernels.places")  # numba loads slowly
 walks = lazy("navbake.runtime.kernels.walks")
 
 MAX_DROP = 0.5  # [m], see `navbake.runtime.kernels.places`, which loads numba
-FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
+FIRST_LOOK = 1.0  # [m], first radius of the search in sight
 SLACK = 1e-9  # metres
 NO_ROOMS = np.empty(0, dtype=np.int32)
 
@@ -33,30 +30,29 @@ NO_ROOMS = np.empty(0, dtype=np.int32)
 class Obstacle:
     """The nearest point of an obstacle."""
 
-    distance: float  #: To it, on the map [m].
-    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the position asked about.
+    distance: float  #: On the map [m].
+    position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the given position.
 
 
 class PlaceQuestions:
-    """Islands, rooms, places where an agent can stand, and what is round them."""
+    """Queries about islands, rooms, free places, and their surroundings."""
 
     grid: NavGrid
     _search: Search
 
     @property
     def search(self) -> Search:
-        """The cells and the steps between them, with what is blocked now."""
+        """The search over the cells, up to date with the grid's blocks."""
         self._search.update()
         return self._search
 
     @property
     def rooms(self) -> flat_grid.RoomMap:
-        """The rooms of the grid and of each cell."""
         return self._search.rooms
 
     @property
     def islands(self) -> flat_grid.IslandMap:
-        """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
+        """The connected parts of the currently free cells: ``count``, ``areas`` [m²]."""
         return self.search.islands
 
     @property
@@ -66,7 +62,7 @@ class PlaceQuestions:
 
     @property
     def bounds(self) -> tuple[Float, Float]:
-        """Lower and upper corner of the box round all free cells and their floors, world [m]."""
+        """Lower and upper corner of the bounding box of all free cells' floors, world [m]."""
         flat = self.search.flat
         cells = np.flatnonzero(flat.free)
         if not len(cells):
@@ -90,7 +86,7 @@ class PlaceQuestions:
         return float(self.islands.areas[self.islands.check(island)])
 
     def room_at(self, position: ArrayLike, *, level: int | None = None) -> str | None:
-        """The id of the room that a position is in, None for none."""
+        """The id of a position's room, None for none."""
         _, cell = self.search.flat.locate(position, level)
         return self.rooms.id_of(int(self.rooms.number[cell])) if cell >= 0 else None
 
@@ -102,7 +98,7 @@ class PlaceQuestions:
     def room_near(
         self, position: ArrayLike, max_distance: float = math.inf, *, level: int | None = None
     ) -> str | None:
-        """The id of the room whose cell is the nearest on the level, None for none so near [m]."""
+        """The id of the room nearest on the level, None if none is within `max_distance` [m]."""
         flat, number = self.search.flat, self.rooms.number
         p, home = flat.locate(position, level)
         flat_grid.check_distance(max_distance)
@@ -113,7 +109,7 @@ class PlaceQuestions:
         return self.rooms.id_of(int(number[cell])) if cell >= 0 else None
 
     def room_of(self, name: str) -> str | None:
-        """The id of the room that most cells of an object are in, by its name; None for none."""
+        """The id of the room that holds most cells of a named object; None for none."""
         numbers = self.rooms.number[cells_named(self.grid, self.search.flat, name)]
         counts = np.bincount(numbers[numbers > 0], minlength=1)
         return self.rooms.id_of(int(np.argmax(counts)))
@@ -121,9 +117,9 @@ class PlaceQuestions:
     def is_navigable(
         self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
     ) -> bool | Bool:
-        """Whether an agent can stand at a position; of many, shape (..., 3), that of each, bool.
+        """Whether a position's cell is free, its floor at most `max_drop` below it [m].
 
-        It can where the cell is free and its floor is at most `max_drop` below the position [m].
+        For positions of shape (..., 3), bool of shape (...).
         """
         flat_grid.check_distance(max_drop, "max_drop")
         flat = self.search.flat
@@ -137,7 +133,7 @@ class PlaceQuestions:
         return bool(answers[0]) if p.ndim == 1 else answers.reshape(p.shape[:-1])
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
-        """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""
+        """A position's cell; see `navbake.navgrid.cells.cell_at`."""
         flat = self.search.flat
         _, cell = flat.locate(position, level)
         return flat.cell(cell) if cell >= 0 else None
@@ -154,20 +150,20 @@ class PlaceQuestions:
         in_sight: bool = False,
         max_distance: float = math.inf,
     ) -> Float | None:
-        """Find the nearest place where an agent can stand; for many positions, that of each.
+        """Find the nearest place where an agent can stand, for one position or each of many.
 
-        Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
-        the position itself, put on the floor. Else it is the nearest centre of a cell: on the map
-        on the position's level, or in space on any level. Where there is no such place: None, or
-        of many positions a row of NaN. `same_room` and `in_sight` take one position.
+        If the position's own cell is allowed and its floor at most 0.5 m below, that is the
+        position itself, put on the floor. Else it is the nearest centre of a cell: on the map
+        of the position's level, or in space on any level. Without such a place, None, or a row of
+        NaN for many positions. `same_room` and `in_sight` take one position.
 
         Args:
-            same_level: stay on its level. A position on none goes to the nearest floor in space.
-            same_room: stay in its room; None where it is in none.
-            room, island: go there.
-            in_sight: nothing may stand between, such as a wall. From within something, the line
-                has to come out of it without leaving its room.
-            max_distance: go no farther [m].
+            same_level: stay on its level. A position on none snaps to the nearest floor in space.
+            same_room: stay in its room; None if it is in none.
+            room, island: only cells of these.
+            in_sight: no obstacle may be in between. From inside an object, the line must leave
+                it within its room.
+            max_distance: at most this far away [m].
         """
         search = self.search
         flat = search.flat
@@ -192,20 +188,19 @@ class PlaceQuestions:
     def try_step(
         self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
     ) -> Float:
-        """Move straight from a position towards another, and stop where cells are not free.
+        """Move straight from a position towards another, and stop at cells that are not free.
 
-        Many starts, shape (..., 3), have an end each, or one in common.
+        Starts of shape (..., 3) have an end each, or one in common. The way runs over the map from
+        cell to cell, up steps and over links, and so never passes thin walls. It may end anywhere
+        in a free cell, up to half a cell nearer to obstacles than at its centre. The end's z is
+        ignored. Raises QueryError if the start isn't free.
 
-        The way runs over the map from cell to cell, up steps and over links, so no wall is too thin
-        for it. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
-        its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
-
-        Sliding goes on from where the straight way ends, to the point nearest to the end among
-        those that a walk leads to which is no longer than what is left of the way.
+        Sliding goes on from where the straight way stops, to the point nearest to the end among
+        those within a walk as long as the rest of the way.
         """
         flat = self.search.flat
         p = check_positions(start, flat.num_levels, level)
-        q = check_positions(end, flat.num_levels, 0)  # wherever the way leads, its level follows
+        q = check_positions(end, flat.num_levels, 0)  # the level follows from the way
         if q.shape[:-1] not in (p.shape[:-1], ()):
             counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
             raise QueryError(f"expected an end for each start, {counts}")
@@ -216,15 +211,15 @@ class PlaceQuestions:
             np.ascontiguousarray(to), slide,
         )  # fmt: skip
         if bad >= 0:
-            flat.free_cell_at(points[bad], level)  # says which one, and what to do
+            flat.free_cell_at(points[bad], level)  # raises with the position and a remedy
         return np.asarray(found.reshape(*p.shape[:-1], 3))
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether the straight line between two positions meets nothing that is occupied.
+        """Whether the straight line between two positions crosses no occupied cell.
 
         The line runs over the map, from cell to cell and over links, and through a corner of four
-        where one of the two beside it is clear; heights are not compared. False also where one of
-        the two is beside the grid, or in something itself.
+        if one of the two cells beside it is clear; heights are not compared. False also if one of
+        the positions is outside the grid or occupied.
         """
         search = self.search
         (p, one), (q, other) = (search.flat.locate(end, level) for end in (a, b))
@@ -238,10 +233,10 @@ class PlaceQuestions:
     ) -> Obstacle | None:
         """Find the nearest point of an occupied cell's square on the position's level.
 
-        Beyond the edge of the grid nothing is known, and nothing counts. Where the level ends and
-        another goes on, as at the top of stairs, that is no obstacle: the other one counts where
-        its floor is less than the agent's height, less a step, above or below, and its own isn't.
-        None where there is none within `max_distance` [m]; distance 0 within an occupied cell.
+        The area outside the grid has no obstacles. Where the level ends and another goes on, as at
+        the top of stairs, the other level counts where its floor is less than the agent's height,
+        less a step, above or below. None if there is none within `max_distance` [m]; distance 0
+        inside an occupied cell.
         """
         flat = self.search.flat
         p = flat.check_one(position, level)
@@ -257,7 +252,7 @@ class PlaceQuestions:
     ) -> float | Float:
         """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`.
 
-        Of many positions, shape (..., 3), that of each: shape (...), float64.
+        For positions of shape (..., 3), float64 of shape (...).
         """
         p = check_positions(position, self.search.flat.num_levels, level)
         _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
@@ -265,11 +260,11 @@ class PlaceQuestions:
         return float(found[0]) if p.ndim == 1 else found.reshape(p.shape[:-1])
 
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
-        """Draw where on a level an agent can stand, as an array.
+        """Draw a level's free cells as an image.
 
-        Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free,
-        blocked, no floor; rows and columns run as in the grid's arrays. A pixel shows the cell that
-        its middle is in; without `metres_per_pixel`, > 0, there is one for each cell.
+        RGB, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free, blocked, no
+        floor; rows and columns as in the grid's arrays. A pixel shows the cell at its middle;
+        without `metres_per_pixel`, > 0, there is one pixel a cell.
         """
         flat = self.search.flat
         if level is None:
@@ -298,9 +293,9 @@ def snap(
     same_level: bool = True,
     max_distance: float = math.inf,
 ) -> tuple[Float, Int]:
-    """`PathFinder.snap` of checked positions, to the allowed cells of a mask.
+    """`PathFinder.snap` of checked positions to the cells of a mask.
 
-    Shape (..., 3), NaN for no place; and the places' cells by flat id, -1 for none.
+    Returns places, shape (..., 3), NaN for none, and their cells by flat id, -1 for none.
     """
     on, points = flat_grid.as_points(p, level)
     if points.shape[1] == 2:
@@ -320,7 +315,7 @@ def _snap_in_sight(
     same_level: bool,
     max_distance: float,
 ) -> Float | None:
-    """`PathFinder.snap` in sight: lines cost more than distances, so it looks ever farther."""
+    """`PathFinder.snap` in sight; searches growing radii, as lines cost more than distances."""
     flat, home = search.flat, int(search.flat.cells_at(p, level))
     place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)
     if home < 0 or cell < 0:
@@ -370,7 +365,7 @@ def _find_obstacles(
 def cells_in_annulus(
     flat: FlatGrid, level: int, point: Float, distances: tuple[float, float], allowed: Bool
 ) -> Int:
-    """The allowed cells of a level whose centres are so far from a point on the map, ascending."""
+    """The allowed cells of a level with centres in an annulus round a point, ascending."""
     layout = flat.layout
     size, shape = layout.cell_size[level], (layout.height[level], layout.width[level])
     at = (layout.y_max[level] - point[1], point[0] - layout.x_min[level])

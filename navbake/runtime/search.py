@@ -1,4 +1,4 @@
-"""A grid prepared for questions: its flat cells, the moves of each, and what follows from them."""
+"""Shortest-path searches on a grid's flat cells, and caches of what is derived from them."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ routes = lazy("navbake.runtime.kernels.routes")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
-MAX_KEPT = 8  # answers of each kind that are kept
+MAX_KEPT = 8  # cached results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
 Kept = TypeVar("Kept")
 
 
 class Search:
-    """The cells of all levels of a grid, searches over them, and what follows from them.
+    """Searches over the cells of all levels of a grid, and cached results.
 
-    `update` takes over what `grid.block` blocks, by which `version` grows. Not to be shared by
-    threads. `flat` are the cells, `graph` the steps between them; `free_diagonally`, by flat id,
-    the free cells with room for a diagonal step; `off_center` where a line may be off the centres.
+    Not thread-safe. `flat` are the cells, `graph` the steps between them; `free_diagonally` marks
+    free cells with room for a diagonal step, `off_center` those where a line may leave the centres.
+    `update` takes over the grid's blocks; each change increments `version`.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -54,7 +54,7 @@ class Search:
         least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
         if least < 0:
             raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
-        # the buckets fit the weights of all cells, whatever is blocked later
+        # the buckets fit the weights of all cells, blocked ones included
         size, longest = float(flat.layout.cell_size.min()), float(flat.links.length.max(initial=0))
         moves = np.zeros(flat.num_cells, dtype=np.uint8)
         buckets = routes.bucket_width(size, least, most, longest)
@@ -76,7 +76,7 @@ class Search:
         self.update()
 
     def update(self) -> None:
-        """Catch up with what was blocked and freed."""
+        """Take over cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
             state = level.block_state
             if state is None or state.revision == self._seen[number]:
@@ -90,7 +90,7 @@ class Search:
     def _copy_changes(
         self, number: int, level: SceneGrid2D, state: BlockState, window: Window
     ) -> None:
-        """Copy a window of a level that changed, and find the moves in and round it again."""
+        """Copy a changed window of a level, and find the moves in and round it again."""
         row0, row1, col0, col1 = window
         inside, cells = np.s_[row0:row1, col0:col1], self.flat.cells_of(number)
 
@@ -119,39 +119,35 @@ class Search:
         """Return `make()`, cached per kind, key and grid version; keeps the `most` last used."""
         kept, key = self._kept.setdefault(kind, {}), (self.version, key)
         value: Kept = kept.pop(key) if key in kept else make()
-        kept[key] = value  # last in the row, so the first is the one unused for longest
+        kept[key] = value  # most recently used last
         for old in list(kept)[:-most]:
             del kept[old]
         return value
 
     @cached_property
     def rooms(self) -> flat_grid.RoomMap:
-        """The rooms of the grid and of each cell."""
         return flat_grid.map_rooms(self.grid)
 
     @cached_property
     def doors(self) -> flat_grid.DoorMap:
-        """The doors that each cell is in."""
+        """The doors of each cell."""
         return flat_grid.map_doors(self.grid, self.flat)
 
     @property
     def islands(self) -> flat_grid.IslandMap:
-        """The connected parts of the cells that are free now."""
+        """The connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
         return self.keep("islands", None, lambda: flat_grid.map_islands(self.flat, moves), 1)
 
     @property
     def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, by flat id; see `SceneGrid2D.solid`."""
+        """Cells that are occupied now or have no floor, by flat id; see `SceneGrid2D.solid`."""
         solid = (level.solid.ravel() != 0 for level in self.grid.levels)
         return self.keep("occupied", None, lambda: np.concatenate(list(solid)), 1)
 
     @property
     def sight(self) -> tuple[Any, ...]:
-        """Layout, links, floors without a limit of steps, and by cell whether nothing stands there.
-
-        A line of sight is walked over these.
-        """
+        """The arguments of line-of-sight walks: layout, links, unlimited floors and clear cells."""
         clear = self.keep("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
         return self.flat.layout, self.flat.links, floors, clear
@@ -159,7 +155,7 @@ class Search:
     def allowed(
         self, *, level: int | None = None, room: str | None = None, island: int | None = None
     ) -> Bool:
-        """The free cells that are on a level, in a room and on an island, by flat id."""
+        """The free cells on a level, in a room and on an island, by flat id."""
         allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
@@ -172,7 +168,7 @@ class Search:
         return allowed
 
     def home_island(self, position: ArrayLike, island: int | None) -> int:
-        """The island of a free position; raises QueryError where another `island` is asked for."""
+        """The island of a free position; raises QueryError if it isn't the given `island`."""
         home = int(self.islands.number[self.flat.free_cell_at(position)[1]])
         if island not in (None, home):
             raise QueryError(f"island {island} can't be reached: the position is on {home}")
@@ -186,15 +182,15 @@ class Search:
         return (route, float(self._visits.cost[route[-1]])) if len(route) else None
 
     def field(self, goals: Int, *, weighted: bool = True) -> Float:
-        """What the cheapest route from each cell to any of several costs, inf for none."""
+        """The cost of the cheapest route from each cell to any goal, inf for none."""
         return self._flood(goals, weighted)[0]
 
     def onward(self, goals: Int) -> tuple[Float, Int]:
-        """The weighted `field`, and where routes go on: at a goal the cell itself, -1 for none."""
+        """The weighted `field`, and the next cell of each route: itself at a goal, -1 for none."""
         flat, links = self.flat, self.flat.links
         cost, way = self._flood(goals, True)
         cells = np.arange(flat.num_cells)
-        # the field grew from the goals, so the way on is that by which it came, backwards
+        # the field grew from the goals: the next cell is the reversed move
         steps = np.zeros((2, routes.WAY + 1), dtype=np.int64)
         steps[:, : len(arrays.ROW_STEP)] = arrays.ROW_STEP, arrays.COL_STEP
         down, across = steps[:, way]
@@ -205,7 +201,7 @@ class Search:
         return cost, onward
 
     def _flood(self, goals: Int, weighted: bool) -> tuple[Float, Int32]:
-        """Search backwards from goals: what each cell costs, and the way that it was reached by."""
+        """Search backwards from goals; returns each cell's cost and the move that reached it."""
         flat, graph = self.flat, self.graph
         if not weighted:
             size, longest = flat.layout.cell_size.min(), flat.links.length.max(initial=0)
@@ -218,7 +214,7 @@ class Search:
         return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
 
     def _find(self, graph: Any, sources: Int, goals: Int) -> Int:
-        """`navbake.runtime.kernels.routes.find_route`, with as much room as it needs."""
+        """`navbake.runtime.kernels.routes.find_route`, with a queue that grows as needed."""
         while True:
             # marks of earlier searches stay, as each search has its own number
             self._number += 1
@@ -232,5 +228,5 @@ class Search:
             self._visits = self._visits._replace(entry_cell=cell, entry_next=following)
 
     def can_pass(self, a: Float, b: Float, level: int) -> bool:
-        """Whether an agent can move now along a line between two points x, y of a level [m]."""
+        """Whether an agent can currently move along a line between points x, y of a level [m]."""
         return bool(lines.can_pass(a, b, level, self.graph, self.off_center))

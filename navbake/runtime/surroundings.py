@@ -1,26 +1,26 @@
-"""Which cells of a level are blocked for an agent of a radius, by the cells of all levels near it.
+"""Finds the cells of a level that are blocked for an agent of a radius, by cells of all levels.
 
-What counts for an agent whose centre is on a cell's centre:
+An agent's centre is on a cell's centre. The rules:
 
-- Occupied cells: the agent must not meet their squares, in which all baked geometry lies. The baked
-  radius is replaced, not added to: where its disc reaches beyond the square, the squares that
-  something meets themselves (`SceneGrid2D.solid`) stand in for the occupied ones, and a cell that
-  only the baked disc closed may become free.
-- Higher floors that the agent meets: at most a step above its own. A ledge is a wall from below,
-  and so is the step after the next one for an agent too large for the stair. In files that have
-  but the occupancy of a larger radius, the bake has decided this up to that radius.
-- Lower floors that the agent meets: at most a step below its own, unless `ledges` is ``ignore``.
-  Of the floors of all levels in a column, the highest that isn't more than a step above the
-  agent's counts. So the room under a gallery is no drop, but the stair beside it is.
-- Slopes: a floor to which cells lead in a straight line, over steps and at least one link between
-  neighbours more than a step apart, as the bake finds on ramps, is neither higher nor lower.
-- Other levels: the cells of both levels count, each where its floor is as high as the agent's
-  (less than the body's height apart). So a thing under a landing does not block the stair to it.
-- Outside of the grid: beyond a single level nothing was baked, and nothing blocks. Each of several
-  levels is cut to the cells with a floor; beyond these is no floor, which counts as occupied.
+- Occupied cells: the agent must not overlap their squares, in which all baked geometry lies. The
+  radius replaces the baked one: where the baked disc reaches beyond a square, the squares that
+  geometry itself overlaps (`SceneGrid2D.solid`) replace the occupied ones, and a cell that only
+  the baked disc blocked may become free.
+- Higher floors in the disc: at most a step above the agent's. A ledge is a wall from below, and so
+  is the step after the next one for an agent too large for the stair. Files that only have the
+  occupancy of a larger radius follow the bake up to that radius.
+- Lower floors in the disc: at most a step below the agent's, unless `ledges` is ``ignore``. In each
+  column, the highest floor of all levels counts that isn't more than a step above the agent's. So
+  the room under a gallery is no drop, but the stair beside it is.
+- Slopes: a floor reached in a straight line over steps and at least one link between neighbours
+  more than a step apart, as the bake finds on ramps, is neither higher nor lower.
+- Other levels: the cells of both levels count where their floors are less than the body's height
+  from the agent's. So an object under a landing does not block the stair to it.
+- Outside the grid: beyond a single level, nothing blocks. Each of several levels is cut to the
+  cells with a floor; the area beyond has no floor and counts as occupied.
 - Cells without floor that are not occupied, in files of other programs: as in the original client,
-  at least 0.7 of the cells that the disc covers must have a floor. Here this must hold for every
-  smaller radius too, so that a larger agent is never free where a smaller one isn't.
+  at least 0.7 of the cells in the disc must have a floor. Here this must hold for every smaller
+  radius too, so that a larger agent is never free where a smaller one isn't.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
-TOUCH = 1e-9  # share of a radius by which a disc may be over what it touches
+TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
 
 
 def find_blocked(
@@ -54,7 +54,7 @@ def find_blocked(
 ) -> Bool:
     """Find the cells of a level where an agent of a radius [m] can't stand; see the module's head.
 
-    Unless `by_own`, the level's own occupied cells don't block, and all others with a floor do.
+    With `by_own` False, the level's own occupied cells don't block, and all others with a floor do.
     """
     cells = radius / grid.levels[number].lattice.cell_size
     storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
@@ -69,7 +69,7 @@ def find_blocked(
         others.occupied[storeys.level] = 0
     if cells > 0:
         block_by_others(grid, number, others, radius, offsets, ledges, blocked)
-        # holes that are not occupied, and leave too little floor round a cell
+        # holes that are not occupied and leave too little floor in a disc
         has_floor = ~np.isnan(storeys.floor[storeys.level])
         holes = ~has_floor & (occupied == 0)
         if holes.any():
@@ -88,12 +88,12 @@ def block_by_others(
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Add what other levels and floors block to `blocked`, and free what other levels free.
+    """Update `blocked` by other levels and floors, which may block or free cells.
 
-    `offsets` are the steps from an agent's cell to those that it meets, within the radius [m].
+    `offsets` are the steps from an agent's cell to the cells within its radius [m].
     """
     level = grid.levels[number]
-    # of the disc that is part of `occupied`; 0 where the squares alone are in a layer `solid`
+    # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
     counts_higher = radius > (0.0 if has_solid else grid.agent_radius)
     least, most = (extreme.reduce(storeys.floor, axis=None) for extreme in (np.fmin, np.fmax))
@@ -118,17 +118,17 @@ def block_by_others(
 def disc(
     radius: float, shape: tuple[int, int], *, of_squares: bool = True
 ) -> tuple[Int, Int, Int32]:
-    """Steps from a cell to those whose squares, or centres, an open disc round its centre reaches.
+    """Steps from a cell to the cells whose squares, or centres, an open disc round it reaches.
 
-    In cells: rows and columns, (n, 2), within `shape`, the nearest first; their squares in half
-    cells; and how wide the disc is, row by row, as `dilate` takes it.
+    Returns rows and columns within `shape`, (n, 2), nearest first; their squared distances in half
+    cells; and the disc's half widths by row for `dilate`. The radius is in cells.
     """
     rows, cols = (np.arange(-n, n + 1) for n in (min(math.ceil(radius) + 1, s) for s in shape))
     # squared half cells along an axis to the near side, or to the centre, of squares
     along = [2 * np.abs(steps) for steps in (rows, cols)]
     down, across = (np.maximum(v - 1, 0) ** 2 if of_squares else v**2 for v in along)
     squares = down[:, None] + across
-    reached = squares < (2 * radius) ** 2 * (1 - TOUCH)  # what only touches is not reached
+    reached = squares < (2 * radius) ** 2 * (1 - TOUCH)  # touching is not reaching
     row, col = np.nonzero(reached)
     found = squares[row, col]
     order = np.argsort(found, kind="stable")
@@ -140,7 +140,7 @@ def disc(
 def find_surroundings(
     grid: NavGrid, number: int, reach: int
 ) -> tuple[Storeys, tuple[slice, slice]]:
-    """The cells that an agent on a level may meet, and the level's own rectangle among them."""
+    """The cells near an agent on a level, and the level's own rectangle among them."""
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
     shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}
     placed = {k: shift for k, shift in shifts.items() if shift is not None}
@@ -168,7 +168,7 @@ def find_surroundings(
 def _find_slopes(
     grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
-    """The `slopes` of Storeys; `at` has the index, row and column there of each of its levels."""
+    """The `slopes` of Storeys; `at` has each level's index, row and column in them."""
     links, none = grid.link_array, np.zeros((0, 0, 0), dtype=np.uint8)
     links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
     if not len(links):
@@ -196,7 +196,7 @@ def _find_slopes(
 
 
 def _floor(level: SceneGrid2D) -> NDArray[np.float32]:
-    """The level's floor, world z [m]."""
+    """World z of the level's floor [m]."""
     floor = np.ascontiguousarray(level.floor_height)
     return floor if level.unit == 1 else floor * np.float32(level.unit)
 
@@ -210,7 +210,7 @@ def _shift(a: Lattice, b: Lattice) -> tuple[int, int] | None:
 
 
 def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type: ignore[type-arg]
-    """Copy a piece to a position on a canvas, as far as they overlap."""
+    """Copy a piece to a position on a canvas; only the overlap is copied."""
     height, width = canvas.shape
     inside = piece[max(-row, 0) : max(height - row, 0), max(-col, 0) : max(width - col, 0)]
     row, col = max(row, 0), max(col, 0)
