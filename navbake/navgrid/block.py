@@ -1,8 +1,4 @@
-"""Cells of a grid that are blocked for a while.
-
-A level's own weights and occupancy change with the blocks, and its clearance if it has that layer,
-in the touched window only.
-"""
+"""Temporary blocks of a grid's cells, which change its layers in place."""
 
 from __future__ import annotations
 
@@ -29,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Block:
-    """Cells that are blocked until `free` is called, or as a context manager, until its end.
+    """Cells that are blocked until `free` is called, or until the end of a with statement.
 
     Attributes:
         cells: flat ids of the cells where an agent can't stand because of the block, by level,
@@ -46,7 +42,7 @@ class Block:
                 self._held.append((level, state, of_level))
 
     def free(self) -> None:
-        """Free the cells, except those that other blocks hold. Further calls do nothing."""
+        """Free the cells, except those held by other blocks. Further calls do nothing."""
         for level, state, of_level in self._held:
             _change(level, state, of_level, is_held=False)
         self._held.clear()
@@ -59,7 +55,7 @@ class Block:
 
 
 def _begin(level: SceneGrid2D) -> BlockState:
-    """The state of a level that nothing blocks; the level gets arrays of its own to write to."""
+    """The state of an unblocked level; the level gets writable copies of its arrays."""
     # others may share the level's arrays, or they may be read-only
     level.weights = np.array(level.weights, order="C")
     level.attributes = dict(level.attributes)
@@ -72,7 +68,7 @@ def _begin(level: SceneGrid2D) -> BlockState:
 
 
 def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bool) -> None:
-    """Block cells, or take that back."""
+    """Block or free cells."""
     count = state.count.reshape(len(cells), -1)
     for number, ids in zip(count, cells, strict=True):
         if is_held:
@@ -86,14 +82,14 @@ def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bo
     for layer, array, clean, value in changed:
         now, before, ids = array.reshape(-1), clean.reshape(-1), cells[layer]
         if is_held:
-            # what was there is read again with the first block: others may have written to it
+            # the first block reads the arrays again: they are writable
             first = ids[count[layer, ids] == 1]
             before[first] = now[first]
             now[first] = value
         else:
             left = ids[count[layer, ids] == 0]
             now[left] = before[left]
-    # one window for all layers; a reader that is that far behind copies it as a whole
+    # one window for all layers
     rows, cols = np.divmod(np.concatenate(cells), level.width)
     window = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)
     state.note(window)
@@ -102,7 +98,7 @@ def _change(level: SceneGrid2D, state: BlockState, cells: Layers, *, is_held: bo
 
 
 def _farthest(level: SceneGrid2D) -> float | None:
-    """The largest clearance of a level, in cells; None if it has no such layer."""
+    """The largest clearance of a level, in cells; None without that layer."""
     stored = level.attributes.get("clearance")
     if stored is None:
         return None
@@ -114,10 +110,10 @@ def _farthest(level: SceneGrid2D) -> float | None:
 
 
 def _measure_again(level: SceneGrid2D, window: Window, farthest: float) -> None:
-    """Measure the clearance again around a window of cells that changed.
+    """Update the clearance around a changed window of cells.
 
-    No cell is farther from what blocks than without blocks, at most `farthest` cells. So cells
-    farther from the window than that keep their clearance.
+    No clearance exceeds that without blocks, `farthest` cells. So cells farther from the window
+    keep theirs.
     """
     reach = math.ceil(farthest) + 2
     # the nearest blocked cell of one at the rim of `inner` may be a whole reach further out

@@ -1,8 +1,4 @@
-"""The blocks of a level as the grid keeps them: how many hold each cell, and what changed when.
-
-Blocks may overlap, so they are counted. A reader that keeps what follows from them, like a
-`PathFinder`, asks for the windows that changed since it last asked.
-"""
+"""The blocks of a level: counts by cell, as blocks may overlap, and a log of changed windows."""
 
 from __future__ import annotations
 
@@ -13,9 +9,8 @@ from numpy.typing import NDArray
 
 from navbake.types import Bool, Int
 
-# The layers of a block: cells that the thing is in; where an agent can't stand; where it can't
-# step diagonally; where it can't be beside the cell's centre. From the second on, each includes
-# the one before.
+# The layers of a block: the obstacle's own cells; cells where an agent can't stand; can't step
+# diagonally; can't be off the cell's centre. Each of the last three includes the one before.
 OCCUPIED, BLOCKED, NO_DIAGONAL, NO_OFF_CENTER = range(4)
 NUM_LAYERS = 4
 
@@ -26,20 +21,19 @@ Window = tuple[int, int, int, int]
 """First and last row, first and last column, the last ones excluded."""
 
 CHANGING = {"occupancy", "solid", "clearance"}  # attributes that are changed in place
-OCCUPIED_LAYERS = ("occupancy", "solid")  # attributes that are 1 where the thing is
-MAX_JOURNAL = 1024  # changes that a level remembers; a reader that missed more reads all of it
+OCCUPIED_LAYERS = ("occupancy", "solid")  # attributes that are 1 in the obstacle's own cells
+MAX_JOURNAL = 1024  # length of the log
 
 
 class BlockState:
     """The blocks of one level.
 
     Attributes:
-        count: how many blocks hold a cell, by layer, shape (4, height, width), uint16.
-        weights: what the cells weigh without blocks, shape (height, width).
-        occupied: the layers `OCCUPIED_LAYERS` that the level has, without blocks.
-        farthest: the largest clearance of the level without blocks, in cells; None where it has
-            no such layer.
-        revision: how many times something changed.
+        count: number of blocks on a cell, by layer, shape (4, height, width), uint16.
+        weights: without blocks, shape (height, width).
+        occupied: the level's `OCCUPIED_LAYERS` without blocks.
+        farthest: the largest clearance without blocks, in cells; None without that layer.
+        revision: number of changes.
     """
 
     def __init__(
@@ -55,21 +49,20 @@ class BlockState:
 
     @property
     def is_blocked(self) -> bool:
-        """Whether any cell is blocked now."""
         return bool(self.count.any())
 
     def held(self, layer: int) -> Bool:
-        """The cells that a layer of some block holds, shape (height, width)."""
+        """The cells that are blocked in a layer, shape (height, width)."""
         return np.asarray(self.count[layer] > 0)
 
     def note(self, window: Window) -> None:
-        """Remember that cells of a window changed."""
+        """Log a window as changed."""
         self.revision += 1
         self._journal.append(window)
         del self._journal[:-MAX_JOURNAL]
 
     def windows_since(self, revision: int) -> list[Window] | None:
-        """The windows that changed after a revision; None if that is too long ago."""
+        """The windows changed after a revision; None if the log doesn't go back so far."""
         missed = self.revision - revision
         if missed > len(self._journal):
             return None

@@ -1,8 +1,7 @@
-"""Which cell a position is in, on which level, and where a cell is.
+"""Finds the cell and level of a position, and the position of a cell.
 
-A position stands on the level whose floor is the nearest one below it, or at most a step above;
-not on the first level whose box holds it. So what is under a bridge is on the level below, what
-is on it, on the one above.
+A position is on the level with the nearest floor below it, or at most a step above. So a position
+under a bridge is on the level below, one on the bridge on the level above.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ from navbake.navgrid.lattice import Cell as Cell
 from navbake.navgrid.lattice import Cells as Cells
 from navbake.types import Float, Int
 
-ROUNDING = 1e-6  # share of a height by which float32 may have moved it
+ROUNDING = 1e-6  # relative rounding of float32
 
 
 def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Cell | None:
-    """Find the cell that a position is in.
+    """Find the cell of a position.
 
     Its level is the one whose floor in that column is the nearest at or below the position, a
-    step (`traversableFloorHeight`) above it included. Where no level has such a floor, it is the
-    one whose ground is.
+    step (`traversableFloorHeight`) above it included. If no level has such a floor, the levels'
+    grounds count instead.
 
     Args:
-        position: world x, y, z [m]; x, y will do on one level.
-        level: which level, 0 is the lowest; then z does not count.
+        position: world x, y, z [m]; x, y are enough on one level.
+        level: of the cell, 0 is the lowest; then z is ignored.
 
     Returns:
-        None beside the grid, and below all of its floors.
+        None outside the grid, and below all of its floors.
 
     Raises:
         QueryError: the level does not exist, or the position is invalid.
@@ -45,14 +44,14 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
 
 
 def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> Cells:
-    """Find the cells that positions are in; `cell_at` of each.
+    """Find the cells of positions, as `cell_at`.
 
     Args:
-        positions: world x, y, z [m], shape (..., 3); (..., 2) will do on one level.
-        level: which level all are on; then z does not count.
+        positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
+        level: of all cells; then z is ignored.
 
     Returns:
-        Level, row and column, each of shape (...), int64; -1 where there is no cell.
+        Level, row and column, each of shape (...), int64; -1 for no cell.
 
     Raises:
         QueryError: as `cell_at`.
@@ -70,7 +69,7 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
     """World positions of cells' centres, on the floor.
 
     Args:
-        cells: one, or many of shape (...); (level, row, col) will do.
+        cells: one, or many of shape (...); a tuple (level, row, col) is enough.
 
     Returns:
         x, y, z [m], shape (..., 3), float64; z is the level's ground where there is no floor.
@@ -89,7 +88,7 @@ def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
 
 
 def check_cells(grid: GridBase, cells: Cell | Cells) -> Cells:
-    """Check that cells exist, and bring them into one shape, int64."""
+    """Check that cells exist, and broadcast them to one shape, int64."""
     try:
         arrays = np.broadcast_arrays(*(np.asarray(v) for v in cells))
     except (TypeError, ValueError):
@@ -107,10 +106,7 @@ def check_cells(grid: GridBase, cells: Cell | Cells) -> Cells:
 
 
 def check_positions(positions: ArrayLike, num_levels: int, level: int | None = None) -> Float:
-    """Check world positions of shape (..., 3) [m], and turn them into float64.
-
-    Shape (..., 2) will do on a grid of one level, or where the level is given.
-    """
+    """World positions [m] as float64, shape (..., 3); (..., 2) with one level or a given one."""
     check_level(level, num_levels)
     try:
         p = np.asarray(positions, dtype=np.float64)
@@ -133,19 +129,18 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
 
 
 def check_level(level: int | None, num_levels: int) -> None:
-    """Raise for an unknown level."""
+    """Raise a QueryError for an unknown level."""
     if level is not None and not (isinstance(level, int | np.integer) and 0 <= level < num_levels):
         raise QueryError(f"no level {level!r}: expected 0 to {num_levels - 1}")
 
 
 def _cells_under(grid: GridBase, p: Float) -> Int:
-    """The cells of the nearest floors at or below positions, shape (n, 3), as `_cells_on`."""
+    """Cells of the nearest floors at or below positions, shape (n, 3); returns as `_cells_on`."""
     # float32 moved the floors, in proportion to their height
     limit = p[:, 2] + grid.max_step + STEP_SLACK + np.abs(p[:, 2]) * ROUNDING
     found, on_ground = np.full((2, 3, len(p)), -1, dtype=np.int64)
     highest, highest_ground = np.full((2, len(p)), -np.inf)
-    # of each position the highest floor so far that is not above the limit; grounds count only
-    # where no level has such a floor
+    # the highest floor so far below each position's limit; grounds count only without such a floor
     for number, part in enumerate(grid.levels):
         cells = _cells_on(grid, number, p)
         inside = cells[0] >= 0
@@ -159,17 +154,17 @@ def _cells_under(grid: GridBase, p: Float) -> Int:
 
 
 def _cells_on(grid: GridBase, level: int, p: Float) -> Int:
-    """Level, row and column of positions on one level, shape (3, n); -1 beside its rectangle."""
+    """Level, row and column of positions on a level, shape (3, n); -1 outside its rectangle."""
     x_min, y_max, cell_size, width, height = grid.levels[level].lattice
     row = np.floor((y_max - p[:, 1]) / cell_size)
     col = np.floor((p[:, 0] - x_min) / cell_size)
-    # compared as floats: int64 could not hold what is far away
+    # compare as floats: far positions overflow int64
     inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
     return np.where(inside, (np.full(len(p), level), row, col), -1.0).astype(np.int64)
 
 
 def _floors(level: SceneGrid2D, rows: Int, cols: Int) -> Float:
-    """Floors of cells [m]; where cells have none of their own, the ground everywhere."""
+    """Floors of cells [m]; the ground if the level has no cell floors."""
     if not level.uses_cell_floors:
         return np.full(rows.shape, level.ground)
     return level.attributes["floorHeight"][rows, cols].astype(np.float64) * level.unit

@@ -1,8 +1,7 @@
-"""The colours of pictures and meshes, as ``#rrggbb``, and which room has which.
+"""The colours of pictures and meshes, as ``#rrggbb``, and of each room.
 
-They are chosen so that people who see no red or no green tell them apart, too:
-`tests/navgrid/test_colors.py` measures how far apart they stay. What is free is light, what is
-blocked is dark, so that a picture printed in grey still reads.
+They are safe for colour-blind people, as `tests/navgrid/test_colors.py` measures. Free cells are
+light and blocked ones dark, so that pictures work in grey, too.
 """
 
 import math
@@ -17,18 +16,18 @@ from navbake.types import Int
 
 FREE, OCCUPIED, NO_FLOOR = "#f7f3e8", "#3b4252", "#b9c0cc"
 DOOR = "#c8440a"  # where a door blocks the way
-DOORWAY = "#ff9f5a"  # where it would, were it closed
+DOORWAY = "#ff9f5a"  # where a closed door would
 ROUTE = "#1864ab"
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
 
 OUTDOORS = "#e9ffc6"
 ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
-BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
+BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room's occupied cells
 DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
 WALL = 0.6  # rooms with no more than this between them are neighbours [m]
 
-# where a link leads; seen on walls, too
+# of links; visible on walls, too
 UP, DOWN, ACROSS = "#3bcb11", "#b870fd", "#889590"
 
 
@@ -39,15 +38,15 @@ def rgb_of(color: str) -> tuple[int, int, int]:
 
 
 def darkened(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The colours of rooms, shape (…, 3), where something stands in them."""
+    """The colours of rooms, shape (…, 3), for occupied cells."""
     mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE
     return np.round(mixed).astype(np.uint8)
 
 
 def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """A colour for each room of a level by its index, shape (n + 1, 3), uint8; 0 is no room.
+    """Colours of a level's rooms by index, shape (n + 1, 3), uint8; 0 is no room.
 
-    Rooms on both sides of a wall, and those that open to each other, have different colours.
+    Rooms that share a wall or an opening have different colours.
     """
     level = grid.levels[number]
     index = level.room_index
@@ -68,11 +67,11 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
 
 def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
-    """Which regions of a map are near each other, along a row or a column.
+    """Find pairs of regions that are close along a row or a column.
 
     Args:
         index: the region of each cell from 1, 0 for none, shape (height, width), integers.
-        reach: how many cells of no region may lie between, as those of a wall do.
+        reach: the largest number of cells of no region, such as a wall's, in between.
 
     Returns:
         Pairs of two regions, the smaller number first.
@@ -93,18 +92,18 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
 
 
 def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:
-    """A colour for each of some regions, none like a neighbour's while there are enough colours.
+    """Choose a colour for each region that none of its neighbours has, while there are enough.
 
     Greedy colouring (Welsh and Powell 1967): the region with most neighbours chooses first. Of
     the colours that fewest of its neighbours have, it takes the one that is least used so far.
 
     Args:
-        count: how many regions there are; they are numbered from 1.
-        pairs: which are neighbours.
-        num_colors: how many colours there are.
+        count: number of regions; they are numbered from 1.
+        pairs: of neighbours.
+        num_colors: number of colours.
 
     Returns:
-        Numbers of colours from 0, shape (count + 1,); that of region 0 means nothing.
+        Numbers of colours from 0, shape (count + 1,); that of region 0 is meaningless.
     """
     near: list[set[int]] = [set() for _ in range(count + 1)]
     for one, other in pairs:

@@ -1,4 +1,4 @@
-"""Where the doors of a level are, as lines from jamb to jamb."""
+"""The doors of a level as lines from jamb to jamb."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DECIMALS = 6  # of ends: micrometres
 
 
 class DoorLine(NamedTuple):
-    """A door on a level: the line that its leaf covers when it is closed."""
+    """The line of a door's closed leaf on a level."""
 
     id: str
     state: str  # closed, open, modelled (neither) or removed
@@ -24,7 +24,7 @@ class DoorLine(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of the doorway, to about a cell [m]."""
+        """Width of the doorway, to about a cell [m]."""
         return math.dist(self.start, self.end)
 
     @property
@@ -34,7 +34,7 @@ class DoorLine(NamedTuple):
 
 
 def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
-    """The doors of a level; see `find_ends`."""
+    """The lines of a level's doors; see `find_ends`."""
     ends = [(door, find_ends(grid, door, number)) for door in grid.doors]
     return tuple(
         DoorLine(door.id, door.like or door.state, *found) for door, found in ends if found
@@ -42,12 +42,12 @@ def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
 
 
 def doorway_state(door: Door) -> str:
-    """The state whose cells are the doorway: closed, or what it is in if it has no such state."""
+    """The state whose cells are the doorway: closed, else the current one."""
     return "closed" if "closed" in door.cells else door.state
 
 
 def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
-    """The cells of a level that doors block now, or else those of their doorways."""
+    """The cells of a level that doors currently block, or else the doorways' cells."""
     mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
     for door in grid.doors:
         state = door.state if blocked else doorway_state(door)
@@ -60,15 +60,12 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 
 def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
-    """The ends of a door's leaf on a level when it is closed, or as it is where it can't be.
+    """The ends of a door's leaf on a level when closed, else in its current state.
 
-    A grid with a layer ``solid`` knows the cells that the leaf itself covers: the line runs along
-    the longer axis of these, from edge to edge. In another grid the cells are those that an agent
-    can't stand in, which may be deeper than wide: there it runs along the axis that has something
-    in the way at both ends, else the longer one, and is longer by the agent's radius at each end.
-
-    Returns:
-        None where the door has no cells on the level.
+    With a layer ``solid``, the cells of the leaf itself are known: the line runs along their
+    longer axis, from edge to edge. Else the door's blocked cells may be deeper than wide: the line
+    runs along the axis with obstacles at both ends, else the longer one, and is longer by the
+    agent's radius at each end. None if the door has no cells on the level.
     """
     level, num_levels = grid.levels[number], len(grid.levels)
     for state in ("closed", door.state, *door.states):
@@ -90,28 +87,27 @@ def _positions(level: SceneGrid2D, cells: Int) -> Float:
 
 
 def _axes_of(level: SceneGrid2D, cells: Int) -> tuple[Float, Float]:
-    """The longer principal axis of some cells, and the other one."""
+    """The longer and the shorter principal axis of cells."""
     at = _positions(level, cells)
     from_middle = at - at.mean(axis=0)
     # the eigenvector of the largest eigenvalue
     axis = np.linalg.eigh(from_middle.T @ from_middle)[1][:, 1]
     axis = axis if tuple(axis) > (0.0, 0.0) else -axis
     if np.ptp(from_middle @ axis) * np.abs(axis).min() < level.lattice.cell_size / 2:
-        # over its length it leaves the row of cells by less than the cells tell
+        # the axis is along the row of cells, to their resolution
         axis = np.round(axis) + 0.0
     return axis, _across(axis)
 
 
 def _across(axis: Float) -> Float:
-    """The axis at a right angle."""
     across = np.array([-axis[1], axis[0]])
     return across if tuple(across) > (0.0, 0.0) else 0.0 - across
 
 
 def _axis_between_walls(level: SceneGrid2D, cells: Int) -> Float:
-    """Of the principal axes, the one with something in the way at both ends, else the longer."""
+    """The principal axis with obstacles at both ends, else the longer one."""
     at = _positions(level, cells)
-    # beside the grid nothing is free
+    # no cell outside the grid is free
     free = np.pad(level.free, 1)
 
     def walls(axis: Float) -> int:
@@ -123,11 +119,11 @@ def _axis_between_walls(level: SceneGrid2D, cells: Int) -> Float:
         rows, cols = rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)
         return int(np.count_nonzero(~free[rows, cols]))
 
-    return max(_axes_of(level, cells), key=walls)  # of two that are alike the longer, the first
+    return max(_axes_of(level, cells), key=walls)  # max returns the first, longer one of a tie
 
 
 def _span(level: SceneGrid2D, cells: Int, axis: Float, more: float) -> Ends:
-    """Both ends of some cells along an axis through their middle, and so much more at each [m]."""
+    """The extent of cells along an axis through their middle, with `more` [m] at each end."""
     at = _positions(level, cells)
     middle = at.mean(axis=0)
     along = (at - middle) @ axis

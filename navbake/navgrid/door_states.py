@@ -1,4 +1,4 @@
-"""The same grid with its doors in other states."""
+"""Changes the states of a grid's doors without a new bake."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AnyGrid = TypeVar("AnyGrid", bound=GridBase)
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
-    """The same grid with doors in other states: equal to a bake with them in these states.
+    """Change the states of doors; the result equals a bake with the doors in these states.
 
     Args:
         states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
@@ -73,7 +73,7 @@ def _rebuild(
             is_occupied |= state.held(OCCUPIED)
             is_solid |= state.held(OCCUPIED)
         weights = level.weights.copy()
-        # cells that no door changes keep their weight, whatever it is
+        # cells that no door changes keep their weight
         weights[is_occupied & ~was_occupied] = np.inf
         weights[~is_occupied & was_occupied] = 1.0
         if state is not None:
@@ -96,15 +96,14 @@ def _rebuild(
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
-    """The user data of a level with the doors of each cell, by ascending cell id.
+    """Add the doors of each cell to a level's user data, by ascending cell id.
 
-    A cell is in a door where the door blocks it when closed, or as it stands. Where it blocks as
-    it stands, the door is one of the cell's objects, too.
+    A cell's doors are those that block it, closed or in their current state. A door that blocks it
+    in its current state is one of its objects, too.
     """
     if not doors:
         return user_data  # without reading them
-    # All cells that a door blocks in any state, most of them with no door: the user data may be
-    # from that state.
+    # all cells that a door blocks in any state: the user data may be from that state
     names: dict[int, set[str]] = {}
     standing: dict[int, set[str]] = {}
     for door in doors:
@@ -125,7 +124,7 @@ def with_door_names(
 
 
 def _without_doors(entry: Json, ids: set[str]) -> Json:
-    """A cell's user data without doors, and without blockers: they may name a door."""
+    """A cell's user data without doors and blockers, which may be doors."""
     if "doors" not in entry:
         return entry
     kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
@@ -135,7 +134,7 @@ def _without_doors(entry: Json, ids: set[str]) -> Json:
 
 
 def _with_doors(entry: Json, names: set[str], standing: set[str]) -> Json:
-    """A cell's user data with the doors that it is in, and those of them that block it."""
+    """A cell's user data with its doors; `standing` ones are objects, too."""
     objects = sorted({*names_in(entry, "objects"), *standing})
     named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
     named |= {key: value for key, value in entry.items() if key not in named}

@@ -1,8 +1,4 @@
-"""The doors of a grid, as a file's table has them.
-
-It carries, for each door and state, the cells that only this door blocks, by level. So another
-state needs no scene and no new bake, see `navbake.navgrid.door_states`.
-"""
+"""The doors of a grid: for each door and state, the cells that only this door blocks, by level."""
 
 from __future__ import annotations
 
@@ -47,10 +43,10 @@ class Door:
     Attributes:
         id: unique in the grid.
         joint: the joint that moves it, None for none.
-        rooms: ids of the two rooms that it joins, None for the outside; () where nothing says so.
-        state: what it is in now, one of `STATES`.
-        cells: what it blocks, by state and level, as runs of cell ids.
-        solid: the same of the cells whose squares it meets, of a grid with a layer ``solid``.
+        rooms: ids of the two rooms that it joins, None for the outside; () if unknown.
+        state: the current one of `STATES`.
+        cells: blocked cells by state and level, as runs of cell ids.
+        solid: likewise the cells whose squares it overlaps, with a layer ``solid``.
     """
 
     id: str
@@ -67,29 +63,28 @@ class Door:
 
     @property
     def states(self) -> list[str]:
-        """All states that it can be in."""
         return [state for state in STATES if state in self.cells or state == "removed"]
 
     @property
     def like(self) -> str | None:
-        """Which of closed and open is the same as modelled, if one is and it is modelled now."""
+        """Which of ``closed`` and ``open`` equals ``modelled``, if that is the current state."""
         as_modelled = self.cells.get("modelled")
         if self.state != "modelled" or as_modelled is None:
             return None
         return next((s for s in ("closed", "open") if self.cells.get(s) == as_modelled), None)
 
     def cells_in(self, state: str, num_levels: int) -> list[Int]:
-        """The cells that only this door blocks in a state: ascending ids by level."""
+        """Ascending ids by level of the cells that only this door blocks in a state."""
         by_level = self.cells.get(state, {})
         return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
-        """The cells whose squares only this door meets in a state: ascending ids by level."""
+        """Ascending ids by level of the cells whose squares only this door overlaps in a state."""
         by_level = self.solid.get(state, {})
         return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
 
     def to_json(self) -> Json:
-        """Summarise the door in values that JSON can hold: all but its cells."""
+        """JSON of the door without its cells."""
         return {
             "id": self.id,
             "joint": self.joint,
@@ -102,7 +97,7 @@ class Door:
 
 
 class _Entry(msgspec.Struct):
-    """A door as a file has it; of each state, lists of a level and runs of its cells."""
+    """A door in a file; per state, pairs of a level and the runs of its cells."""
 
     id: str
     state: State
@@ -113,10 +108,7 @@ class _Entry(msgspec.Struct):
 
 
 def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
-    """Read and check the doors at ``metadata.navbake.doors``.
-
-    `num_cells` counts the cells of each level; the doors' cells have to be among them.
-    """
+    """Read and check ``metadata.navbake.doors``, on levels of `num_cells` cells each."""
     doors: dict[str, Door] = {}
     entries: list[_Entry] = read_table(stated, list[_Entry], WHERE)
     for number, entry in enumerate(entries):
@@ -144,7 +136,7 @@ def parse_doors(stated: Any, num_cells: Sequence[int]) -> tuple[Door, ...]:
 
 
 def _are_runs(runs: list[int], num_cells: int) -> bool:
-    """Whether runs ascend, don't overlap, and end with the cells."""
+    """Whether runs ascend, don't overlap, and stay within the cells."""
     if len(runs) % 2:
         return False
     end = 0

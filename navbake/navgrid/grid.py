@@ -1,9 +1,9 @@
-"""Navigation grids in memory: what the baker makes, and all that the run time needs.
+"""Navigation grids in memory.
 
 Arrays are ``[row, col]``, shape (height, width): col along file X, row along file Z. Arrays,
-`cell_size`, `min_yup` and `bbox_yup` are as in the file: y up, in file units (which are metres
-in every file that navbake writes). Methods that take or give positions use the world: z up,
-metres; `SceneGrid2D.lattice` is the bridge.
+`cell_size`, `min_yup` and `bbox_yup` are as in the file: y up, in file units (metres in every
+file that navbake writes). Positions in methods are in the world frame: z up, metres;
+`SceneGrid2D.lattice` converts between the two.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ Table = TypeVar("Table")
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
-    """What grids of one level and of several have in common.
+    """Common base of grids of one level and of several.
 
     Attributes:
         cell_size: edge of a cell [file units], > 0.
         unit: metres per file unit, > 0.
         metadata: as in the file.
-        timings: as in the file; two grids that differ in it only are the same grid.
+        timings: as in the file; they don't count in comparisons of grids.
         extra: fields of the file that are not the format's own; they are written back.
-        found_islands: what `navbake.navgrid.islands.islands_of` found last, after its digest.
+        found_islands: the last result of `navbake.navgrid.islands.islands_of`, after its digest.
     """
 
     cell_size: float
@@ -56,7 +56,7 @@ class GridBase:
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
-        """Copies and pickles leave out caches and blocks."""
+        """Leave out caches and blocks in copies and pickles."""
         return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
 
     @property
@@ -65,50 +65,50 @@ class GridBase:
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """The same grid with other levels.
+        """Replace the levels, see `SceneGrid2D.with_layers`.
 
         Args:
-            levels: as many as it has; see `SceneGrid2D.with_layers`.
-            metadata: of the new grid; as they are if None. Levels that had taken theirs over from
-                the grid take over these.
+            levels: as many as before.
+            metadata: of the new grid; unchanged if None. Levels with metadata taken over from the
+                grid take over these.
         """
         raise NotImplementedError
 
     @property
     def is_blocked(self) -> bool:
-        """Whether any cell is blocked now."""
+        """Whether any cell is currently blocked."""
         return any(level.block_state and level.block_state.is_blocked for level in self.levels)
 
     def without_blocks(self) -> Self:
-        """The grid as it is when nothing is blocked; itself if nothing is."""
+        """The grid without blocks; itself if it has none."""
         if not self.is_blocked:
             return self
         return self.with_levels([level.unblocked() for level in self.levels])
 
     @property
     def scene_id(self) -> str | None:
-        """The scene's name, if the file gives one."""
+        """The scene's name, if the file has one."""
         name = self.metadata.get("sceneId")
         return name if isinstance(name, str) else None
 
     @property
     def agent_height(self) -> float:
-        """Height of the agent that the grid is for [m]; 1.14 where the file states none."""
+        """Height of the grid's agent [m]; 1.14 if the file states none."""
         return self._metres("agentHeight") or 1.14
 
     @property
     def agent_radius(self) -> float:
-        """Radius of the agent that the grid was baked for [m]; 0 where the file states none."""
+        """Radius of the agent of the bake [m]; 0 if the file states none."""
         return self._metres("agentRadius") or 0.0
 
     @property
     def max_step(self) -> float:
-        """The highest step that the agent takes [m]; 0.25 where the file states none."""
+        """The highest step that the agent takes [m]; 0.25 if the file states none."""
         stated = self._metres("traversableFloorHeight")
         return 0.25 if stated is None else stated
 
     def _metres(self, key: str) -> float | None:
-        """A length of the metadata [m]; None where they have none from 0 to 1e10 m."""
+        """A length of the metadata [m]; None unless from 0 to 1e10 m."""
         stated = self.metadata.get(key)
         if not isinstance(stated, int | float) or not 0 <= stated * self.unit <= FARTHEST:
             return None
@@ -116,16 +116,16 @@ class GridBase:
 
     @property
     def navbake(self) -> Json:
-        """What navbake wrote into the metadata; {} in files of other programs."""
+        """The metadata under ``navbake``; {} in files of other programs."""
         own = self.metadata.get("navbake")
         return own if isinstance(own, dict) else {}
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the bake warned of, one line each; empty where it warned of nothing.
+        """The warnings of the bake, one line each.
 
-        It is about the whole scene, and as the bake left it: a level of several has the warnings
-        of all, and no later change of the grid (`inflate`, `with_doors`) adds or removes any.
+        Each level has those of the whole scene. Changes of the grid (`inflate`, `with_doors`)
+        neither add nor remove warnings.
         """
         stated = self.navbake.get("warnings")
         lines = stated if isinstance(stated, list) else []
@@ -133,9 +133,7 @@ class GridBase:
 
     @property
     def rooms(self) -> tuple[Room, ...]:
-        """The rooms by level and index.
-
-        Of a file without a room table, they are measured from `room_index`.
+        """The rooms by level and index, measured from `room_index` if the file has no table.
 
         Raises:
             FormatError: the file's room table is broken.
@@ -148,14 +146,14 @@ class GridBase:
 
     @property
     def stated_rooms(self) -> tuple[Room, ...] | None:
-        """The rooms as the file's table has them, None where it has no table."""
+        """The rooms of the file's table, None without one."""
         if self.navbake.get("rooms") is None:
             return None
         return self._table("rooms", lambda stated: parse_rooms(stated, len(self.levels)))
 
     @property
     def doors(self) -> tuple[Door, ...]:
-        """The doors, as the file lists them.
+        """The doors in the file's order.
 
         Raises:
             FormatError: the file's table of doors is broken.
@@ -166,7 +164,7 @@ class GridBase:
 
     @property
     def links(self) -> tuple[Link, ...]:
-        """The steps from level to level, and between neighbours on steep ramps; see `Link`.
+        """The steps between levels, and between neighbours on steep ramps; see `Link`.
 
         Raises:
             FormatError: the metadata name a level or a cell that does not exist.
@@ -183,7 +181,7 @@ class GridBase:
         return [level.width * level.height for level in self.levels]
 
     def _table(self, name: str, parse: Callable[[Any], Table]) -> Table:
-        """A table of navbake's metadata, parsed once for each object that stands there."""
+        """A table of navbake's metadata, parsed once for each metadata object."""
         stated = self.navbake.get(name)
         if name not in self._tables or self._tables[name][0] is not stated:
             self._tables[name] = (stated, parse(stated))
@@ -192,7 +190,7 @@ class GridBase:
 
     @property
     def level_names(self) -> list[str]:
-        """The levels' names, lowest first; ``level 0``, ``level 1``, … where none is stated."""
+        """The levels' names, lowest first; ``level 0``, ``level 1``, … if the file has none."""
         stated = self.navbake.get("levels")
         entries = stated if isinstance(stated, list) else []
         names = [f"level {number}" for number in range(len(self.levels))]
@@ -203,11 +201,10 @@ class GridBase:
 
     @property
     def cell_attributes(self) -> list[Json]:
-        """What the metadata say of each attribute, completed where they say nothing."""
+        """The metadata of each attribute, completed from the arrays."""
         return describe_attributes(self.metadata, [level.attributes for level in self.levels])
 
-    # Functions of modules above that take the grid first, loaded when a method is first looked at;
-    # signature and docstring are theirs.
+    # methods defined as functions of higher modules, which are imported on first access
     cell_at = Method[Cell | None]("navbake.navgrid.cells:cell_at")
     cells_at = Method[Cells]("navbake.navgrid.cells:cells_at")
     position_of = Method[Float]("navbake.navgrid.cells:position_of")
@@ -235,10 +232,7 @@ class GridBase:
     _repr_png_ = Method[bytes]("navbake.views.notebook:draw_png")
 
     def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
-        """The names of what blocks the cell at a position, sorted; [] where nothing does.
-
-        Takes and raises what `describe_cell` does.
-        """
+        """The sorted names of the things that block the cell at a position; see `describe_cell`."""
         return list(self.describe_cell(x, y, level)["blockers"])
 
 
@@ -250,16 +244,14 @@ class SceneGrid2D(GridBase):
         width: number of columns, >= 1.
         height: number of rows, >= 1.
         min_yup: lower corner of cell 0, file frame [file units]; Y is the level's ground.
-        bbox_yup: lower and upper corner of what the level covers, file frame [file units], or
-            None where the file says nothing.
-        weights: shape (height, width), float32 or float64: the cost of a cell, inf where an
-            agent can't stand.
-        attributes: further values of each cell under the names they have in the file
-            (``floorHeight``, ``roomIndex``, ``occupancy``, …), each of shape (height, width)
-            and of its own dtype.
-        user_data: what a file keeps for single cells, by cell id (col + row * width); in a large
-            file it is read and checked when it is first asked for.
-        block_state: who blocks its cells, None until somebody does.
+        bbox_yup: lower and upper corner of the level, file frame [file units], or None.
+        weights: costs of cells, shape (height, width), float32 or float64; inf where an agent
+            can't stand.
+        attributes: further layers by their names in the file (``floorHeight``, ``roomIndex``,
+            ``occupancy``, …), each of shape (height, width) and of its own dtype.
+        user_data: a file's data of single cells, by cell id (col + row * width); in a large
+            file it is read and checked on first use.
+        block_state: the blocks of its cells, None before the first.
         cell_size, unit, metadata, timings, extra: see `GridBase`.
     """
 
@@ -302,7 +294,7 @@ class SceneGrid2D(GridBase):
         user_data: MutableMapping[int, Json] | None = None,
         metadata: Json | None = None,
     ) -> Self:
-        """The same level with other layers; what isn't given is as it is now.
+        """Replace layers of the level; None leaves a layer as it is.
 
         `attributes` are added or replaced one by one. The new level shares arrays with this one,
         except those that `block` changes in place once it was called here.
@@ -320,7 +312,7 @@ class SceneGrid2D(GridBase):
         )
 
     def unblocked(self) -> Self:
-        """The level as it is when nothing blocks it; itself if nothing does."""
+        """The level without blocks; itself if it has none."""
         state = self.block_state
         if state is None or not state.is_blocked:
             return self
@@ -333,16 +325,13 @@ class SceneGrid2D(GridBase):
 
     @property
     def uses_cell_floors(self) -> bool:
-        """Whether cells have floors of their own: there are some, and the metadata don't deny it.
-
-        ``useCellFloorHeight: false`` says that an agent stays at the ground height.
-        """
+        """Whether cells have own floors, and the metadata lack ``useCellFloorHeight: false``."""
         stated = self.metadata.get("useCellFloorHeight")
         return "floorHeight" in self.attributes and stated is not False
 
     @property
     def lattice(self) -> Lattice:
-        """Where the cells lie in the world [m]."""
+        """The cells' positions in the world [m]."""
         # 0.0 - z, because -z would turn 0.0 into -0.0
         x_min, y_max = self.min_yup[0] * self.unit, 0.0 - self.min_yup[2] * self.unit
         return Lattice(x_min, y_max, self.cell_size * self.unit, self.width, self.height)
@@ -354,22 +343,22 @@ class SceneGrid2D(GridBase):
 
     @property
     def free(self) -> Bool:
-        """Where an agent can stand: the weight is finite. Shape (height, width), bool."""
+        """Where an agent can stand (finite weight), shape (height, width), bool."""
         return np.asarray(np.isfinite(self.weights))
 
     @property
     def floor_height(self) -> NDArray[np.float32]:
         """The floor's Y [file units], shape (height, width), float32, NaN for no floor.
 
-        A file without ``floorHeight`` has its floor at the ground height, where weights are
-        finite. So has one that says ``useCellFloorHeight: false``, and also where it knows of a
-        floor. The array is read-only unless it is the attribute itself.
+        Without ``floorHeight``, it is the ground height at finite weights; with
+        ``useCellFloorHeight: false``, also where the file has a floor. Read-only unless it is the
+        attribute itself.
         """
         stored = self.attributes.get("floorHeight")
         if stored is None or not self.uses_cell_floors:
             has_floor = self.free if stored is None else self.free | ~np.isnan(stored)
             return _derived(np.where(has_floor, np.float32(self.min_yup[1]), np.float32(np.nan)))
-        with np.errstate(over="ignore"):  # what float32 can't hold is infinite
+        with np.errstate(over="ignore"):  # overflows float32 to infinity
             return stored if stored.dtype == np.float32 else _derived(stored.astype(np.float32))
 
     @property
@@ -383,38 +372,38 @@ class SceneGrid2D(GridBase):
 
     @property
     def floor_or_ground(self) -> Float:
-        """World z of the floor, of the level's ground where there is none [m]; as `floor`."""
+        """World z of the floor, or of the level's ground where there is none [m]; as `floor`."""
         floor = self.floor
         return np.where(np.isnan(floor), self.ground, floor)
 
     @property
     def occupancy(self) -> NDArray[np.uint8]:
-        """1 where something stands in the agent's way, shape (height, width), uint8.
+        """1 for an obstacle in the agent's way, shape (height, width), uint8.
 
-        A file without ``occupancy`` is occupied where weights are infinite; one that keeps it
-        in another dtype, where it is not 0. Read-only unless it is the attribute itself.
+        A file without ``occupancy`` is occupied at infinite weights; one with another dtype where
+        it is not 0. Read-only unless it is the attribute itself.
         """
         return _flags(self.attributes.get("occupancy", ~self.free))
 
     @property
     def solid(self) -> NDArray[np.uint8]:
-        """1 where a geom meets the cell's square or there is no floor, uint8 as `occupancy`.
+        """1 where a geom overlaps the cell's square or there is no floor, uint8 as `occupancy`.
 
-        A bake stores it where the disc of its `agentRadius` reaches beyond the square; everywhere
-        else it is `occupancy`. What depends on the size of another agent is measured from it.
-        Read-only unless it is the attribute itself.
+        A bake stores it if the disc of its `agentRadius` reaches beyond the square; else it is
+        `occupancy`. Inflation for other agents starts from it. Read-only unless it is the attribute
+        itself.
         """
         stored = self.attributes.get("solid")
-        if stored is None or not self.navbake:  # other programs may call anything so
+        if stored is None or not self.navbake:  # other programs may use the name for anything
             return self.occupancy
         return _flags(stored)
 
     @property
     def free_for_point(self) -> Bool:
-        """Where an agent without a radius can stand, as far as the grid tells; bool.
+        """Where an agent without a radius can stand, as far as the file has it; bool.
 
         These are the free cells and, with a layer ``solid``, those that only the disc of the baked
-        radius closed, or the margin of a block. What an inflation closed stays closed.
+        radius or the margin of a block closed. Cells closed by an inflation stay closed.
         """
         free = self.free
         if "solid" not in self.attributes or not self.navbake or "inflation" in self.metadata:
@@ -428,8 +417,8 @@ class SceneGrid2D(GridBase):
     def room_index(self) -> NDArray[np.uint16]:
         """The room of each cell from 1, 0 for none, shape (height, width), uint16.
 
-        A file without ``roomIndex`` has no rooms; in one that keeps it in another dtype, values
-        beyond uint16 are no room. Read-only unless it is the attribute itself.
+        All 0 without ``roomIndex``; in other dtypes, values beyond uint16 are 0, too. Read-only
+        unless it is the attribute itself.
         """
         stored = self.attributes.get("roomIndex")
         if stored is None:
@@ -439,7 +428,7 @@ class SceneGrid2D(GridBase):
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
-        """Describe the rooms of the level, the `number`-th of a grid, from `room_index` alone."""
+        """Describe the rooms of level `number` of a grid from `room_index` alone."""
         if not self.room_index.any():  # as in maps of other programs, which may be large
             return []
         return measure_rooms(self.room_index, self.floor_or_ground, self.lattice, number)
@@ -449,9 +438,8 @@ class SceneGrid2D(GridBase):
 class MultiLevelGrid(GridBase):
     """The navigation grids of a scene with several levels.
 
-    A level without metadata of its own takes over those of the whole when the grid is made, as
-    far as they are about it (see `navbake.navgrid.metadata`). So each level is a grid by
-    itself.
+    A level without metadata of its own takes over the parts of the whole grid's that are about it
+    (see `navbake.navgrid.metadata`), so that each level is a grid by itself.
 
     Attributes:
         grids: the levels, lowest first, at least one.
@@ -467,7 +455,7 @@ class MultiLevelGrid(GridBase):
         for number, grid in enumerate(self.grids):
             if not grid.metadata or grid.metadata == self.metadata:
                 grid.metadata = cut_metadata(self.metadata, number)
-            # to be compared with what a level has later: metadata can be written to
+            # for comparison with a level's metadata, which are writable
             self._handed_down.append(cut_metadata(self.metadata, number))
 
     @property
@@ -475,7 +463,7 @@ class MultiLevelGrid(GridBase):
         return self.grids
 
     def takes_over(self, number: int, level: SceneGrid2D) -> bool:
-        """Whether a level still has the metadata that level `number` of this grid took over."""
+        """Whether a level still has the metadata taken over as level `number` of this grid."""
         return level.metadata == self._handed_down[number]
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
@@ -487,7 +475,7 @@ class MultiLevelGrid(GridBase):
 
 
 def _flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
-    """A layer as uint8, 1 where it is not 0; itself if it is of that dtype."""
+    """A layer as uint8, 1 where it is not 0; itself if it has that dtype."""
     return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
 
 

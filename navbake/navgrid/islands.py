@@ -1,4 +1,4 @@
-"""The connected parts of a grid, and how far each cell is from what blocks."""
+"""The connected parts of a grid, and the clearance of its cells."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.types import Bool, Int, Int32
 
-STEP_SLACK = 1e-6  # metres that a step may be over the highest one
-TOO_MANY = 65535  # the island that all further ones share in a file
+STEP_SLACK = 1e-6  # [m] tolerance of the highest step
+TOO_MANY = 65535  # the number of all further islands in a file
 
 
 def find_islands(grid: GridBase) -> list[Int32]:
     """Number the connected parts of the free cells, the largest first.
 
-    Two free cells are connected where they share an edge and their floors differ by at most the
-    grid's `traversableFloorHeight` (plus 1e-6 m and what float32 rounds off), or where a link
-    joins them. A free cell without floor height is level with each of its neighbours.
+    Two free cells are connected if they share an edge and their floors differ by at most the
+    grid's `traversableFloorHeight` (plus 1e-6 m and float32 rounding), or if a link joins them. A
+    free cell without floor height is level with each of its neighbours.
 
     Returns:
-        One array a level, shape (height, width), int32: 0 where the cell isn't free, else the
-        number of its part. Parts of equal size are numbered by their lowest (level, cell id).
+        One array a level, shape (height, width), int32: the number of each free cell's part, else
+        0. Parts of equal size are numbered by their lowest (level, cell id).
     """
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
@@ -44,17 +44,17 @@ def label_islands(
 ) -> Int32:
     """Number the parts by the rule of `find_islands`, of cells by flat id.
 
-    Connected components by runs of cells along rows. Each run points at the lowest run that it is
-    known to be connected with, at first itself. In turns, the ends of all pairs of connected runs
-    are hooked, the higher to the lower, and all pointers are followed to their ends, until no pair
-    is left whose ends differ (Shiloach and Vishkin, 1982).
+    Connected components by runs of cells along rows. Each run points at the lowest run known to be
+    connected with it, at first itself. Alternately, the ends of all pairs of connected runs are
+    hooked, the higher to the lower, and all pointers are followed to their ends, until all pairs
+    have equal ends (Shiloach and Vishkin, 1982).
 
     Args:
-        start: the first flat id of each level, and their number, shape (levels + 1,).
-        width: cells in a row of each level, shape (levels,).
+        start: the first flat id of each level, and the number of cells, shape (levels + 1,).
+        width: columns of each level, shape (levels,).
         free, floor: of each cell, shape (n,).
-        limit: by how much floors of neighbours may differ, in the unit of `floor`.
-        links: pairs of cells that are connected anyway, shape (m, 2).
+        limit: largest difference of neighbours' floors, in the unit of `floor`.
+        links: pairs of connected cells, shape (m, 2).
 
     Returns:
         The number of each cell's part, shape (n,), int32, 0 where it isn't free.
@@ -65,12 +65,12 @@ def label_islands(
     for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
         own = slice(first, last)
         is_free, height, is_first = (a[own].reshape(-1, columns) for a in (free, floor, begins))
-        # where a floor isn't known, it is level with its neighbours
+        # an unknown floor is level with its neighbours
         right = is_free[:, 1:] & is_free[:, :-1]
         right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
         is_first[:, 1:] &= ~right
         down = is_free[1:] & is_free[:-1] & ~(np.abs(height[1:] - height[:-1]) > limit)
-        # of cells side by side in the same two runs, the first will do
+        # one pair of cells for each pair of runs
         down[:, 1:] &= ~down[:, :-1] | is_first[1:, 1:] | is_first[:-1, 1:]
         upper = np.flatnonzero(down) + first
         pairs.append(np.stack([upper, upper + columns], axis=1))
@@ -95,10 +95,10 @@ def label_islands(
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
-    """The islands as the file has them, or else as `find_islands` finds them, kept for next time.
+    """The islands stored in the file, or else the cached result of `find_islands`.
 
-    A stored layer ``island`` is used only in files that navbake wrote, and only while nothing is
-    blocked: in files of other programs it may mean anything. The arrays must not be modified.
+    A stored layer ``island`` is used only in files that navbake wrote, and only without blocks: in
+    files of other programs it may mean anything. The arrays must not be modified.
     """
     stored = [level.attributes.get("island") for level in grid.levels]
     if (
@@ -120,12 +120,11 @@ def islands_of(grid: GridBase) -> list[Int32]:
 def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.float32]:
     """Measure the distance from each free cell to the nearest cell that is not free [m].
 
-    From centre to centre, less half a cell; what lies outside the grid counts as not free. A cell
-    that only the disc of the baked radius closed counts as free: see
-    `SceneGrid2D.free_for_point`. Shape of the level or of the window, float32; 0 where the cell
-    itself is not free. In a window, cells outside it are not seen.
+    From centre to centre, less half a cell; outside the grid is not free. Cells that only the disc
+    of the baked radius closed count as free: see `SceneGrid2D.free_for_point`. Shape of the level
+    or of the window, float32; 0 in cells that are not free. A window ignores the cells outside it.
     """
-    from scipy.ndimage import distance_transform_edt  # scipy loads slowly, and few ask for this
+    from scipy.ndimage import distance_transform_edt  # scipy loads slowly
 
     row0, row1, col0, col1 = window or (0, level.height, 0, level.width)
     free = level.free[row0:row1, col0:col1]
@@ -139,9 +138,9 @@ def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.fl
 
 
 def step_limit(grid: GridBase) -> float:
-    """By how much the floors of two neighbours may differ [file units].
+    """The largest difference of neighbours' floors [file units] that is a step.
 
-    The grid's `traversableFloorHeight`, plus 1e-6 m and what float32 rounds off at its highest
+    It is the grid's `traversableFloorHeight`, plus 1e-6 m and the float32 rounding of its highest
     floor, so that a step exactly as high as allowed is one.
     """
     floors = [np.abs(level.floor_height) for level in grid.levels]
@@ -151,10 +150,9 @@ def step_limit(grid: GridBase) -> float:
 
 
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
-    """Compute layers and store them in a grid, in place of those that it has.
+    """Compute and store, or replace, the layers among `names` that are known.
 
-    Of `names`, ``island`` (uint16; what lies beyond number 65535 shares it) and ``clearance``
-    (float32 [m]) count.
+    These are ``island`` (uint16; numbers above 65535 become 65535) and ``clearance`` (float32 [m]).
     """
     if "island" in names:
         for level, island in zip(grid.levels, find_islands(grid), strict=True):

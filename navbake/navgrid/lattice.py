@@ -1,4 +1,4 @@
-"""The one place where world positions and grid cells meet.
+"""Converts between world positions and grid cells.
 
 World: right-handed, z up, metres. Files: y up, ``(X, Y, Z) = (x, z, -y)``. Arrays are
 ``[row, col]``: col along x, row along file Z, which is against y. Cell id = col + row * width.
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from navbake.types import Float, Int
 
-FARTHEST = 1e10  # metres from the origin that anything may be, MuJoCo's mjMAXVAL
+FARTHEST = 1e10  # [m] from the origin, MuJoCo's mjMAXVAL
 LEAST_EDGE = 1e-9  # of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
@@ -39,14 +39,13 @@ class Cells(NamedTuple):
 def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 
-    An extent that exceeds a whole number of cells by less than 1e-6 of a cell and `rounding` [m],
-    as rounding makes it, does not open one more.
+    An excess below 1e-6 of a cell and `rounding` [m] adds no cell.
     """
     return max(1, math.ceil((extent - rounding) / cell_size - CELL_SLACK))
 
 
 class Lattice(NamedTuple):
-    """A rectangle of square cells in the world's horizontal plane; kernels take it whole.
+    """A rectangle of square cells in the world's horizontal plane.
 
     Attributes:
         x_min: world x of the outer edge of column 0 [m].
@@ -68,13 +67,13 @@ class Lattice(NamedTuple):
     ) -> Lattice:
         """Make the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
 
-        `bounds` are (x_min, y_min, x_max, y_max), world frame [m]; the margin [m] is added to each
-        side of them first. Extents may be larger by `rounding` [m] than they should be.
+        `bounds` are (x_min, y_min, x_max, y_max), world frame [m], extended by `margin` [m] on each
+        side, and too large by at most `rounding` [m].
         """
         x0, y0, x1, y1 = bounds
         width = num_cells(x1 - x0 + 2 * margin, cell_size, rounding)
         height = num_cells(y1 - y0 + 2 * margin, cell_size, rounding)
-        # what whole cells have too much is shared by both sides
+        # centre the whole cells on the extent
         x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
         x_min, y_max = x_mid - width * cell_size / 2, y_mid + height * cell_size / 2
         return cls(x_min, y_max, cell_size, width, height)
@@ -119,10 +118,10 @@ class Lattice(NamedTuple):
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
 
     def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
-        """Find the rows and columns whose cells are near a box, one more on each side.
+        """Find the rows and columns of the cells near a box, one more on each side.
 
-        Its corners are `bounds`, shape (2, 2) or (2, 3), world frame [m], each moved out by
-        `reach` [m]. None where the box lies beside the lattice.
+        `bounds` are its corners, shape (2, 2) or (2, 3), world frame [m], each moved out by
+        `reach` [m]. None for a box outside the lattice.
         """
         (x0, y0), (x1, y1) = bounds[0, :2] - reach, bounds[1, :2] + reach
         row, col = self.rows_cols([[x0, y1], [x1, y0]])
@@ -131,7 +130,7 @@ class Lattice(NamedTuple):
         return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
 
     def cut(self, rows: slice, cols: slice) -> Lattice:
-        """The part of this lattice in ``[rows, cols]``, cells in the same places."""
+        """The part of this lattice in ``[rows, cols]``."""
         return self._replace(
             x_min=self.x_min + cols.start * self.cell_size,
             y_max=self.y_max - rows.start * self.cell_size,

@@ -1,4 +1,4 @@
-"""What a grid's metadata state of its attributes, its links and its single levels."""
+"""A grid's metadata on its attributes, links and single levels."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -29,7 +29,7 @@ def datatype_name(stated: str) -> str:
 def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     """List ``{"name", "type", "dataType", …}`` of the levels' attributes, in their order.
 
-    An entry of the metadata is kept, except a ``type`` that is not that of the array. Where two
+    An entry of the metadata is kept, except a ``type`` that is not that of the array. If two
     levels differ in dtype, the first counts.
     """
     entries = metadata.get("cellAttributes")
@@ -46,7 +46,7 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
 
 
 def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
-    # the array decides; what the file states is kept where it says the same in other words
+    # the array's dtype counts; the file's own name for it is kept
     kind = stated.get("type")
     if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
         kind = f"{dtype.name.capitalize()}Array"
@@ -56,14 +56,13 @@ def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
 
 @dataclass(frozen=True)
 class Link:
-    """A step from a cell to another that heights alone don't tell of, taken either way.
+    """A step between two cells, in both directions, that their heights alone don't show.
 
-    It leads to another level, or to a neighbour on the same one, more than a step higher or lower,
-    on a ramp that rises so much over a cell.
+    It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
 
     Attributes:
         level, cell: a level and the id of a cell on it (col + row * width).
-        other_level, other_cell: where the step leads.
+        other_level, other_cell: the other end.
     """
 
     level: int
@@ -73,10 +72,10 @@ class Link:
 
 
 def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
-    """Read ``metadata.navbake.links``, None for nothing, on levels of so many cells.
+    """Read ``metadata.navbake.links``, a list of lists of four or a flat list, or None.
 
-    They are a list of lists of four, or a flat list. The result has the fields of a `Link` in each
-    row, shape (n, 4), int64, read-only.
+    `num_cells` are the levels' numbers of cells. Each row has the fields of a `Link`, shape
+    (n, 4), int64, read-only.
     """
     rows = parse_rows(stated or [])
     links = np.array(rows, dtype=np.int64).reshape(-1, 4)
@@ -91,7 +90,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
 
 
 def parse_rows(stated: Any) -> list[tuple[int, int, int, int]]:
-    """Links as rows of four whole numbers that int64 holds, from either form."""
+    """Links as rows of four int64 numbers, from either form."""
     if isinstance(stated, list) and stated and not isinstance(stated[0], list | tuple):
         stated = [stated[i : i + 4] for i in range(0, len(stated), 4)]
     rows: list[tuple[int, int, int, int]] = read_table(stated, list[tuple[Id, Id, Id, Id]], LINKS)
@@ -99,10 +98,10 @@ def parse_rows(stated: Any) -> list[tuple[int, int, int, int]]:
 
 
 def read_table(stated: Any, kind: Any, where: str) -> Any:
-    """Read a table of a file as a type; msgspec says what doesn't fit, and where in the table.
+    """Read a table of a file as a type.
 
     Raises:
-        FormatError: an entry doesn't fit.
+        FormatError: an entry doesn't fit; the message has its place in the table.
     """
     try:
         return msgspec.convert(stated, kind)
@@ -113,11 +112,10 @@ def read_table(stated: Any, kind: Any, where: str) -> Any:
 
 
 def cut_metadata(metadata: Json, level: int) -> Json:
-    """Cut the metadata of a grid to one level, which becomes level 0 of a grid by itself.
+    """Cut a copy of a grid's metadata to one level, which becomes level 0 of a grid by itself.
 
-    Rooms and doors of other levels go, and neighbours on other levels and links to them. What is
-    broken stays as it is: the whole grid says what is wrong. `metadata` is not changed, and
-    returned where navbake states nothing in it.
+    Rooms, doors, neighbours and links of other levels are removed. Broken parts stay as they are,
+    as the whole grid reports them. Without navbake's metadata, `metadata` itself is returned.
     """
     own = metadata.get("navbake")
     if not isinstance(own, dict) or not own:
@@ -130,7 +128,7 @@ def cut_metadata(metadata: Json, level: int) -> Json:
 
 
 def _cut_links(links: Any, level: int) -> list[Any]:
-    """The links within one level: neighbours on a ramp that rises more than a step over a cell."""
+    """The links within one level."""
     return [[0, one, 0, other] for at, one, to, other in parse_rows(links) if at == to == level]
 
 

@@ -1,4 +1,4 @@
-"""Polygons in the horizontal plane: what is wrong with one, and which cells it covers."""
+"""Polygons in the horizontal plane: their validity, and the cells they cover."""
 
 from collections.abc import Sequence
 
@@ -9,15 +9,15 @@ from navbake.navgrid.lattice import FARTHEST, Lattice
 from navbake.types import Bool, Float
 
 MAX_CORNERS = 10_000  # of one outline
-PAIRS = 1 << 18  # of sides that are compared at once, for the memory that it takes
+PAIRS = 1 << 18  # of sides compared at once, to limit memory
 
 
 def find_fault(points: ArrayLike) -> str | None:
-    """Say what is wrong with an outline; None if nothing is.
+    """Describe the fault of an outline; None if it is valid.
 
-    It has no area, two sides that cross, more than 10,000 corners, or a corner beyond 1e10 m.
-    Corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch; a
-    repeated corner is no fault.
+    Faults are no area, crossing sides, more than 10,000 corners, and corners beyond 1e10 m.
+    Corners are in order, shape (n, 2), the first not repeated at the end. Sides may touch, and
+    corners may be repeated.
     """
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     if len(corners) > MAX_CORNERS:
@@ -29,7 +29,7 @@ def find_fault(points: ArrayLike) -> str | None:
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
 
     def are_split(by: Float, sides: Float) -> Bool:
-        """Whether sides, (m, 4), have their ends on both sides of others, (n, 4); (n, m)."""
+        """Whether lines through sides (n, 4) separate the ends of sides (m, 4); shape (n, m)."""
         x0, y0, x1, y1 = np.moveaxis(by, -1, 0)
         a, b, c, d = np.moveaxis(sides, -1, 0)
         turns = ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in ((a, b), (c, d)))
@@ -50,8 +50,8 @@ def find_fault(points: ArrayLike) -> str | None:
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
     """Mark the cells whose centres lie in a polygon, by the even-odd rule.
 
-    A centre on a lower or left side is inside, one on an upper or right side isn't; so of two
-    polygons with a side in common, each centre on it is in one. `rings` are outlines, holes and
+    A centre on a lower or left side is inside, one on an upper or right side outside; so of two
+    polygons with a common side, each centre on it is in one. `rings` are outlines, holes and
     further parts, each of shape (n, 2), world x, y [m].
     """
     # Each side toggles all cells of its rows right of it: marks where the toggles are, then a

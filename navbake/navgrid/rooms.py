@@ -1,4 +1,4 @@
-"""The rooms of a grid: read from a file's table, or measured where there is none."""
+"""The rooms of a grid, read from a file's table or measured."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WHERE = "metadata.navbake.rooms"
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A room that another one opens to.
+    """A room with an opening to another one.
 
     Attributes:
         room: its id.
@@ -31,7 +31,6 @@ class Neighbour:
     door: str | None = None
 
     def to_json(self) -> Json:
-        """The neighbour as a file has it."""
         return {"room": self.room, "door": self.door, "kind": self.kind}
 
 
@@ -42,14 +41,13 @@ class Room:
     Attributes:
         index: its number on its level, from 1, as in `SceneGrid2D.room_index`.
         id: unique in the grid.
-        name: as the scene or the settings name it, None for none.
-        level: its level, 0 is the lowest.
+        name: from the scene or the settings, None for none.
+        level: 0 is the lowest.
         area: [m²].
         centroid: mean of its cells' centres on their floors, world x, y, z [m].
-        source: what it was found from: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None
-            where nothing says so.
-        neighbours: the rooms that it opens to.
-        outdoors: whether it is what lies under the open sky outside of all walls.
+        source: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
+        neighbours: the rooms with an opening to it.
+        outdoors: whether it is the area under the open sky outside of all walls.
     """
 
     index: int
@@ -63,7 +61,7 @@ class Room:
     outdoors: bool = False
 
     def to_json(self) -> Json:
-        """The room as a file has it; `outdoors` is only stated where it is true."""
+        """JSON of the room; `outdoors` only if true."""
         neighbours = [neighbour.to_json() for neighbour in self.neighbours]
         entry = {field.name: getattr(self, field.name) for field in fields(self)}
         entry |= {"centroid": list(self.centroid), "neighbours": neighbours}
@@ -73,7 +71,7 @@ class Room:
 
 
 def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
-    """Read and check the table at ``metadata.navbake.rooms``; the rooms by level and index."""
+    """Read and check ``metadata.navbake.rooms``; the rooms by level and index."""
     if isinstance(stated, list | tuple):
         stated = [{"name": None, **room} if isinstance(room, dict) else room for room in stated]
     rooms: list[Room] = read_table(stated, list[Room], WHERE)
@@ -85,14 +83,14 @@ def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
 
 
 def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
-    """Describe the rooms of a level, the `number`-th of its grid, from its cells alone.
+    """Describe the rooms of level `number` from its cells alone, sorted by index.
 
-    They are sorted by index, have the id ``level:index``, and neither name nor neighbours.
+    They have the id ``level:index``, and neither name nor neighbours.
 
     Args:
         index: the room of each cell, 0 for none, shape (height, width).
         floor: world z of each cell [m], shape (height, width).
-        lattice: where the cells lie.
+        lattice: of the level.
     """
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     index = index.ravel()

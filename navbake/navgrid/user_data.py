@@ -1,8 +1,8 @@
 """Per-cell user data, parsed or made on first use.
 
-Names of what stands in each cell make up most of a grid's file, few who load a grid ask for them,
-and many cells share theirs. So `UserData` parses a file's on first use, and keeps a bake's shared,
-until a caller looks at single cells: those can be written to, and what was written is saved.
+Names of objects by cell make up most of a grid's file, are rarely needed, and are often equal in
+many cells. So `UserData` parses a file's on first use, and shares a bake's entries until a caller
+accesses single cells, which are writable.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from navbake.types import Int, Json
 
-NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list what stands in it
+NAMES = ("doors", "objects", "walls")  # keys of a cell's user data that list names
 
 
 @contextmanager
@@ -33,12 +33,12 @@ def collector_off() -> Iterator[None]:
 
 
 class Shared(NamedTuple):
-    """User data of which many cells have the same.
+    """User data with entries shared by many cells.
 
     Attributes:
         cells: cell ids, ascending, shape (n,), int64.
-        number: which entry each cell has, shape (n,), int64.
-        entries: the entries; they must not be modified.
+        number: the entry of each cell, shape (n,), int64.
+        entries: must not be modified.
     """
 
     cells: Int
@@ -50,8 +50,8 @@ class UserData(MutableMapping[int, Json]):
     """User data by cell id (col + row * width).
 
     Args:
-        source: a dictionary, which is written to; `Shared` entries, which become a dictionary when
-            a caller looks at single cells; or a function that makes one of these when needed.
+        source: a dictionary, which is modified in place; `Shared` entries, which become a
+            dictionary on access to single cells; or a function that returns one of these.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def is_read(self) -> bool:
-        """Whether a caller looked at single cells, and so may have changed them."""
+        """Whether a caller accessed single cells, and so may have changed them."""
         return isinstance(self._source, MutableMapping)
 
     @property
     def source(self) -> MutableMapping[int, Json] | Shared:
-        """What they are made from: the dictionary, or the entries that cells share."""
+        """The dictionary, or the entries that cells share."""
         if callable(self._source):
             with collector_off():
                 self._source = self._source()
@@ -84,7 +84,7 @@ class UserData(MutableMapping[int, Json]):
 
     @property
     def _cells(self) -> MutableMapping[int, Json]:
-        """The dictionary; shared entries are copied into one, an own copy for each cell."""
+        """The dictionary; shared entries are copied into one for each cell."""
         source = self.source
         if isinstance(source, Shared):
             with collector_off():
@@ -112,13 +112,10 @@ class UserData(MutableMapping[int, Json]):
         return f"UserData({self._cells!r})" if self.is_read else "UserData(<not read yet>)"
 
     def __getstate__(self) -> Json:
-        return {"_source": self.source}  # functions that make them hold a bake or a file
+        return {"_source": self.source}  # without the function, which holds a bake or a file
 
     def find(self, cells: Int) -> list[Json]:
-        """The entries of some cells, shape (n,), int64; an empty one where a cell has none.
-
-        They must not be modified, because cells share them.
-        """
+        """The entries of cells, shape (n,), int64; {} for none. They must not be modified."""
         source = self.source
         if not isinstance(source, Shared):
             return [source.get(cell, {}) for cell in cells.tolist()]
@@ -131,9 +128,9 @@ class UserData(MutableMapping[int, Json]):
         return [with_none[k] for k in numbers.tolist()]
 
     def replaced(self, changed: Mapping[int, Json]) -> UserData:
-        """The same with other entries in some cells, by ascending cell id.
+        """User data with other entries in some cells, by ascending cell id; empty ones are removed.
 
-        Cells whose new entry is empty drop out. The entries must not be modified.
+        The entries must not be modified.
         """
         source = self.source
         if not isinstance(source, Shared):
@@ -143,7 +140,7 @@ class UserData(MutableMapping[int, Json]):
         cells, number, known = source
         is_kept = ~np.isin(cells, np.fromiter(changed, dtype=np.int64, count=len(changed)))
         number = number[is_kept]
-        # entries that no cell has any more are left out, or they would pile up
+        # drop unused entries, or they would pile up
         is_used = np.bincount(number, minlength=len(known)) > 0
         entries = list(compress(known, is_used))
         added = {cell: entry for cell, entry in changed.items() if entry}
@@ -155,7 +152,7 @@ class UserData(MutableMapping[int, Json]):
 
 
 def names_in(entry: Json, key: str) -> list[str]:
-    """Names that a cell's user data list; other programs may have anything there."""
+    """The names under a key of a cell's user data, which other programs may use for anything."""
     names = entry.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
