@@ -1,9 +1,8 @@
-"""What a stranger's file may hold and cost: values that are checked, and cells, bytes and memory.
+"""Checks of values in untrusted files, and limits on the cells and memory that reading them takes.
 
-NavGrids, maps, voxels, images and arrays are published, and a few bytes of one may claim to stand
-for more than any memory holds: runs have any length, and packed data unpack a thousandfold. So a
-reader makes one `Allowance` for the file, and takes from it whatever it is about to reserve, before
-it does. What users write themselves (settings, lists, outlines of rooms) has no such limit.
+A few bytes of runs or packed data may expand to more than memory holds. So a reader makes one
+`Allowance` for the file, and takes each array from it before it is reserved. Users' own files
+(settings, lists, outlines of rooms) have no such limit.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ MAX_PIXELS = 80_000_000  # below the number from which Pillow warns of a decompr
 MAX_DEPTH = 64  # of metadata, userData, timings and unknown fields
 MAX_HEADER = 65536  # text before the voxels of a binvox or octree, comments included [bytes]
 FREE_BYTES = 256 << 20  # of memory that any file may fill
-# and this much more for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
+# and for each of its bytes; a campus as an octree takes 400, house-100 as JSON 40
 BYTES_PER_BYTE = 512
-BYTES_PER_CELL = 128  # of all arrays together, where a caller says how many cells there may be
-TEXT_COST = 4  # bytes of memory that count for one of packed JSON: its values take more
-PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and what its values are made of
+BYTES_PER_CELL = 128  # of all arrays together, with a caller's `max_cells`
+TEXT_COST = 4  # bytes of memory for one of packed JSON, whose values take more
+PIXEL_COST = 6  # bytes of memory for a pixel: an image, a copy, and values
 SHOWN_LENGTH = 40  # characters of a culprit that an error shows
-LEAVES = {str, int, bool, type(None)}  # what JSON holds as it is
+LEAVES = {str, int, bool, type(None)}  # JSON's values without children
 ALL = LEAVES | {dict, list, tuple}
 JSON = (str, int, float, dict, list, tuple)
 
 
-# ---------------------------------------------------------------- values, and where they stand
+# ---------------------------------------------------------------- values and their locations
 
 
 class _Missing:
-    """Stands for a field that is not there."""
+    """Marks a missing field."""
 
 
 MISSING = _Missing()
@@ -83,18 +82,18 @@ class JsonPath:
         return JsonPath(self.file, self.path + step)
 
     def fail(self, what: str, remedy: str = "") -> NoReturn:
-        """Raise a FormatError that says what is wrong, where, and what helps."""
+        """Raise a FormatError with the fault, the location and a remedy."""
         where = f"at `{self.path}` in" if self.path else "in"
         file = self.file if self.file.isprintable() else repr(self.file)
         raise FormatError(f"{what} {where} {file}" + (f"; {remedy}" if remedy else ""))
 
     def refuse(self, expected: str, value: object) -> NoReturn:
-        """Raise a FormatError that says what was expected here and what is there instead."""
+        """Raise a FormatError with the expected and the actual value."""
         self.fail(f"expected {expected}, got {shown(value)}")
 
 
 def whole_number(value: object, place: JsonPath, minimum: int) -> int:
-    """Read an integer; 59.0 is one, true is none."""
+    """Read an integer; 59.0 is valid, true is not."""
     integral = type(value) is int or (isinstance(value, float) and value.is_integer())
     if not integral or int(value) < minimum:  # type: ignore[call-overload]
         place.refuse(f"a whole number >= {minimum}", value)
@@ -122,7 +121,6 @@ def vector(value: object, place: JsonPath) -> Vector3:
 
 
 def json_object(value: object, place: JsonPath) -> Json:
-    """Check that a value is an object."""
     if not isinstance(value, dict):
         place.refuse("an object", value)
     return value
@@ -135,7 +133,7 @@ def optional_object(content: Json, key: str, place: JsonPath) -> Json:
 
 
 def plain(value: Any, place: JsonPath) -> Any:
-    """Check that a value is JSON and not too deep; layer by layer, which is fast."""
+    """Check that a value is JSON and not nested too deep; layer by layer, which is fast."""
     layer = [value]
     for _ in range(MAX_DEPTH):
         if set(map(type, layer)) <= LEAVES:
@@ -163,14 +161,14 @@ def _find_odd(value: Any, place: JsonPath) -> None:
         place.fail(f"expected a JSON value, got one of Python's type {type(value).__name__}")
 
 
-# ---------------------------------------------------------------- what may be reserved
+# ---------------------------------------------------------------- memory
 
 
 class Allowance:
-    """What reading a file of so many bytes may still reserve: cells, memory and text [bytes].
+    """The cells, memory and text [bytes] that reading a file of some size may still reserve.
 
-    A caller of the reader raises the limits by a keyword, ``max_cells`` of grids and ``max_voxels``
-    of voxels, with which free memory is the other limit. Images have none.
+    Callers raise the limits by a keyword: ``max_cells`` of grids, or ``max_voxels`` of voxels,
+    which then only free memory limits. Images have none.
     """
 
     def __init__(self, num_bytes: int, keyword: str = "", most: int | None = None) -> None:
@@ -187,7 +185,7 @@ class Allowance:
             self._memory = BYTES_PER_CELL * most if keyword == "max_cells" else math.inf
 
     def take_cells(self, shape: Sequence[int], place: JsonPath) -> None:
-        """Count the cells, voxels or pixels of a shape, or refuse them."""
+        """Count the cells, voxels or pixels of a shape; raises a FormatError for too many."""
         if math.prod(shape) > self._cells:
             unit = self._keyword.removeprefix("max_") or "pixels"
             counts = " × ".join(shown(int(n)) for n in shape)
@@ -196,7 +194,7 @@ class Allowance:
         self._cells -= math.prod(shape)
 
     def take_array(self, shape: Sequence[int], itemsize: int, place: JsonPath) -> None:
-        """Count the memory of an array, or refuse it."""
+        """Count the memory of an array; raises a FormatError for too much."""
         self._memory -= math.prod(shape) * itemsize
         if self._memory < 0:
             place.fail(f"more memory than {self._rule}", self._remedy)
@@ -209,7 +207,7 @@ class Allowance:
                 raise FormatError(f"{place.file}: {error}") from None
 
     def take_text(self, num_bytes: int, place: JsonPath) -> None:
-        """Count JSON that a packed file unpacks to, or refuse it."""
+        """Count unpacked JSON; raises a FormatError for too much."""
         self._text -= num_bytes
         if self._text < 0:
             what = f"more text than a file of {self._num_bytes:,} bytes may unpack to"

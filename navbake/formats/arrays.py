@@ -1,7 +1,7 @@
-"""Arrays as NavGrid files hold them: JSON lists, raw or run-length encoded, one value a cell.
+"""Arrays in NavGrid files: JSON lists, raw or run-length encoded, one value a cell.
 
-Run-length encoding is ``[value, count, value, count, …]``. JSON has neither NaN nor Infinity;
-both are ``null`` there.
+Run-length encoding is ``[value, count, value, count, …]``. NaN and Infinity, which JSON lacks, are
+``null``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from navbake.navgrid.metadata import datatype_name
 from navbake.types import Float, Int
 
 DATATYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
-PIECE = 1 << 20  # cells or runs that are encoded at once, for the memory that it takes
+PIECE = 1 << 20  # cells or runs encoded at once, to limit memory
 
 
 def decode_array(
@@ -33,9 +33,9 @@ def decode_array(
 ) -> NDArray[Any]:
     """Read an array: an object with ``data``, or a bare list, which is raw.
 
-    Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` must be there; ``dataType``
-    is taken for ``datatype``, else `default`, the type that the metadata give, else float64.
-    ``null`` becomes `null`, in raw data, too, where the original client leaves it as it is.
+    Of ``{"datatype", "length", "encoding", "data"}``, only ``data`` is required; ``dataType`` is an
+    alias of ``datatype``, which defaults to the metadata's `default`, else float64. ``null``
+    becomes `null`, in raw data, too, where the original client keeps it.
     """
     data_place = place if isinstance(value, list) else place["data"]
     if isinstance(value, list):
@@ -71,7 +71,7 @@ def decode_array(
 
 
 def _read_counts(data: list[Any], place: JsonPath, num_cells: int) -> Int:
-    """The lengths of runs, which cover all cells; checked before anything of that size is made."""
+    """The lengths of runs, checked to cover all cells before any array of that size is made."""
     if len(data) % 2:
         place.fail(f"expected pairs of value and count, got an odd number ({len(data)}) of entries")
     expected = "a count, a whole number >= 0"
@@ -88,7 +88,7 @@ def _read_counts(data: list[Any], place: JsonPath, num_cells: int) -> Int:
 def _cast(
     data: list[Any], place: JsonPath, step: int, dtype: np.dtype[Any], null: float
 ) -> NDArray[Any]:
-    """Turn every step-th entry into the dtype; raise for the first that does not fit."""
+    """Convert every step-th entry to the dtype; raises for the first that does not fit."""
     kinds = (int, float, type(None)) if dtype.kind == "f" else (int, float)
     values = _to_float64(data, place, slice(0, None, step), f"a value of {dtype}", kinds)
     if dtype.kind == "f":
@@ -109,7 +109,7 @@ def _cast(
 def _to_float64(
     data: list[Any], place: JsonPath, part: slice, expected: str, kinds: tuple[type, ...]
 ) -> Float:
-    """Turn a part of a list of numbers and None (NaN) into an array."""
+    """Convert a part of a list of numbers and None (NaN) to an array."""
     entries = data[part]
     if not set(map(type, entries)) <= set(kinds):  # bool is no int here
         index = next(i for i in range(len(data))[part] if type(data[i]) not in kinds)
@@ -155,7 +155,7 @@ def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
 
 
 def _as_written(cells: NDArray[Any]) -> NDArray[Any]:
-    """Values of this machine's byte order, infinities as NaN and no -0.0."""
+    """Values in native byte order, infinities as NaN, and no -0.0."""
     cells = cells.astype(cells.dtype.newbyteorder("="), copy=False)
     if cells.dtype.kind != "f":
         return cells

@@ -5,10 +5,10 @@ A voxel grid ``g[x, y, z]`` of the world, z up, is written by the rules of the f
 ``scale`` the grid's longest side. So a voxel's centre is ``translate + (i + 0.5) * res`` with
 ``res = scale / max(dim)``. Version 1 holds 0 and 1, version 2 any byte.
 
-AirSim has a layout of its own under the same name: x fastest, then z, then y; ``scale`` is one
-over the size along x; ``translate`` is half of the size, without the grid's position; a voxel i
-is taken at ``(i - n // 2) * res``, so grids of even counts lie half a voxel off. Its axes are
-north, east and up, which is (x, -y, z) here.
+AirSim has its own layout under the same name: x fastest, then z, then y; ``scale`` is one over the
+size along x; ``translate`` is half of the size, without the grid's position; a voxel i is sampled
+at ``(i - n // 2) * res``, so grids of even counts lie half a voxel off. Its axes are north, east
+and up, which is (x, -y, z) here.
 """
 
 import math
@@ -35,8 +35,8 @@ DECIMALS = 12  # of the numbers in the header
 NEAR = 1e-4  # relative; AirSim writes six digits
 
 
-# of each line of the header, how many numbers, and of what kind: `dim` is nx, nz, ny, `translate`
-# and `scale` are in metres, and `scale` in AirSim's layout [1/m]
+# number and type of each header line's numbers: `dim` is nx, nz, ny, `translate` and `scale` are
+# in metres, `scale` in AirSim's layout in 1/m
 LINES: dict[str, tuple[int, type]] = {
     "#binvox": (1, int),
     "dim": (3, int),
@@ -46,7 +46,7 @@ LINES: dict[str, tuple[int, type]] = {
 
 
 def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
-    """The grid with other IDs, 0 to 255; ``compact`` numbers those that occur from 1, in order."""
+    """The grid with other IDs, 0 to 255; ``compact`` numbers the existing IDs from 1, in order."""
     if not grid.is_segmented or mapping is None:
         return grid
     present = grid.ids()
@@ -69,7 +69,7 @@ def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
 def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox") -> bytes:
     """Encode a binvox file: version 1 for voxels without IDs, version 2 for voxels with IDs.
 
-    ``airsim`` is the layout of AirSim's simCreateVoxelGrid, which can't say where the grid is.
+    ``airsim`` is the layout of AirSim's simCreateVoxelGrid, which lacks the grid's position.
     """
     if layout not in LAYOUTS[1:]:
         raise FormatError(f"expected layout binvox or airsim, got {layout!r}")
@@ -85,7 +85,7 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
     translate, scale = list(grid.origin), grid.res * max(grid.shape)
     if layout == "airsim":
         translate, scale = [-n * grid.res / 2 for n in grid.shape], 1.0 / (nx * grid.res)
-    # to so many digits, a multiple of the edge is written without its rounding; 0 has no minus
+    # so many digits drop the rounding of multiples of the edge; 0 has no minus
     x, y, z, edge = (repr(round(value, DECIMALS) + 0.0) for value in (*translate, scale))
     header = (
         f"#binvox {2 if grid.is_segmented else 1}\ndim {nx} {nz} {ny}\n"
@@ -102,7 +102,7 @@ def encode_binvox(grid: VoxelGrid, layout: Literal["binvox", "airsim"] = "binvox
 
 
 def _in_file_order(values: NDArray[np.uint8], is_airsim: bool) -> NDArray[np.uint8]:
-    """A view in which the file's voxels follow each other, so that filling it fills `values`."""
+    """A view of the voxels in the file's order; filling it fills `values`."""
     if is_airsim:
         return values[:, ::-1].transpose(1, 2, 0)  # east, up, north; east is -y
     return values.transpose(0, 2, 1)
@@ -118,24 +118,22 @@ def read_binvox(
 ) -> VoxelGrid:
     """Read a binvox file, versions 1 and 2.
 
-    Empty runs, and comment lines in the header, are skipped. Version 1 gives True and False,
-    version 2 IDs as uint8, and so does a version 1 with other values than 0 and 1, as segmenting
-    simulators write it.
+    Empty runs and comment lines in the header are skipped. Version 1 becomes bool, version 2 IDs
+    as uint8; so does a version 1 with other values than 0 and 1, as segmenting simulators write.
 
     Args:
         source: a path, or a file's content.
-        layout: how it is laid out; ``auto`` detects AirSim's by its inverted scale, and notes it
-            in the grid's notes.
-        position: what AirSim was asked for, world frame [m]: its files don't say. Its own frame
-            is north, east, down; (n, e, d) is (n, -e, -d) here.
-        res: edge of AirSim's voxels [m]: its files say only how large the grid was asked to be,
-            which may be a part of a voxel more than it is. By the sizes and counts if None.
-        max_voxels: most voxels that the grid may have; 2**31 if None.
+        layout: ``auto`` detects AirSim's by its inverted scale, and adds that to the grid's notes.
+        position: of AirSim's grid, world frame [m], which its files lack. Its own frame is north,
+            east, down; (n, e, d) is (n, -e, -d) here.
+        res: edge of AirSim's voxels [m]: its files only have the requested size, which may exceed
+            the grid's by a part of a voxel. From the sizes and counts if None.
+        max_voxels: most voxels of the grid; 2**31 if None.
 
     Raises:
         FormatError: it is no binvox file, its header is broken, its data are too few or many, or
-            the grid would need more memory than there is.
-        ConfigError: the position is none.
+            the grid needs more memory than there is.
+        ConfigError: the position is invalid.
     """
     if layout not in LAYOUTS:
         raise FormatError(f"expected layout {', '.join(LAYOUTS)}, got {layout!r}")
@@ -144,7 +142,7 @@ def read_binvox(
     nx, nz, ny = dim
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
     pairs = np.frombuffer(data, dtype=np.uint8, offset=end)
-    # before anything of the size is made that the header claims
+    # before any array of the header's size is made
     claimed, held = math.prod(dim), int(pairs[1::2].sum(dtype=np.int64))
     if held != claimed or len(pairs) % 2:
         found = "half a run" if len(pairs) % 2 else f"{held} voxels"
@@ -191,8 +189,8 @@ def read_binvox(
 def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> bool:
     """Whether a header is AirSim's: the scale is 1 / size along x, and not the longest side.
 
-    In AirSim's layout, `translate` is minus half of the size. So sizes and counts have to agree:
-    there is an edge for which ``count = floor(size / edge)`` along all three axes.
+    There, `translate` is minus half of the size. So one edge must fit sizes and counts along all
+    axes: ``count = floor(size / edge)``.
     """
     nx, nz, ny = dim
     sizes, counts = -2 * np.array(translate), np.array((nx, ny, nz), dtype=np.float64)
@@ -206,13 +204,13 @@ def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> 
 def read_header(
     data: bytes, source: str, numbers: Mapping[str, tuple[int, type]]
 ) -> tuple[dict[str, list[str]], list[list[Any]], int]:
-    """Read the lines before the data of a binvox or OctoMap file.
+    """Read the header lines of a binvox or OctoMap file.
 
-    `numbers` says of some lines how many numbers they have, and of what kind.
+    `numbers` has the number and kind of the numbers in some lines.
 
     Returns:
-        By the first word of each line its other words, comments (``#``) included; the numbers; and
-        where the data begin.
+        The words of each line by its first word, comments (``#``) included; the numbers; and the
+        offset of the data.
     """
     lines: dict[str, list[str]] = {"translate": ["0"] * 3, "scale": ["1"]}  # may be missing
     start = 0
@@ -240,7 +238,7 @@ def read_header(
 
 
 def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
-    """The numbers of `LINES`, and where the data begin."""
+    """The numbers of `LINES`, and the offset of the data."""
     lines, found, end = read_header(data, source, LINES)
     (version,), dim, translate, (scale,) = found
     unknown = [n for n in lines if n not in LINES and n[:1] not in ("#", "") and n != "data"]

@@ -1,9 +1,8 @@
-"""The formats that grids are converted from and to: one table, and the choice from it by ending.
+"""The table of formats that grids are converted from and to, and the choice by name or ending.
 
-The table names functions as ``module:function`` of this folder, and they are imported when a file
-is converted: so the command line lists all formats without loading any. A writer is a function
-``(grid, path, **options)`` that gives the files to be written, path by path, in the order in which
-they are to appear; a reader is a function ``(path, **options)`` that gives a grid.
+The table names functions as ``module:function``, which are imported on use, so that the command
+line lists formats without loading them. A writer, ``(grid, path, **options)``, returns the contents
+of files by path, in the order of writing; a reader, ``(path, **options)``, returns a grid.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ VOXELS = (".binvox", *OCTREES, ".npz")
 
 
 class Format(NamedTuple):
-    """A format of files that hold a grid, or what can be said of one.
+    """A format of files that hold a grid or parts of one.
 
     Attributes:
-        name: how ``--to`` and ``--from`` call it.
-        endings: of its files' names, the first is the usual one. An ending may have several dots;
-            the longest that fits a name decides, then the first in the table.
-        meaning: what it is, in one line.
-        encode: the function that makes the files, None where it is only read.
-        read: the function that reads one, None where it is only written.
-        write_options: names of the options that `encode` takes.
-        parts: the function that lists further files which `read` reads, None where it reads one.
+        name: as in ``--to`` and ``--from``.
+        endings: of its files' names, the usual one first. An ending may have several dots; the
+            longest that matches wins, then the first in the table.
+        meaning: a description in one line.
+        encode: the writer, None if it is only read.
+        read: the reader, None if it is only written.
+        write_options: names of the writer's options.
+        parts: the function that lists further files of the reader, None for a single file.
     """
 
     name: str
@@ -91,7 +90,7 @@ FORMATS = (
 def find_format(path: str | os.PathLike[str], name: str | None = None, *, writing: bool) -> Format:
     """Find the format of a file, by its name in the table or else by the file's ending.
 
-    Only formats that are written count, or else those that are read. Raises a FormatError.
+    `writing` selects among written formats, else among read ones. Raises a FormatError.
     """
     known = [form for form in FORMATS if (form.encode if writing else form.read) is not None]
     done = "written" if writing else "read"
@@ -113,26 +112,26 @@ def find_format(path: str | os.PathLike[str], name: str | None = None, *, writin
 
 
 def read_as(path: str | os.PathLike[str], name: str | None = None) -> NavGrid:
-    """Read a grid from a file of any format that is read, by its name or else the file's ending."""
+    """Read a grid in any format that is read, given by name or else by the file's ending."""
     form = find_format(path, name, writing=False)
     grid: NavGrid = resolve(f"navbake.formats.{form.read}")(path)
     return grid
 
 
 def list_files(path: Path, form: Format) -> list[Path]:
-    """The files that the reader of a format reads; raises as it does."""
+    """The files that a format's reader reads; raises as it does."""
     return [path, *(resolve(f"navbake.formats.{form.parts}")(path) if form.parts else ())]
 
 
 def encode_as(
     grid: NavGrid, path: str | os.PathLike[str], name: str | None = None, **options: Any
 ) -> Files:
-    """Make the files of a grid in any format that is written; nothing is written yet.
+    """Encode the files of a grid in any format that is written, without writing them.
 
     Args:
-        path: of the file that names the others, if there are several.
+        path: of the file, or of the one that names the others.
         name: of the format; by the file's ending if None.
-        options: what the format's writer takes, see `FORMATS`.
+        options: of the format's writer, see `FORMATS`.
 
     Raises:
         FormatError: there is no such format, or it can't hold the grid.
@@ -151,7 +150,7 @@ def write_as(
 ) -> list[Path]:
     """Write a grid in any format that is written, all its files or none; see `encode_as`.
 
-    Returns the files that were written.
+    Returns the paths of the written files.
     """
     return write_files(encode_as(grid, check_path(path), to, **options))
 
@@ -159,7 +158,7 @@ def write_as(
 def chosen_levels(
     grid: NavGrid, path: Path, level: int | None, endings: tuple[str, ...]
 ) -> list[int]:
-    """The numbers of the levels that are asked for, all unless one is; raises a FormatError."""
+    """All levels' numbers, or the given one alone; raises a FormatError."""
     if path.suffix.lower() not in endings:
         raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
     count = len(grid.levels)
@@ -173,7 +172,7 @@ def level_paths(
 ) -> dict[int, Path]:
     """The path of each level's map, by the level's number; raises as `chosen_levels` does.
 
-    A single level has the path itself. Of several, the number follows the stem: ``map_0.yaml``.
+    A single level has the path itself, several ones a number after the stem: ``map_0.yaml``.
     """
     chosen = chosen_levels(grid, path, level, endings)
     if len(chosen) == 1:

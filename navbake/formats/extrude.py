@@ -1,18 +1,18 @@
-"""Grids as MuJoCo scenes: floors as slabs, and what is blocked as walls, in as few boxes as may be.
+"""Converts grids to MuJoCo scenes: floors as slabs and blocked cells as walls, in few boxes.
 
-With the settings that are written beside it, the scene bakes to the cells that it was made of:
+With the settings written beside it, the scene bakes to the cells of the grid:
 
-- A floor is a slab under each cell that has one, at its height. What is unknown has none.
-- A wall stands on the floor of each cell that is blocked and not unknown. It rises to the floor
-  above it, or over all floors; so its top is no floor by itself.
-- Cells next to each other with the same heights share a box (`cover_planes`). Boxes are
-  a thousandth of a cell smaller on each side, so that none reaches into a cell beside it.
-- What is blocked and touches no free cell, not through other blocked cells either, comes back as
-  unknown: a bake knows the floor under things from the floor beside them.
+- A floor is a slab under each cell that has one, at its height. Unknown cells have none.
+- A wall stands on the floor of each blocked cell that isn't unknown. It rises to the floor above
+  it, or over all floors, so that its top is no floor by itself.
+- Adjacent cells with the same heights share a box (`cover_planes`). Boxes are a thousandth of a
+  cell smaller on each side, so that none reaches into an adjacent cell.
+- Blocked cells that are not connected with a free cell, even through other blocked cells, become
+  unknown: a bake derives the floor under objects from the floor beside them.
 - Of several levels, the same places are free at the same heights. Where levels interleave, as at
-  the top of a stair, a tread may come back on the level below.
-- The settings have the cells' size and place, the levels' grounds, an agent without a radius (that
-  of the grid is in its cells already), and keep floors of any size.
+  the top of a stair, a tread may move to the level below.
+- The settings have the cells' size and place, the levels' grounds, an agent without a radius (the
+  cells already include the grid's), and keep floors of any size.
 """
 
 from __future__ import annotations
@@ -58,19 +58,19 @@ def encode_mjcf(
     height: float | None = None,
     flat: bool | None = None,
 ) -> Files:
-    """Make a scene of a grid, and beside it the settings that bake it to the same cells.
+    """Make a scene of a grid, and settings beside it that bake it to the same cells.
 
     Args:
         path: ends in ``.xml``; the settings have the same name, with ``.yaml``.
-        level: of this level only; of all if None, each at its height.
-        height: how far walls rise over the highest floor [m], more than the agent's height.
-            2.5 if None, or as much more as the agent is high.
-        flat: lay all floors of a level at its ground, as on a map without heights; needs fewer
-            boxes where the ground is rough.
+        level: this level only; all if None, each at its height.
+        height: of walls over the highest floor [m], more than the agent's height. If None: 2.5,
+            or more for a high agent.
+        flat: put all floors of a level at its ground, as on a map without heights; needs fewer
+            boxes on rough ground.
 
     Raises:
         FormatError: there is no such level or no free cell, the walls are too low, levels don't
-            lie over each other, or it takes more than 200,000 boxes.
+            lie over each other, or more than 200,000 boxes are needed.
     """
     levels = [grid.levels[k] for k in chosen_levels(grid, path, level, (".xml",))]
     least = grid.agent_height
@@ -111,14 +111,14 @@ def encode_mjcf(
 
 
 def _floor_of(level: SceneGrid2D, is_flat: bool) -> Float:
-    """World z of each cell's floor, NaN for none [m]; the ground where a grid states no floors."""
+    """World z of each cell's floor, NaN for none [m]; the ground if a grid has no floors."""
     if "floorHeight" not in level.attributes:
         return np.full(level.shape, level.ground)
     return np.where(np.isnan(level.floor), np.nan, level.ground) if is_flat else level.floor
 
 
 def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice, slice]]]:
-    """The lattice of all levels together, and the rectangle of its cells that each is."""
+    """The common lattice of all levels, and each level's rectangle in it."""
     cell = levels[0].lattice.cell_size
     bounds = np.array([level.lattice.bounds for level in levels])
     (x0, y0), (x1, y1) = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
@@ -135,7 +135,7 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
 
 
 def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
-    """Boxes over cells, one for a rectangle of the same heights: (n, 2, 3), both corners [m]."""
+    """Boxes over rectangles of cells with the same heights: (n, 2, 3), both corners [m]."""
     from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
 
     spans = np.stack([low[mask], high[mask]], axis=1)
@@ -193,5 +193,5 @@ def _scene_lines(
 
 
 def _plain(text: str) -> str:
-    """Text that an XML comment may hold: no two hyphens in a row."""
+    """Text for an XML comment: without two hyphens in a row."""
     return re.sub("-(?=-)", "- ", "".join(filter(str.isprintable, text)))

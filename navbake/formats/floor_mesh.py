@@ -1,8 +1,7 @@
-"""The walkable floor of a grid as a mesh: a few quads in place of one for each cell.
+"""The walkable floor of a grid as a mesh of few quads, written as binary glTF (.glb) or OBJ.
 
-It is written as binary glTF (.glb) and Wavefront OBJ here rather than by trimesh, which has no
-groups in an OBJ and no primitives of one object in a GLB: a level is an object, a room a material
-or a group of it.
+A level is an object, a room a material or a group of it; trimesh has no groups in an OBJ, and no
+primitives of one object in a GLB.
 
 Source: glTF 2.0 Specification, Khronos Group, sections 3 and 4.
 """
@@ -32,7 +31,7 @@ from navbake.types import Float, Int, Json
 
 TOLERANCE = 0.001  # [m]
 MAX_SLOPE = 45.0  # of files that state none [deg]
-SLACK = 1e-6  # of the steepest slope: what rounding makes of it
+SLACK = 1e-6  # relative rounding of the steepest slope
 NO_ROOM = "no room"
 COMPONENTS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125}
 VERTICES, INDICES = 34962, 34963  # targets of buffer views
@@ -43,13 +42,13 @@ FACE = "f %d %d %d\nf %d %d %d\n"
 
 @dataclass(frozen=True, eq=False)
 class LevelMesh:
-    """The walkable floor of a level: quads, each of two triangles, four vertices of its own.
+    """The walkable floor of a level: quads of two triangles and four vertices each.
 
     Attributes:
         name: of the level.
         origin: the outer corner of the level's cell 0, on its ground: world x, y, z [m].
         vertices: world x, y, z [m], shape (4 n, 3), float64; of each quad anticlockwise from above.
-        room: by quad, which of `rooms` it is in, shape (n,), int64, ascending; 0 for none.
+        room: by quad, its number in `rooms`, shape (n,), int64, ascending; 0 for none.
         rooms: the rooms' names by that number, each once; 0 is "no room".
         indices: the rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
     """
@@ -83,7 +82,7 @@ class FloorMesh:
 
     @property
     def vertices(self) -> Float:
-        """Of all levels, world x, y, z [m], shape (n, 3), float64."""
+        """World x, y, z of all levels [m], shape (n, 3), float64."""
         return np.concatenate([level.vertices for level in self.levels])
 
     @property
@@ -99,29 +98,29 @@ class FloorMesh:
 
 
 def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
-    """Make a mesh of the cells where an agent can stand.
+    """Make a mesh of a grid's free cells.
 
-    Each free cell is covered once, each other cell is left open. Cells of one room that form a
-    rectangle whose floor is a plane within the tolerance become one quad: level, or sloped where
-    three cells or more in a line rise evenly, up to the grid's `maxSlope` (45 degrees where it
-    states none). So stairs are level treads, and ramps are slopes; stairs whose treads are all one
-    cell deep become a slope, too.
+    Each free cell is covered once, all others are left open. Cells of one room in a rectangle whose
+    floor is a plane within the tolerance become one quad: level, or sloped where three cells or
+    more in a line rise evenly, up to the grid's `maxSlope` (45 degrees if it states none). So
+    stairs are level treads, and ramps are slopes; stairs whose treads are all one cell deep become
+    a slope.
 
-    There are no risers: between treads the mesh is open, as high as the step. Where two quads
-    meet, they differ in height by the step between the floors of the cells, plus at most what each
-    quad rises over half a cell. A free cell without floor height lies on the level's ground.
+    There are no risers. Where two quads meet, their heights differ by the step between the cells'
+    floors, plus at most the rise of each quad over half a cell. A free cell without floor height
+    lies on the level's ground.
 
     Args:
         grid: a grid of one or several levels.
-        tolerance: how far the mesh may be off the floor at a cell's centre [m], >= 0.
+        tolerance: largest distance of the mesh from the floor at a cell's centre [m], >= 0.
 
     Raises:
-        QueryError: the tolerance is none.
+        QueryError: the tolerance is invalid.
     """
     is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
     if not is_length:
         raise QueryError(f"expected a tolerance of 0 m or more, got {tolerance!r}")
-    # rooms by number, each name once in the whole grid, so that names tell rooms apart
+    # rooms by number, with unique names in the whole grid
     count = Counter(room.name for room in grid.rooms)
     names = {
         (room.level, room.index): room.name if room.name and count[room.name] == 1 else room.id
@@ -168,7 +167,7 @@ def _mesh_level(
 
 
 def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
-    """A colour for each of `LevelMesh.rooms`, sRGB, shape (n, 3), by level; neighbours' differ."""
+    """Colours of `LevelMesh.rooms`, sRGB, shape (n, 3), by level; neighbours' differ."""
     found = []
     for number, level in enumerate(mesh.levels):
         colors = color_rooms(grid, number)[level.indices]
@@ -181,7 +180,7 @@ def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:
 
 
 class Buffer:
-    """The one buffer of a GLB, and the tables of what lies where in it."""
+    """The one buffer of a GLB, and its views and accessors."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -200,14 +199,14 @@ class Buffer:
         return self._add(np.ravel(faces), "SCALAR", INDICES)
 
     def add_vectors(self, values: NDArray[Any], **more: Any) -> int:
-        """Append a vector for each vertex, (n, 2), (n, 3) or (n, 4), float32 or uint16; likewise.
+        """Append vectors, shape (n, 2 to 4), float32 or uint16, and return their accessor's number.
 
         `more` are further entries of the accessor.
         """
         return self._add(values, f"VEC{values.shape[1]}", VERTICES, **more)
 
     def add_positions(self, vertices: NDArray[np.float32]) -> int:
-        """Append vertices, shape (n, 3), n > 0; glTF demands the bounds of these."""
+        """Append vertices, shape (n, 3), n > 0, with their bounds, which glTF demands."""
         low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
         return self.add_vectors(vertices, min=low, max=high)
 
@@ -220,7 +219,7 @@ class Buffer:
         return len(self._accessors) - 1
 
     def pack(self, document: Json) -> bytes:
-        """The content of a GLB file; what is empty in its document is left out, as glTF demands."""
+        """The content of a GLB file, without the document's empty parts, as glTF demands."""
         tables = {"accessors": self._accessors, "bufferViews": self._views}
         if self._data:
             tables["buffers"] = [{"byteLength": len(self._data)}]
@@ -235,11 +234,11 @@ class Buffer:
 
 
 def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Files:
-    """Make a GLB of a grid's walkable floor; see `make_floor_mesh` for its quads.
+    """Encode a grid's walkable floor as GLB; see `make_floor_mesh` for its quads.
 
     y is up, in metres, as glTF has it: ``(x, z, -y)`` of the world. Each level is an object by its
-    name, whose origin is the outer corner of the level's cell 0 on its ground; each room a material
-    by its name, in its colour of the pictures.
+    name, with its origin at the outer corner of cell 0 on the ground; each room a material by its
+    name, in its colour of the pictures.
     """
     mesh, buffer = make_floor_mesh(grid, tolerance), Buffer()
     scenes = [{"nodes": list(range(len(mesh.levels)))}]
@@ -274,18 +273,18 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
 
 
 def _linear(value: int) -> float:
-    """A part of a colour from sRGB, 0 to 255, to linear, 0 to 1 (IEC 61966-2-1)."""
+    """An sRGB component, 0 to 255, as linear, 0 to 1 (IEC 61966-2-1)."""
     share = value / 255
     return round(share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4, 6)
 
 
 def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:
-    """Make an OBJ of a grid's walkable floor; see `make_floor_mesh` for its quads.
+    """Encode a grid's walkable floor as OBJ; see `make_floor_mesh` for its quads.
 
-    Each level is an object, each room a group of it, and each vertex has the colour of its room
-    after its position, which most programs read and the others skip. Each character of a name that
-    is no letter, digit, ``.`` or ``-`` becomes ``_``. `up` is ``y``: ``(x, z, -y)`` of the world,
-    or ``z``: the world's own x, y, z, in metres. Raises a QueryError for any other.
+    Each level is an object, each room a group of it. Vertices have their room's colour after their
+    position, an extension that most programs read. Each character of a name that is no letter,
+    digit, ``.`` or ``-`` becomes ``_``. `up` is ``y``: ``(x, z, -y)`` of the world, or ``z``: the
+    world's own x, y, z, in metres. Raises a QueryError for any other.
     """
     if up not in UPS:
         raise QueryError(f"expected y or z as up, got {up!r}")
@@ -310,7 +309,7 @@ def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: s
 
 
 def _own_name(name: str, used: set[str]) -> str:
-    """A name as OBJ takes it; what would be a second one gets a number."""
+    """A unique name with the characters that OBJ allows."""
     plain = re.sub(r"[^\w.\-]", "_", name) or "_"
     numbered = (plain if k == 1 else f"{plain}_{k}" for k in itertools.count(1))
     found = next(name for name in numbered if name not in used)

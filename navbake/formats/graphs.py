@@ -1,4 +1,4 @@
-"""Graphs of a grid: its cells, as a `PathFinder` searches them, and the ways from room to room."""
+"""Graphs of a grid: its cells as a `PathFinder` searches them, and its rooms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ sparse = lazy("scipy.sparse")
 csgraph = lazy("scipy.sparse.csgraph")
 
 OUTSIDE = "(outside)"  # the node that doors without a second room lead to
-DOOR_REACH = 0.4  # how far from a door's cells an opening is that it closes [m]
+DOOR_REACH = 0.4  # from a door's cells to its opening [m]
 # a cell's neighbours by their place in a row of the matrix: row and column steps, bit of its moves
 # (see `navbake.runtime.kernels.arrays`)
 WAYS = (
@@ -48,7 +48,7 @@ def make_graph(
     Args:
         grid: a grid of one or several levels.
         kind: see `make_cell_graph` and `make_room_graph`.
-        cut_corners: let diagonal steps pass blocked corners; of ``cells``.
+        cut_corners: allow diagonal steps past blocked corners; of ``cells``.
 
     Raises:
         QueryError: the kind is unknown, or a weight is negative.
@@ -68,9 +68,9 @@ class CellGraph:
     """The free cells of a grid as nodes, and the steps between them as edges.
 
     Attributes:
-        matrix: ``matrix[i, j]`` is what the step from node i to node j costs: its length [m] times
+        matrix: ``matrix[i, j]`` is the cost of the step from node i to node j: its length [m] times
             the weight of the cell of j. A scipy csr_array, shape (n, n), float64, columns
-            ascending. What it doesn't store is no step; a stored 0 is a step to a cell of weight 0.
+            ascending. Missing entries are no step; a stored 0 is a step to a cell of weight 0.
         level: of each node's cell, shape (n,), int64.
         row, col: of each node's cell on its level, shape (n,), int64.
         cell: its id on its level, ``col + row * width``, shape (n,), int64.
@@ -87,12 +87,7 @@ class CellGraph:
     grid: NavGrid
 
     def node_at(self, position: ArrayLike, level: int | None = None) -> int | None:
-        """The node of the cell that a position is in; None where no cell is or none is free.
-
-        Args:
-            position: world x, y, z [m]; see `GridBase.cell_at`.
-            level: which level, 0 is the lowest; then z does not count.
-        """
+        """The node of a position's cell, see `GridBase.cell_at`; None if there is no free cell."""
         found = self.grid.cell_at(position, level)
         if found is None:
             return None
@@ -102,7 +97,7 @@ class CellGraph:
         return node if node < last and self.cell[node] == cell else None
 
     def to_networkx(self) -> networkx.DiGraph[Any]:
-        """The graph for networkx, for grids that are not too large: an object for each node.
+        """Convert the graph to networkx; for small grids, as each node is an object.
 
         Nodes are (level, row, col) with ``position``, x, y, z [m]; edges have ``weight``, the cost
         of the step.
@@ -122,7 +117,7 @@ class CellGraph:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an ``.npz`` that `scipy.sparse.load_npz` reads as the matrix.
 
-        Beside it the file has ``level``, ``row``, ``col``, ``cell`` and ``position`` of the nodes.
+        It also has ``level``, ``row``, ``col``, ``cell`` and ``position`` of the nodes.
         """
         write_bytes(self._pack(), path)
 
@@ -142,15 +137,15 @@ class CellGraph:
 def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     """Make the graph of a grid's free cells, as they are now.
 
-    Its steps are those of `PathFinder`: over edges and corners of cells whose floors differ by at
-    most the grid's `traversableFloorHeight`, and over links, by the same rules for corners, ramps
-    and the margins of inflated grids. So the shortest paths have the costs of its paths.
+    The steps are those of `PathFinder`: over edges and corners of cells whose floors differ by at
+    most the grid's `traversableFloorHeight`, and over links, with the same rules for corners, ramps
+    and the margins of inflated grids. So shortest paths have the same costs.
     Raises a QueryError if a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
     flat, moves, weight = search.flat, search.graph.moves, search.flat.weight
     cells = np.flatnonzero(flat.free)
-    # as scipy has its indices, which then takes them as they are
+    # scipy's own dtype, which it doesn't copy
     index = np.int32 if len(cells) * len(WAYS) <= np.iinfo(np.int32).max else np.int64
     node: NDArray[Any] = np.full(flat.num_cells, -1, dtype=index)
     node[cells] = np.arange(len(cells))
@@ -167,7 +162,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     matrix = sparse.csr_array((cost, node[target], start), shape=(len(cells), len(cells)))
     one, other = flat.link_ends()
     is_open = flat.free[one] & flat.free[other]
-    if is_open.any():  # of a step that is both, the cheaper counts
+    if is_open.any():  # if a link joins neighbours, the cheaper step counts
         links = flat.links.length[is_open] * flat.weight[other[is_open]]
         steps = matrix.tocoo()
         cost = np.append(steps.data, links)
@@ -182,7 +177,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
 
 
 def encode_cell_graph(grid: NavGrid, path: Path, *, cut_corners: bool = False) -> Files:
-    """Make an ``.npz`` of a grid's cell graph; see `make_cell_graph` and `CellGraph.save`."""
+    """Encode a grid's cell graph as ``.npz``; see `make_cell_graph` and `CellGraph.save`."""
     return {path: make_cell_graph(grid, cut_corners=cut_corners)._pack()}
 
 
@@ -191,19 +186,19 @@ def encode_cell_graph(grid: NavGrid, path: Path, *, cut_corners: bool = False) -
 
 @dataclass(frozen=True)
 class RoomWay:
-    """A way from one room to another.
+    """A connection of two rooms.
 
     Attributes:
-        rooms: the ids of both, the first as the grid lists them first.
+        rooms: the ids of both, in the grid's order.
         kind: ``door``, ``open`` (no door between) or ``link`` (a step to another level).
         door: the door's id, None unless the kind is ``door``.
-        state: what the door is in now, None unless the kind is ``door``.
+        state: the door's current one, None unless the kind is ``door``.
         passable: whether steps lead this way now; never to the outside, where the grid ends.
         width: of a door, its length; of an opening, the straight distance from its first to its
-            last free cell, each counted whole; of a link, the longer extent of the cells that it
-            leads from [m].
+            last free cell, both included; of a link, the longer extent of the cells that it
+            starts from [m].
         position: its middle on the floor, world x, y, z [m].
-        length: from the one room's centre straight to `position`, and on to the other's [m].
+        length: from one room's centre straight to `position`, and on to the other's [m].
     """
 
     rooms: tuple[str, str]
@@ -218,12 +213,12 @@ class RoomWay:
 
 @dataclass(frozen=True, eq=False)
 class RoomGraph:
-    """Rooms and the ways between them: the topological map of a grid.
+    """Rooms and the connections between them: the topological map of a grid.
 
     Attributes:
-        rooms: as the grid lists them, then those that only its cells name.
-        ways: by the rooms that they lead between, then by kind and place; two rooms may have
-            several. A door that leads out of all rooms leads to ``(outside)``.
+        rooms: as the grid lists them, then those without an entry in its table.
+        ways: sorted by rooms, kind and place; two rooms may have several. A door that leads out of
+            all rooms leads to ``(outside)``.
         level_names: of the grid's levels.
     """
 
@@ -232,11 +227,11 @@ class RoomGraph:
     level_names: list[str]
 
     def to_networkx(self) -> networkx.MultiGraph[Any]:
-        """The graph for networkx: rooms by their id, ways as edges between them.
+        """Convert the graph to networkx: rooms by their id, ways as edges between them.
 
         Nodes have ``name``, ``level``, ``level_name``, ``area`` [m²], ``x``, ``y``, ``z`` of the
         centre [m], ``outdoors``; edges have ``kind``, ``door``, ``state``, ``passable``,
-        ``width``, ``x``, ``y``, ``z``, ``length`` [m]. What has no name, door or state has "".
+        ``width``, ``x``, ``y``, ``z``, ``length`` [m]. A missing name, door or state is "".
 
         Raises:
             MissingDependencyError: networkx is not installed.
@@ -261,7 +256,7 @@ class RoomGraph:
 
 
 class _Opening(NamedTuple):
-    """Where steps lead from one room to another: connected sides of cells, or links."""
+    """An opening between two rooms: connected sides of cells, or links."""
 
     rooms: tuple[int, int]  # by number, ascending
     kind: str
@@ -273,11 +268,10 @@ class _Opening(NamedTuple):
 def make_room_graph(grid: NavGrid) -> RoomGraph:
     """Make the graph of a grid's rooms, as they are now.
 
-    A way leads between two rooms where a step of an agent does, see `PathFinder`: over the sides of
-    neighbouring cells, or over links to another level. Sides that meet are one opening. One within
-    0.4 m of a door's cells, between the door's rooms, is that door. A door through which no step
-    leads now (it is closed, or something stands in it) is a way, too, but not passable. Cells that
-    are in no room are no part of the graph.
+    A way joins two rooms where a step does, see `PathFinder`: over the sides of neighbouring cells,
+    or over links to another level. Sides that meet are one opening. One within 0.4 m of a door's
+    cells, between the door's rooms, is that door. A door without steps through it (closed or
+    blocked) is a way that is not passable. Cells of no room are no part of the graph.
     """
     search, room_map = Search(grid), map_rooms(grid)
     flat, rooms = search.flat, room_map.rooms
@@ -306,7 +300,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
             ((k, np.array(ends)) for k, ends in lines if ends is not None), (0, None)
         )
         if line is None or len(joined) != 2 or joined[0] == joined[1]:
-            continue  # the file says of no two rooms that it joins them
+            continue  # the file names no two rooms for the door
         closes = [
             k
             for k, opening in openings.items()
@@ -328,7 +322,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
 
 def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
-    """Where steps lead between two rooms: over sides of cells, level by level, and over links."""
+    """Find the openings between two rooms: over sides of cells, level by level, and over links."""
     from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
 
     flat, moves = search.flat, search.graph.moves
@@ -371,7 +365,7 @@ def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
 def _connected(pairs: Int, points: Int) -> Iterator[Int]:
     """Groups of items of one pair of rooms that share corners, by union-find over both.
 
-    `pairs` has shape (2, n), `points` (k, 2, n); of each group the ascending indices of its items.
+    `pairs` has shape (2, n), `points` (k, 2, n); yields each group's item indices, ascending.
     """
     count = pairs.shape[1]
     if not count:
@@ -389,19 +383,19 @@ def _connected(pairs: Int, points: Int) -> Iterator[Int]:
 
 
 def _distance(line: Float, points: Float) -> float:
-    """From the nearest of some points to a line from one end to the other [m]."""
+    """From the nearest of some points to a line segment [m]."""
     start, along = line[0], line[1] - line[0]
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
     return float(np.linalg.norm(points - start - share[:, None] * along, axis=1).min())
 
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
-    """Make a GraphML file of a grid's rooms, see `RoomGraph.to_networkx`."""
+    """Encode a grid's rooms as GraphML, see `RoomGraph.to_networkx`."""
     networkx = import_extra("networkx")
     graph = make_room_graph(grid).to_networkx()
 
     def allowed(value: Any) -> Any:
-        """What XML 1.0 can't hold, control characters, become replacement characters."""
+        """Replace control characters, which XML 1.0 can't hold."""
         is_text = isinstance(value, str)
         return re.sub("[\0-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
@@ -409,6 +403,6 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
     for entry in (*dict(named.nodes(data=True)).values(), *(e for *_, e in named.edges(data=True))):
         entry.update({key: allowed(value) for key, value in entry.items()})
     file = io.BytesIO()
-    # this one of its writers needs the standard library alone, so all machines write the same
+    # this writer needs the standard library alone, so all machines write the same bytes
     networkx.write_graphml_xml(named, file)
     return {path: file.getvalue() + b"\n"}

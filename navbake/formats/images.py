@@ -26,8 +26,8 @@ class Pixels(NamedTuple):
 
     Attributes:
         light: sum of red, green and blue, shape (height, width), uint16 or uint32.
-        white: what each of them is at most, 255 or 65535.
-        opacity: 0 to 255, shape (height, width), uint8; None where the image has none.
+        white: the largest value of each, 255 or 65535.
+        opacity: 0 to 255, shape (height, width), uint8; None if the image has none.
     """
 
     light: NDArray[Any]
@@ -36,14 +36,14 @@ class Pixels(NamedTuple):
 
 
 def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
-    """Load an image of one of some kinds, out of ``PPM`` (PGM is one), ``PNG`` and ``BMP``."""
+    """Load an image of one of some kinds: ``PPM`` (includes PGM), ``PNG`` and ``BMP``."""
     begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
     names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
     data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
     allowance, place = Allowance(len(data)), JsonPath(name)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # pixels are counted here; all else is read
+            warnings.simplefilter("ignore")  # the pixels are counted here
             image = Image.open(io.BytesIO(data), formats=kinds)
             allowance.take_cells(image.size, place)
             allowance.take_array(image.size, PIXEL_COST, place)
@@ -51,7 +51,7 @@ def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGIN
             return image
     except FormatError:
         raise
-    except Exception as error:  # a broken image raises whatever Pillow and zlib raise
+    except Exception as error:  # Pillow and zlib raise many types for a broken image
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
 
@@ -72,9 +72,9 @@ def read_pixels(source: str | PathLike[str]) -> Pixels:
 def encode_image(
     pixels: NDArray[np.uint8], kind: str, texts: Mapping[str, str] = NO_TEXTS
 ) -> bytes:
-    """A ``PNG`` of pixels, (height, width) or (height, width, 3 or 4), with texts by keyword.
+    """Encode pixels, (height, width) or (height, width, 3 or 4), as ``PNG`` with texts by keyword.
 
-    Or a binary PGM of grey values, which is a ``PPM`` to Pillow, (height, width). Row 0 is the top.
+    Or a binary PGM (``PPM`` to Pillow) of grey values, (height, width). Row 0 is the top.
     """
     notes = PngImagePlugin.PngInfo()
     for keyword, text in texts.items():

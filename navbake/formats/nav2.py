@@ -1,12 +1,12 @@
 """Maps of ROS and nav2, and masks of its costmap filters: an image of a level, and its YAML.
 
 A map has its origin at the lower left corner of the image's lower left pixel, and its rows from
-the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and in that row
-from the bottom which the same formula gives of y.
+the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and, from the
+bottom, in the row of the same formula of y.
 
-A mask is a map on the cells of its level, in mode ``raw``. 0 changes nothing. In a keepout mask,
-100 is where no robot may go. In a speed mask, 1 to 100 is the limit in percent of a robot's
-speed, which the filter info server takes with ``type: 1``, ``base: 0.0``, ``multiplier: 1.0``.
+A mask is a map on the cells of its level, in mode ``raw``; 0 changes nothing. In a keepout mask,
+100 is forbidden. In a speed mask, 1 to 100 is the limit in percent of a robot's speed, for
+a filter info server with ``type: 1``, ``base: 0.0``, ``multiplier: 1.0``.
 
 Source: nav2's documentation of its costmap filters; ``map_io.cpp`` of ``nav2_map_server``, whose
 rules for pixels `read_values` follows: the three modes, both thresholds, ``negate`` (which ``raw``
@@ -63,7 +63,7 @@ MAX_LISTED = 20  # names that an error lists
 
 
 class MapRules(NamedTuple):
-    """What a map's YAML says."""
+    """The content of a map's YAML."""
 
     image: Path
     resolution: float  # [m]
@@ -86,25 +86,24 @@ def encode_nav2(
     inflation: float | None = None,
     scaling: float | None = None,
 ) -> Files:
-    """Make the maps of a grid: for each level an image, and a YAML that names it.
+    """Encode the maps of a grid: for each level an image, and a YAML that names it.
 
     Cells without a floor are unknown, others free or occupied. Modes ``scale`` and ``raw`` have
     costs, too: 1 to 98 for weights above 1, and 99 for cells that only an inflation closed.
 
     Args:
-        path: ends in ``.yaml`` or ``.yml``. Of several levels, each has its own map, whose
-            number follows the stem: ``map_0.yaml``, ``map_1.yaml``.
-        level: make this level's map only, under the name itself.
+        path: ends in ``.yaml`` or ``.yml``; several levels have numbers after the stem:
+            ``map_0.yaml``, ``map_1.yaml``.
+        level: this level's map only, under the name itself.
         radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         mode: ``trinary``, ``scale`` or ``raw``.
         image: ``pgm`` or ``png``; ``png`` in mode ``scale``, else ``pgm``, if None.
         inflation: costs by nav2's formula up to this distance from obstacles, its
-            ``inflation_radius`` [m]; not in mode ``trinary``. The radius is the grid's agent's
-            unless given.
+            ``inflation_radius`` [m]; not in mode ``trinary``. The default radius is the grid's.
         scaling: nav2's ``cost_scaling_factor`` [1/m]; 10 if None.
 
     Raises:
-        FormatError: there is no such level, mode or image, or options that don't go together.
+        FormatError: there is no such level, mode or image, or options exclude each other.
         QueryError: a radius, inflation or scaling out of its range.
     """
     image = image or ("png" if mode == "scale" else "pgm")
@@ -144,7 +143,7 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
     image_path = path.with_suffix(f".{image}")
     check_named(image_path)
     x_min, y_min, _, _ = level.lattice.bounds
-    # in mode scale, a pixel between the thresholds is spread over 0 to 100: so that none is lost
+    # in mode scale, values between the thresholds are spread over 0 to 100; keep them distinct
     occupied, free = (1.0, 0.0) if mode == "scale" else (OCCUPIED_THRESHOLD, FREE_THRESHOLD)
     entries: Json = {
         "image": image_path.name,
@@ -154,7 +153,7 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
         "negate": 0,
         "occupied_thresh": occupied,
         "free_thresh": free,
-        "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # nav2 passes over it
+        "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # ignored by nav2
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
     kind = {"pgm": "PPM", "png": "PNG"}[image]
@@ -164,15 +163,14 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
 def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a map of ROS 1 or ROS 2 as a grid of one level.
 
-    Free and occupied cells have a flat floor at z = 0 (or where navbake's own key
-    ``navbake.ground`` says), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
-    to 98 are costs, and weigh what nav2 makes of them; 99 is blocked.
+    Free and occupied cells have a flat floor at z = 0 (or at navbake's own key
+    ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
+    to 98 become weights of nav2's costs; 99 is blocked.
 
-    A map that is turned by quarters (``yaw``) is turned exactly. Otherwise it is laid anew on
-    cells along the world's axes: a cell takes the value of the map at its centre, but is occupied
-    wherever an occupied cell of the map reaches into it, so that no wall gets a gap.
-
-    What the YAML says is kept as ``nav2`` in the metadata.
+    A map with a ``yaw`` of quarter turns is rotated exactly. Otherwise it is resampled on cells
+    along the world's axes: a cell has the value of the map at its centre, but is occupied if an
+    occupied cell of the map overlaps it, so that no wall gets a gap. The content of the YAML is
+    kept as ``nav2`` in the metadata.
 
     Raises:
         FormatError: the YAML or its image is missing, broken or too large.
@@ -195,12 +193,12 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
-    """The files beside a map's YAML that `read_nav2` reads; raises as `read_rules` does."""
+    """The image files that `read_nav2` reads for a YAML; raises as `read_rules` does."""
     return [read_rules(path).image]
 
 
 def read_rules(path: str | PathLike[str]) -> MapRules:
-    """Read a map's YAML; a FormatError if it lacks what nav2 needs."""
+    """Read a map's YAML; raises a FormatError if nav2's keys are missing."""
     place = JsonPath(check_path(path))
     data, name = read_bytes(path)
     try:
@@ -246,11 +244,11 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
 
 
 def read_values(pixels: Pixels, rules: MapRules) -> Values:
-    """What nav2's map server makes of an image, row 0 at the top; see the module's head."""
+    """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
     light, steps, opacity = pixels.light, 3 * pixels.white, pixels.opacity
     if rules.mode == "trinary" and opacity is not None:
         light, steps = light + opacity, 4 * pixels.white
-    # there are few sums of channels, so each is judged once and looked up
+    # a table of the few sums of channels
     shade = np.arange(steps + 1) / steps
     occupied = shade if rules.negate else 1.0 - shade
     if rules.mode == "raw":
@@ -291,18 +289,18 @@ def encode_mask(
     zone: Sequence[str] | None = None,
     zones: str | PathLike[str] | None = None,
 ) -> Files:
-    """Make the masks of the keepout filter, or of the speed filter, one for each level.
+    """Encode the masks of the keepout filter, or of the speed filter, one for each level.
 
     Args:
         path, level, image: as of `encode_nav2`; in mode ``raw``.
-        has_limits: whether it is the speed filter, whose zones have limits.
+        has_limits: for the speed filter, whose zones have limits.
         zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
-            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where several overlap.
+            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
             Of the keepout filter all polygons if None.
         zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
 
     Raises:
-        FormatError: nothing has such a name, a limit is none, or a polygon holds no cell's centre
+        FormatError: a name is unknown, a limit invalid, or a polygon holds no cell's centre
             of its level.
     """
     image = image or "pgm"
@@ -318,7 +316,7 @@ def encode_mask(
             if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
                 raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
             value = int(text)
-        found = [own for own in known if name in own[0]]  # on all levels that have such a one
+        found = [own for own in known if name in own[0]]  # on all levels with that name
         if not found:
             names = list(dict.fromkeys(own[0][-1] for own in known))
             listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")

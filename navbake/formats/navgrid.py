@@ -1,11 +1,11 @@
 """The NavGrid format: SceneGrid2D and MultiLevelGrid JSON, read and written.
 
-What the format does not know is kept and written back: fields of a grid, of its levels and of
-its metadata, and further tile attributes; not so fields inside of an array or a bbox.
+Unknown fields of a grid, of its levels and of its metadata, and further tile attributes, are kept
+and written back; unknown fields inside an array or a bbox are not.
 
-Names of what stands in each cell (``userData``) are most of a file of a furnished house, and few
-who load a grid ask for them. Of a file of `SPLIT_BYTES` and more, msgspec finds where each field of
-a level ends without making objects of it, and user data stay text until they are first used.
+``userData`` (names of objects by cell) are most of a large file and rarely needed. In files of
+`SPLIT_BYTES` and more, msgspec splits levels into fields without parsing these, and user data stay
+text until first use.
 """
 
 import gzip
@@ -66,29 +66,29 @@ SCENE_FIELDS = (
 )
 MULTI_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "timings")
 SPLIT_BYTES = 1 << 20  # below, all is parsed at once and msgspec stays unloaded
-ENTRIES = 1 << 16  # cells whose user data are encoded at once, for the memory that it takes
+ENTRIES = 1 << 16  # cells whose user data are encoded at once, to limit memory
 
 
 # ---------------------------------------------------------------- reading
 
 
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
-    """Read a NavGrid file, plain or gzipped (which its content tells, not its name).
+    """Read a NavGrid file, plain or gzipped (detected by its content).
 
-    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` must be there (a level takes
-    ``cellSize`` and ``unit`` over from its MultiLevelGrid); the rest may be missing. Without
-    ``weights``, a cell weighs 1 where its occupancy is 0 and its floor is known, as far as the
-    file has these attributes. ``null`` is infinity in weights and NaN in float attributes, in
-    raw data too, where the original client leaves it as it is.
+    ``type``, ``width``, ``height``, ``cellSize`` and ``min`` are required (a level takes
+    ``cellSize`` and ``unit`` over from its MultiLevelGrid). Without ``weights``, a cell weighs 1
+    if its occupancy is 0 and its floor is known, as far as the file has these attributes. ``null``
+    is infinity in weights and NaN in float attributes, in raw data too, where the original client
+    keeps it.
 
-    The ``userData`` of a file of 1 MiB and more are parsed when they are first used, or the grid is
-    saved; what is wrong in them is a FormatError then.
+    The ``userData`` of a file of 1 MiB and more are parsed on first use or on saving; only then
+    their faults raise a FormatError.
 
     Args:
         source: a path, a file's content, or a file opened in binary mode.
-        max_cells: most cells that all levels together may have, whose arrays may take 128 bytes a
-            cell. If None: 100 million cells, and no more memory than 256 MiB and 512 bytes for
-            each byte of the file.
+        max_cells: most cells of all levels together, whose arrays may take 128 bytes a cell. If
+            None: 100 million cells, and no more memory than 256 MiB and 512 bytes for each byte
+            of the file.
 
     Raises:
         FormatError: the file can't be read or does not follow the format.
@@ -105,7 +105,7 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
 
 
 def _parse(content: bytes, top: JsonPath) -> Json:
-    """Parse a file, with text in the place of each level's ``userData`` if it is long."""
+    """Parse a file; in a long one, each level's ``userData`` stay text."""
     if len(content) >= SPLIT_BYTES:
         with suppress(msgspec.DecodeError, RecursionError, orjson.JSONDecodeError):
             fields = msgspec.json.decode(content, type=dict[str, msgspec.Raw])
@@ -115,7 +115,7 @@ def _parse(content: bytes, top: JsonPath) -> Json:
             levels = msgspec.json.decode(fields["grids"], type=list[dict[str, msgspec.Raw]])
             house = {key: key == "grids" or orjson.loads(memoryview(fields[key])) for key in fields}
             return {**house, "grids": [_parse_level(level) for level in levels]}
-    return json_object(parse_json(content, top), top)  # which names the line of what is broken
+    return json_object(parse_json(content, top), top)  # names the line of the fault
 
 
 def _parse_level(fields: Json) -> Json:
@@ -126,7 +126,7 @@ def _parse_level(fields: Json) -> Json:
 def read_levels(
     content: Json, top: JsonPath, allowance: Allowance, key: str = "grids"
 ) -> MultiLevelGrid:
-    """Read a grid of several levels; `key` is what the file calls the list of its ``grids``."""
+    """Read a grid of several levels; `key` is the file's name for its ``grids``."""
     grids = content.get("grids", MISSING)
     if not isinstance(grids, list) or not grids:
         top[key].refuse("a list of at least one level", grids)
@@ -155,9 +155,9 @@ def read_levels(
 def read_level(
     content: Json, place: JsonPath, allowance: Allowance, whole: Json | None = None
 ) -> SceneGrid2D:
-    """Read a level, which takes over what it lacks from what the whole grid states.
+    """Read a level, which takes missing fields over from the `whole` grid.
 
-    A layer may be a function of its shape and place, which reads it, in place of JSON.
+    A layer may be a function of its shape and place that returns its array, in place of JSON.
     """
     metadata = read_metadata(content, place) or (whole or {}).get("metadata", {})
     stated = {"unit": 1, **(whole or {}), **{k: v for k, v in content.items() if v is not None}}
@@ -209,7 +209,7 @@ def read_level(
 
 
 def read_metadata(content: Json, place: JsonPath) -> Json:
-    """Read the metadata of a grid or level, and check what readers rely on."""
+    """Read the metadata of a grid or level, and check the parts that readers rely on."""
     metadata = optional_object(content, "metadata", place)
     optional_object(metadata, "navbake", place["metadata"])
     entries, place = metadata.get("cellAttributes"), place["metadata"]["cellAttributes"]
@@ -234,7 +234,7 @@ def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
 
 
 def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
-    """Check user data: at once, or those that are still text on first use."""
+    """Check user data: at once, or if still text, on first use."""
 
     def check(value: Any) -> dict[int, Json]:
         stored: Json = {} if value is None else json_object(plain(value, place), place)
@@ -254,7 +254,7 @@ def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
 
 
 def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
-    """Check what a file says of a whole grid: how large its cells are, links, doors and rooms."""
+    """Check a file's cell size, links, doors and rooms of a whole grid."""
     for k, level in enumerate(grid.levels):
         place, edge = top[key][k] if key else top, level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
@@ -272,7 +272,7 @@ def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
 
 
 def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
-    """Log a warning where a file's metadata, or its format, are of a newer navbake; the grid."""
+    """Return the grid; log a warning if its metadata, or its format, are of a newer navbake."""
 
     def numbers(version: str) -> list[int]:
         return [int(part) for part in re.findall("[0-9]{1,9}", version)[:3]]
@@ -293,8 +293,8 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
     Raises:
-        FormatError: the grid holds what the format can't, the name ends as one of another format
-            does, or the path can't be written.
+        FormatError: the format can't hold the grid, the name ends as one of another format, or
+            the path can't be written.
     """
     name = check_path(path)
     others = [form.name for form in FORMATS[1:] if name.lower().endswith(form.endings)]
@@ -308,7 +308,7 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
-    """The file that `write_navgrid` writes, as `navbake.formats.convert` takes it."""
+    """The file of `write_navgrid`, as a writer of `navbake.formats.convert`."""
     pieces = _encode_navgrid(grid)
     return {path: _gzip(pieces) if path.name.lower().endswith(".gz") else pieces}
 
@@ -316,21 +316,21 @@ def encode_files(grid: NavGrid, path: Path) -> Files:
 def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
-    NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the attributes that there
-    are. A level that can take over the metadata of its MultiLevelGrid has none in the file.
+    NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
+    level's metadata are left out if it can take them over from its MultiLevelGrid.
 
     Raises:
-        FormatError: NaN or infinity outside of arrays, a dtype that the format has not, or
-            something in the metadata, user data or extra fields that JSON has not.
+        FormatError: NaN or infinity outside of arrays, a dtype that the format lacks, or values
+            in the metadata, user data or extra fields that JSON lacks.
     """
     return b"".join(_encode_navgrid(grid))
 
 
 def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
-    """See `dumps_navgrid`; in pieces, of which the first comes when all has been checked.
+    """See `dumps_navgrid`; yields pieces, the first after all checks.
 
-    Long parts are encoded piece by piece, when all else has been: until then, the number of a part
-    between two characters 0, which JSON never has itself, keeps its place.
+    Long parts are encoded last, piece by piece: their placeholders in the rest are their numbers
+    between two characters 0, which JSON never contains.
     """
     top, parts = JsonPath("the grid to be written"), list[Iterator[bytes]]()
     if isinstance(grid, SceneGrid2D):
@@ -413,7 +413,7 @@ def _level_fields(
 
 
 def _metadata(grid: NavGrid, place: JsonPath) -> Json:
-    """The grid's metadata with ``cellAttributes`` of the arrays that are there."""
+    """The grid's metadata with ``cellAttributes`` of the existing arrays."""
     place = place["metadata"]
     optional_object(grid.metadata, "navbake", place)
     metadata = {**grid.metadata, "cellAttributes": grid.cell_attributes}
@@ -421,7 +421,7 @@ def _metadata(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
-    """A level's metadata; None where it takes over those of the whole, all dtypes included."""
+    """A level's metadata; None if it takes over those of the whole, all dtypes included."""
     level, described = grid.grids[number], grid.cell_attributes
     same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)
     return None if same else level.metadata
@@ -433,14 +433,14 @@ def _extra(grid: NavGrid, place: JsonPath) -> Json:
 
 
 def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
-    """Refuse extra fields of a grid of this kind that have the name of one of the format's own."""
+    """Refuse extra fields with the name of one of the format's own."""
     for key in MULTI_FIELDS if kind is MultiLevelGrid else SCENE_FIELDS:
         if key in extra:
             place[key].fail("extra fields can't stand in for one of the format's own")
 
 
 def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
-    """User data by ascending cell id, in pieces, the first when all has been checked."""
+    """Yield user data by ascending cell id, in pieces, the first after all checks."""
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
     if isinstance(source, Shared):

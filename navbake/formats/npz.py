@@ -1,13 +1,12 @@
-"""NumPy archives: of grids, of voxels, and single arrays. Nothing is ever unpickled.
+"""NumPy archives of grids, of voxels, and single arrays, read without unpickling.
 
-A grid is kept whole, each array as it is and all else as JSON in one of them.
-``numpy.load("house.npz")`` finds the layers of level 0 as ``0/weights``, ``0/floorHeight``,
-``0/roomIndex`` and so on, shape (height, width), in the dtypes that they have in memory. ``grid``
-holds what is no array: UTF-8 JSON, as bytes, with the fields of a NavGrid file. ``0/userData``
-holds the level's user data in the same way.
+A grid is stored completely. ``numpy.load("house.npz")`` has the layers of level 0 as
+``0/weights``, ``0/floorHeight``, ``0/roomIndex`` and so on, shape (height, width), in their dtypes
+in memory. ``grid`` is UTF-8 JSON, as bytes, with the other fields of a NavGrid file, and
+``0/userData`` likewise the level's user data.
 
 Voxels are ``values`` (nx, ny, nz), ``origin`` (3,) [m], ``res`` [m], ``ids`` and ``names``, and
-``known`` where not all is.
+``known`` if some are unknown.
 """
 
 from __future__ import annotations
@@ -55,8 +54,8 @@ Content = str | PathLike[str] | bytes  # a file, or its content
 
 VERSION = 1  # of both kinds of archives
 ZIP, NPY = b"PK", b"\x93NUMPY"
-GRID = "grid"  # the array that only archives of grids have
-REQUIRED = ("values", "origin", "res")  # that only archives of voxels have
+GRID = "grid"  # the array that marks archives of grids
+REQUIRED = ("values", "origin", "res")  # of archives of voxels
 PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
@@ -64,7 +63,7 @@ PLAIN_NAME = re.compile(r"(?!(weights|userData)$)[A-Za-z0-9_.-]{1,100}")
 
 
 class _Archive:
-    """The arrays of an archive, read one by one within what it may fill."""
+    """The arrays of an archive, read one by one within an allowance."""
 
     def __init__(self, archive: zipfile.ZipFile, allowance: Allowance, top: JsonPath) -> None:
         self._archive, self.allowance, self.top = archive, allowance, top
@@ -87,7 +86,7 @@ class _Archive:
             return array
 
     def text(self, name: str, place: JsonPath) -> bytes:
-        """The text that an array of bytes holds."""
+        """The text in an array of bytes."""
         array = self.read(name, place, is_text=True)
         if array.dtype != np.uint8 or array.ndim != 1:
             place.fail(f"expected text as bytes, got {array.dtype} of {array.shape}")
@@ -104,10 +103,10 @@ class _Archive:
 
 @contextmanager
 def _reading(expected: str, name: str) -> Iterator[None]:
-    """Turn whatever zipfile, zlib and numpy raise about broken content into a FormatError."""
+    """Turn the errors of zipfile, zlib and numpy about broken content into a FormatError."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy takes an array's header for Python, which warns
+            warnings.simplefilter("ignore")  # of Python syntax in broken headers
             yield
     except FormatError:
         raise
@@ -117,7 +116,7 @@ def _reading(expected: str, name: str) -> Iterator[None]:
 
 
 def read_npy(source: Content) -> NDArray[Any]:
-    """Read a single array (``.npy``), a file or its content; a FormatError for what is none."""
+    """Read a single array (``.npy``), a file or its content; raises a FormatError if it is none."""
     expected = "an array (.npy)"
     data, name = read_bytes(source, begins=NPY, expected=expected)
     with _reading(expected, name):
@@ -129,7 +128,7 @@ def read_npy(source: Content) -> NDArray[Any]:
 def open_archive(
     source: Content, expected: str, keyword: str = "", most: int | None = None
 ) -> Iterator[_Archive]:
-    """Open an archive whose arrays are read within an allowance; broken ones are FormatErrors."""
+    """Open an archive whose arrays are read within an allowance; faults are FormatErrors."""
     data, name = read_bytes(source, begins=ZIP, expected=expected)
     with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
         yield _Archive(packed, Allowance(len(data), keyword, most), JsonPath(name))
@@ -145,9 +144,9 @@ def _pack(arrays: Json) -> bytes:
 
 
 def encode_npz(grid: VoxelGrid) -> bytes:
-    """Encode voxels as ``.npz``; everything but the notes is kept, see the module's head."""
+    """Encode voxels as ``.npz``, without their notes; see the module's head."""
     ids = sorted(grid.names)
-    if any(name.endswith("\0") for name in grid.names.values()):  # numpy fills texts up with these
+    if any(name.endswith("\0") for name in grid.names.values()):  # numpy pads texts with these
         raise FormatError("expected names of IDs that do not end in the character 0, got one")
     arrays: Json = {
         "version": np.int64(VERSION),
@@ -161,7 +160,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read what `encode_npz` made; `max_voxels` is that of `navbake.load_voxels`."""
+    """Read voxels of `encode_npz`; `max_voxels` is that of `navbake.load_voxels`."""
     with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
         if GRID in archive and "values" not in archive:
@@ -190,7 +189,7 @@ def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
 
 
 def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
-    """Make the archive of a grid: nothing is lost, and the same grid gives the same bytes."""
+    """Encode a grid as a lossless archive; equal grids have equal bytes."""
     top = JsonPath("the grid to be written")
     arrays: dict[str, NDArray[Any]] = {}
     document: Json = {
@@ -202,7 +201,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
     for k, level in enumerate(grid.levels):
         is_own = isinstance(grid, MultiLevelGrid) and not grid.takes_over(k, level)
         place = top["levels"][k]
-        # an array is called as its attribute is where zip allows it
+        # arrays have their attributes' names if zip allows them
         names = {
             name: name if PLAIN_NAME.fullmatch(name) else f"attribute {i}"
             for i, name in enumerate(level.attributes)
@@ -238,13 +237,13 @@ def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
 
 
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
-    """Read a grid from an archive, a file or its content, that `encode_grid_npz` made.
+    """Read a grid from an archive of `encode_grid_npz`, a file or its content.
 
     Args:
         max_cells: as of `navbake.load`.
 
     Raises:
-        FormatError: it is no such file, broken, or needs more memory than it may.
+        FormatError: the file is no such archive, broken, or needs too much memory.
     """
     expected = "a .npz of a grid"
     with open_archive(source, expected, "max_cells", max_cells) as archive:
@@ -272,7 +271,7 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
 
 
 def _content(archive: _Archive, k: int, value: object) -> Json:
-    """A level as a NavGrid file has it, with functions that read its layers."""
+    """A level as in a NavGrid file, with functions that read its layers."""
     place = archive.top["levels"][k]
     entry = json_object(value, place)
     members = json_object(entry.get("attributes", MISSING), place["attributes"])
@@ -293,7 +292,7 @@ def _content(archive: _Archive, k: int, value: object) -> Json:
 
 
 def _with_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
-    """The fields of an entry, and its extra fields beside them."""
+    """An entry's fields and its extra fields in one object."""
     extra = optional_object(entry, "extra", place)
     check_extra(extra, kind, place["extra"])
     other = ("version", "extra", "levels", "attributes")

@@ -1,10 +1,8 @@
 """Levels as the values of ROS's ``nav_msgs/OccupancyGrid``: -1 unknown, 0 free to 100 occupied.
 
-Maps that don't lie along the world's axes are turned, or laid on cells that do.
-
-Here arrays are as everywhere in navbake, row 0 at the top (largest y); a message has it at the
-bottom. Between 0 and 100, a value stands for a cost, as ``nav2_costmap_2d`` publishes costmaps:
-99 for a cell that the robot's centre can't be on, 1 to 98 for the costs 1 to 252.
+Arrays have row 0 at the top (largest y), as everywhere in navbake; a message has it at the bottom.
+Values from 1 to 98 are costs from 1 to 252, as ``nav2_costmap_2d`` publishes costmaps, and 99 is a
+cell that the robot's centre can't be on.
 
 Source: nav2's ``costmap_2d_publisher.cpp`` for the values of costs.
 """
@@ -28,11 +26,11 @@ ndimage = lazy("scipy.ndimage")
 
 UNKNOWN, FREE, INSCRIBED, OCCUPIED = -1, 0, 99, 100
 LEAST_COST, MOST_COST = 1, 252  # of a cell that isn't blocked
-LETHAL = 253  # and above: the cost of cells that are
+LETHAL = 253  # least cost of a blocked cell
 QUARTER = math.pi / 2
 YAW_SLACK = 1e-9  # [rad]
-TOUCH = 1e-9  # of a cell: squares that overlap by less don't
-PIECE = 1 << 18  # cells that are looked at together, for the memory that it takes
+TOUCH = 1e-9  # of a cell: least overlap of two squares
+PIECE = 1 << 18  # cells compared at once, to limit memory
 
 Values = NDArray[np.int8]
 
@@ -40,9 +38,8 @@ Values = NDArray[np.int8]
 def values_of(grid: NavGrid, number: int) -> Values:
     """The values of a level's cells, shape (height, width), int8.
 
-    Unknown where the grid states floors and has none there; free where the weight is finite, with
-    the cost that a weight above 1 is; occupied where something stands; and 99 where only an
-    inflation, or a block, keeps the agent out.
+    Unknown where a grid with floors has none; free at finite weights, with a cost for weights above
+    1; occupied at obstacles; and 99 in cells that only an inflation or a block closed.
     """
     level = grid.levels[number]
     with np.errstate(invalid="ignore"):
@@ -60,9 +57,9 @@ def inflated_values(
 ) -> Values:
     """The values of a level's costmap: its obstacles inflated by nav2's formula.
 
-    Cells that a robot of this inscribed radius [m] can't stand on for other reasons (a drop,
-    another level's obstacle) cost as much as those within the radius of an obstacle. `inflation` is
-    nav2's ``inflation_radius`` [m], at least the radius; `scaling` its ``cost_scaling_factor``.
+    Cells blocked for a robot of this inscribed radius [m] for other reasons (a drop, another
+    level's obstacle) cost as much as those within the radius of an obstacle. `inflation` is nav2's
+    ``inflation_radius`` [m], at least the radius; `scaling` its ``cost_scaling_factor``.
     """
     if not inflation >= radius:
         raise QueryError(
@@ -77,7 +74,7 @@ def inflated_values(
 
 
 def _publish(costs: NDArray[np.uint8]) -> Values:
-    """The values as which nav2 publishes costs from 0 to 252."""
+    """nav2's published values of costs from 0 to 252."""
     table = 1 + 97 * (np.arange(256) - 1) // 251
     table[0], table[LETHAL:] = FREE, INSCRIBED
     return table.astype(np.int8)[costs]
@@ -88,8 +85,8 @@ def level_from_values(
 ) -> SceneGrid2D:
     """Make a level of values; `corner` is its lower left one, and the floor's z [m].
 
-    100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 weigh the least cost that is published
-    as that value. The floor of all other cells is flat, under what is occupied, too.
+    100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 become the least cost that is
+    published as that value. All other cells have a flat floor, occupied ones too.
     """
     height, width = values.shape
     x, y, z = corner
@@ -121,8 +118,8 @@ def lay_along_axes(
     yaw, counter-clockwise [rad].
 
     Returns:
-        The values, and world x, y of their lower left corner: that of the box around the turned
-        map, or up to half a cell further out.
+        The values, and world x, y of their lower left corner: that of the rotated map's bounding
+        box, or up to half a cell further out.
     """
     x, y, yaw = origin
     height, width = values.shape
@@ -138,7 +135,7 @@ def lay_along_axes(
     lattice = Lattice.cover((min(xs), min(ys), max(xs), max(ys)), 1.0)
     if lattice.width * lattice.height > MAX_PIXELS:
         raise FormatError(f"the turned map has {lattice.width} × {lattice.height} cells, too many")
-    # where the centre of cell [row, col] lies in the map, from the centre of its cell [0, 0]
+    # the centre of cell [row, col] in the map, from the centre of its cell [0, 0]
     first_x, first_y = lattice.x_min + 0.5, lattice.y_max - 0.5
     matrix = [[cos, sin], [-sin, cos]]
     start = height - 0.5 + sin * first_x - cos * first_y, cos * first_x + sin * first_y - 0.5
@@ -155,7 +152,7 @@ def lay_along_axes(
 
 
 def _occupy_met(turned: Values, lattice: Lattice, centers: Float, cos: float, sin: float) -> None:
-    """Occupy the cells whose squares the turned unit squares round some centres meet.
+    """Occupy the cells that overlap the rotated unit squares round some centres.
 
     Separating axes of two squares: along each side's direction of both, the centres must be
     nearer than half of the extents together.

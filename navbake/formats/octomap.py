@@ -2,14 +2,13 @@
 
 A tree has depth 16; a voxel's key is ``floor(coordinate / res) + 32768`` along each axis. So the
 corners of voxels are multiples of `res`, at most 32768 of them from the world's origin.
-Children that are equal are pruned. Files are the same, byte for byte, as OctoMap's own.
+Equal children are pruned. Files equal OctoMap's own byte for byte.
 
-They are built bottom up: the state of each node over the grid follows from its eight children's,
-level by level. Depth first, as files have them, nodes are in the order of their corners' Morton
-codes, parents before children.
+Trees are built bottom up: each node's state follows from its eight children's, level by level.
+Files are depth first: in the order of the corners' Morton codes, parents before children.
 
 Source: OctoMap 1.9 (`AbstractOcTree.cpp`, `OccupancyOcTreeBase.hxx`, `OcTreeBaseImpl.hxx`): the
-header's lines, the order of the nodes, pruning, and the log-odds of what is certain.
+header's lines, the order of the nodes, pruning, and the log-odds of certain voxels.
 """
 
 import math
@@ -30,12 +29,12 @@ MAGIC = b"# Octomap OcTree"
 DEPTH, CENTER = 16, 2**15  # key of the world's origin
 FIRST_LINES = {"bt": "# Octomap OcTree binary file", "ot": "# Octomap OcTree file"}
 COMMENT = "# (feel free to add / change comments, but leave the first line as it is!)\n#"
-OFF = 1e-3  # of a voxel: what a grid may lie off the tree's lattice
+OFF = 1e-3  # of a voxel: tolerance from the tree's lattice
 LEAF_BYTES = 20  # of a leaf in memory
-# OctoMap's clamping thresholds: the log-odds of what is certainly free or occupied
+# OctoMap's clamping thresholds: the log-odds of certainly free or occupied voxels
 ODDS = np.array([[math.log(p / (1 - p))] for p in (0.1192, 0.971)], "<f4").view(np.uint8)
-# states of nodes, as bits: what eight children are together is their bitwise or. MIXED nodes have
-# children that differ, MIXED_FREE ones none that is occupied
+# states of nodes as bits, joined by bitwise or. MIXED nodes have children that differ, MIXED_FREE
+# ones no occupied child
 UNKNOWN, FREE, OCCUPIED, MIXED_FREE, MIXED = 1, 2, 4, 8, 16
 STATES = np.full(32, MIXED_FREE, np.uint8)  # of a node, by the bitwise or of its children's
 STATES[[n for n in range(32) if n & (OCCUPIED | MIXED)]] = MIXED
@@ -52,10 +51,10 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     Args:
         grid: the voxels; IDs count as occupied. It must lie on whole multiples of its edge.
         kind: ``bt`` or ``ot``.
-        free: voxels that are known and not occupied are free; else they are unknown.
+        free: write known voxels that are not occupied as free, not as unknown.
 
     Raises:
-        FormatError: the grid doesn't lie on the tree's lattice, or reaches beyond it.
+        FormatError: the grid doesn't lie on the tree's lattice, or exceeds it.
     """
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
@@ -94,14 +93,14 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
     if has_odds:  # a node has the greatest log-odds of its children
         odds = ODDS[((own[ranks] & (OCCUPIED | MIXED)) != 0).astype(np.int64)]
         nodes = np.append(odds, nodes[:, None].astype(np.uint8), axis=1)
-    short = f"{grid.res:g}"  # six digits, as OctoMap writes it, or as many as it takes
+    short = f"{grid.res:g}"  # six digits, as OctoMap writes it, if they are exact
     res = short if math.isclose(float(short), grid.res, rel_tol=1e-12) else repr(grid.res)
     header = f"{FIRST_LINES[kind]}\n{COMMENT}\nid OcTree\nsize {num_nodes}\nres {res}\ndata\n"
     return header.encode() + nodes.tobytes()
 
 
 def _morton_codes(places: Int) -> Int:
-    """The bits of x, y, z below 2**16 by turns, x the lowest, shape (n,)."""
+    """Interleaved bits of x, y, z below 2**16, x the lowest, shape (n,)."""
     codes = places.copy()
     for shift, mask in (
         (16, 0xFF0000FF),
@@ -142,17 +141,17 @@ def read_octomap(
 ) -> VoxelGrid:
     """Read an octree of class OcTree, ``.bt`` or ``.ot``.
 
-    The grid covers all space that is known, occupied or free; `VoxelGrid.known` says which
-    voxels are. Log-odds of 0 and more are occupied.
+    The grid covers all known space, occupied or free; `VoxelGrid.known` marks known voxels.
+    Log-odds of 0 and more are occupied.
 
     Args:
         source: a path, or a file's content.
         bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
-        max_voxels: most voxels that the grid may have. If None: 2**31, and no more memory than
-            256 MiB and 512 bytes for each byte of the file, with two bytes a voxel and 20 a leaf.
+        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
+            512 bytes for each byte of the file, with two bytes a voxel and 20 a leaf.
 
     Raises:
-        FormatError: it is no such file, broken, or needs more memory than it may.
+        FormatError: the file is no octree, broken, or needs too much memory.
     """
     from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
 
@@ -196,11 +195,11 @@ def read_octomap(
 
 
 def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]:
-    """First keys and counts of the voxels in a box, (2, 3) [m]; those that it grazes are out."""
+    """First keys and counts of the voxels in a box, (2, 3) [m], without those it only touches."""
     box = finite_array(bounds, (2, 3))
     if box is None or not (box[0] < box[1]).all():
         raise FormatError(f"expected bounds as (lower, upper) corner [m], got {bounds!r}")
-    place = np.clip(box / res + CENTER, -1.0, 2.0 * CENTER + 1.0)  # whole numbers hold no more
+    place = np.clip(box / res + CENTER, -1.0, 2.0 * CENTER + 1.0)  # to fit integers
     first = np.clip(np.floor(place[0] + OFF), 0, None).astype(np.int64)
     end = np.clip(np.ceil(place[1] - OFF), None, 2 * CENTER).astype(np.int64)
     end = np.where(end == first, first + 1, end)  # a box within a hair of a face
@@ -211,7 +210,7 @@ def _box_keys(bounds: ArrayLike, res: float) -> tuple[Int, tuple[int, ...]]:
 
 
 def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
-    """The kind, the number of nodes and the edge that are stated, and where the data begin."""
+    """The kind, the stated number of nodes and edge, and the offset of the data."""
     first = data[:200].partition(b"\n")[0].decode("ascii", errors="replace").strip()
     kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
     if kind is None:

@@ -1,11 +1,10 @@
 """``ProcTHORMap``: the maps of MolmoSpaces, a PNG with its matrices in text chunks.
 
-Red and green are 255 where an agent can stand (MolmoSpaces calls that ``occupancy``), blue is the
-room's number, 0 for none. The text chunks ``world_to_map`` (2 × 4) and ``map_to_world`` (3 × 3) are
-the matrices of its formulas: ``round([x, y, z, 1] @ world_to_map.T)`` gives row and column, and
-``[row, col, 1] @ map_to_world.T`` the world position of the middle of that pixel. So a whole
-number is the middle of a cell, and a cell's edges lie at halves: there the matrices differ by half
-a cell from those that ``floor`` would need.
+Red and green are 255 in free cells (MolmoSpaces calls that ``occupancy``), blue is the room's
+number, 0 for none. The text chunks ``world_to_map`` (2 × 4) and ``map_to_world`` (3 × 3) are the
+matrices of its formulas: ``round([x, y, z, 1] @ world_to_map.T)`` is row and column, and
+``[row, col, 1] @ map_to_world.T`` the world position of that pixel's middle. So whole numbers are
+the middles of cells, half a cell off from matrices for ``floor``.
 
 Source: ``ProcTHORMap.save`` and ``load`` of ``molmo_spaces/utils/scene_maps.py``.
 """
@@ -29,18 +28,18 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
 from navbake.types import Float, Json
 
-MAX_ROOMS = 255  # that a byte can number
-SLACK = 1e-6  # of an entry of the matrices, relative to the largest: what is this little is 0
+MAX_ROOMS = 255  # numbers in a byte
+SLACK = 1e-6  # relative size of a matrix's entry that counts as 0
 
 
 def encode_procthor(
     grid: NavGrid, path: Path, *, level: int | None = None, radius: float | None = None
 ) -> Files:
-    """Make the ``ProcTHORMap`` of each level.
+    """Encode the ``ProcTHORMap`` of each level.
 
     Args:
-        path: ends in ``.png``; of several levels, each has its own map: ``map_0.png``.
-        level: make this level's map only, under the name itself.
+        path: ends in ``.png``; several levels have numbers: ``map_0.png``.
+        level: this level's map only, under the name itself.
         radius: inflate for an agent of this radius first [m]; see `SceneGrid2D.inflate`.
 
     Raises:
@@ -82,11 +81,11 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     """Read a ``ProcTHORMap`` as a grid of one level.
 
     Rows and columns may run along either axis of the world, in either direction; they are turned
-    to navbake's. The floor is flat, at the z that ``map_to_world`` gives, under what isn't free,
-    too. Grey maps (``iTHORMap``) have no rooms.
+    to navbake's. All cells have a flat floor at the z of ``map_to_world``. Grey maps (``iTHORMap``)
+    have no rooms.
 
     Raises:
-        FormatError: the file is no such map, or turned by no quarter.
+        FormatError: the file is no such map, or not along the world's axes.
     """
     image = open_image(path, ("PNG",))
     to_map = _matrix(image.info, "world_to_map", (2, 4), path)
@@ -130,7 +129,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
 def _straighten(
     layers: NDArray[np.uint8], to_map: Float, path: str | PathLike[str]
 ) -> tuple[NDArray[np.uint8], Lattice]:
-    """Turn layers so that columns run along x and rows against y, and find where they lie."""
+    """Turn layers so that columns run along x and rows against y, and find their lattice."""
     scale = float(np.abs(to_map[:, :2]).max())
     linear = np.where(np.abs(to_map[:, :3]) <= SLACK * scale, 0.0, to_map[:, :3])
     if linear[0, 0] != 0:  # rows run along x

@@ -1,4 +1,4 @@
-"""The files that a scene is made of: what its MJCF, URDF or glTF names."""
+"""Lists the files that a scene's MJCF, URDF or glTF refers to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from navbake.files import check_regular
 
 XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
-LOOKS = ("texture", "skin")  # elements that change how a scene looks, and no cell
+LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
 # attributes of a compiler that name folders; of looks as well
 FOLDERS = ("meshdir", "assetdir")
 LOOK_FOLDERS = (*FOLDERS, "texturedir")
@@ -25,29 +25,29 @@ LOOK_FOLDERS = (*FOLDERS, "texturedir")
 # one a side
 NAMES = ("file", "filename")
 LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
-# MuJoCo's XML parser (TinyXML-2) takes files that Python's refuses (`--` in a comment, bytes of
-# any encoding), so elements are found by these
+# for files that MuJoCo's XML parser (TinyXML-2) accepts and Python's refuses (`--` in a comment,
+# bytes of any encoding)
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 
 class Files(Protocol):
-    """Where a scene's files are looked for, if not on this machine."""
+    """Access to a scene's files that are not on this machine."""
 
     def has(self, path: Path) -> bool:
-        """Whether there is such a file; a pipe or a folder is none."""
+        """Whether there is such a regular file."""
 
     def bring(self, path: Path) -> None:
-        """Make a file that is there ready for reading."""
+        """Make an existing file ready for reading."""
 
 
 def check_inputs(scene: Path) -> None:
-    """Refuse what MuJoCo can't be given: names that are not UTF-8, and pipes and devices.
+    """Refuse inputs that MuJoCo can't read: names that are not UTF-8, and pipes and devices.
 
     Raises:
-        SceneError: the scene's path is such a name, or the scene names a pipe or a device, for
-            which MuJoCo would wait for ever, itself or by way of a file that it includes.
+        SceneError: the scene's path is such a name, or the scene or a file that it includes refers
+            to a pipe or a device, on which MuJoCo would wait for ever.
     """
     if os.fsencode(scene).decode(errors="replace") != str(scene):
         raise SceneError(f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it")
@@ -68,27 +68,26 @@ _Element = tuple[str, dict[str, str]]  # tag and attributes
 def find_inputs(
     scene: Path, files: Files | None = None, *, looks: bool = False, missing: bool = False
 ) -> list[Path]:
-    """List the files that a scene is made of, as far as they are there: itself, then sorted.
+    """List the existing files of a scene: itself, then sorted.
 
-    In MJCF these are all files that an element names, in included files and attached models as
-    well. From which folder a name counts depends on the compiler's settings and on MuJoCo's
-    version, so files in all folders that come into question count: one too many costs a bake that
-    was not needed, one too few leaves a stale grid. In URDF they are the meshes, in glTF the
-    buffers.
+    In MJCF these are all files that an element refers to, also in included files and attached
+    models. A name's folder depends on the compiler's settings and on MuJoCo's version, so files in
+    all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
+    they are the meshes, in glTF the buffers.
 
     Args:
         scene: its file.
-        files: where to look for the others; on this machine if None.
-        looks: whether textures and skins count as well.
-        missing: whether to list, of a file that is nowhere, all places where it may be.
+        files: access to the other files; None for this machine.
+        looks: include textures and skins.
+        missing: list all possible places of each missing file as well.
 
     Raises:
-        SceneError: it names a pipe or a device of this machine, which would keep its reader.
+        SceneError: it refers to a pipe or a device of this machine, which would block its reader.
     """
     has = _is_file if files is None else files.has
 
     def read(path: Path) -> bytes:
-        """The content of a file; none where it can't be read."""
+        """The content of a file; empty if it can't be read."""
         if has(path):
             with suppress(OSError):
                 if files is not None:
@@ -119,9 +118,9 @@ def find_inputs(
 
 
 def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
-    """Where a mesh that a URDF names is looked for, first to last.
+    """The possible places of a URDF's mesh, first to last.
 
-    As it is written, then, from the URDF's folder up, by the tail of its path, the longest first:
+    As written, then from the URDF's folder up by the tail of its path, the longest first:
     that finds ``package://pkg/meshes/a.dae`` without ROS.
     """
     bare = Path(name.split("://", 1)[-1])
@@ -134,13 +133,13 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
 def _places_in_mjcf(
     scene: Path, elements: list[_Element], read: Callable[[Path], bytes], looks: bool
 ) -> list[list[Path]]:
-    """For each file that MJCF names, all places where it may be."""
-    named: list[tuple[list[Path], str]] = []  # folders that the name may count from, and the name
+    """For each file in MJCF, its possible places."""
+    named: list[tuple[list[Path], str]] = []  # possible folders of the name, and the name
     folders = {""}
     left, seen = [(scene, elements, scene.parent)], set[tuple[str, ...]]()
     while left:
         file, own, home = left.pop()
-        # another one is XML by its file, and by the folders that its names count from
+        # another model: its file, and the folders of its names
         identity = tuple(map(os.path.realpath, (file, file.parent, home)))
         if identity in seen:
             continue
@@ -166,7 +165,7 @@ def _places_in_mjcf(
 
 
 def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:
-    """The paths that a name in MJCF may mean; `strippath` of a compiler drops its folders.
+    """The possible paths of a name in MJCF; `strippath` of a compiler drops its folders.
 
     MuJoCo drops a folder before ``..``, even a link or one that is missing; the system follows it.
     """
@@ -182,7 +181,7 @@ def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Pa
 
 
 def _buffer_names(content: bytes) -> list[str]:
-    """What the buffers of a glTF file that are files are called there."""
+    """The buffers of a glTF file that are files."""
     try:
         buffers = json.loads(content)["buffers"]
         uris = [str(each["uri"]) for each in buffers if "uri" in each]
@@ -192,15 +191,13 @@ def _buffer_names(content: bytes) -> list[str]:
 
 
 def _slashed(name: str) -> str:
-    """A path as MuJoCo reads it on any system: a backslash stands between folders, too."""
+    """A path as MuJoCo reads it on any system: a backslash separates folders, too."""
     return name.replace("\\", "/")
 
 
 def _parse_elements(content: bytes) -> list[_Element]:
-    """The elements of an XML file, in its order."""
-
     def text(value: bytes) -> str:
-        """A name as the system's calls give it, also where it is no UTF-8."""
+        """A name as the system's calls return it, also if it is no UTF-8."""
         return html.unescape(value.decode(errors="surrogateescape"))
 
     return [

@@ -1,7 +1,7 @@
-"""The shapes of a grid: rooms and walkable areas as polygons along cells' edges, doors as lines.
+"""Rooms and walkable areas as polygons along cells' edges, and doors as lines.
 
 They are written as GeoJSON and WKT, and rooms are read from GeoJSON. Coordinates are the world's
-x, y in metres, not the longitude and latitude that RFC 7946 is about.
+x, y in metres, unlike RFC 7946's longitude and latitude.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Shape:
 
     Attributes:
         kind: ``room``, ``walkable`` or ``door``.
-        level: its level, 0 is the lowest.
+        level: 0 is the lowest.
         level_name: the level's name.
         height: world z of the level's ground [m].
         id: of a room or door, unique among those of the grid, None for none.
@@ -71,7 +71,7 @@ class Shape:
 
     @property
     def geometry(self) -> BaseGeometry:
-        """The shape for shapely: a Polygon, a MultiPolygon or a LineString, valid, in metres.
+        """The valid shapely Polygon, MultiPolygon or LineString, in metres.
 
         Raises:
             MissingDependencyError: shapely is not installed.
@@ -86,7 +86,7 @@ class Shape:
 
     @property
     def properties(self) -> Json:
-        """All but the geometry, in values that JSON can hold."""
+        """JSON of all but the geometry."""
         named = {"levelName": self.level_name, "height": self.height, "id": self.id}
         own = {"kind": self.kind, "level": self.level, **named}
         return {**own, "name": self.name, "area": self.area, **self.more}
@@ -95,19 +95,19 @@ class Shape:
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     """The rooms, walkable areas and doors of a grid as shapes.
 
-    Polygons run exactly along the cells' edges: of a room, round all of its cells, also those that
-    something stands in; of what is walkable, round the free cells of a level. A cell's centre lies
-    in a polygon if and only if the polygon has the cell. Cells that only touch at a corner are
-    parts of their own, so polygons are valid. A door is a line from jamb to jamb, where its leaf is
-    when it is closed (else, as it is now); see `navbake.navgrid.door_lines.find_ends`.
+    Polygons run exactly along the cells' edges: of a room, round all of its cells, occupied ones
+    too; of a walkable area, round the free cells of a level. A cell's centre lies in a polygon if
+    and only if the polygon has the cell. Cells that only touch at a corner are separate parts, so
+    polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
+    current state); see `navbake.navgrid.door_lines.find_ends`.
 
     Args:
         grid: a grid of one or several levels.
-        kinds: which shapes: ``room``, ``walkable``, ``door``.
+        kinds: of shapes: ``room``, ``walkable``, ``door``.
 
     Returns:
-        For each level, lowest first, its rooms by index, its walkable area (none where no cell is
-        free), and its doors. A door of two levels is on both.
+        For each level, lowest first, its rooms by index, its walkable area (none without free
+        cells), and its doors. A door of two levels is on both.
 
     Raises:
         QueryError: a kind is unknown.
@@ -157,7 +157,7 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
     Returns:
         By ascending label, its parts by their first cells in reading order; of each its rings, the
-        outer one first, then the holes, as `Shape.parts` has them, to a nanometre.
+        outer one first, then the holes, as in `Shape.parts`, to a nanometre.
     """
     own = np.asarray(labels, dtype=np.int32)
     found: dict[int, list[list[Float]]] = {}
@@ -178,14 +178,14 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
 
 def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
-    """The rings of parts of cells, (height, width), from 1: each its part, and its corners.
+    """Yield the rings of parts of cells, (height, width), from 1: each ring's part and corners.
 
     Contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture Processing,
-    1982). Each side between a cell and a neighbour of another part is a step that has its cell on
-    the left. A walk turns right where a cell of its part lies ahead on the right, also where it
-    touches its own by a corner alone, goes on where one lies ahead, and turns left else. The cells
-    of a part are connected by their sides, so what lies on both sides of such a corner isn't, and
-    no ring has a corner twice.
+    1982). Each side between a cell and a neighbour of another part is a step with its cell on the
+    left. A walk turns right if a cell of its part lies ahead on the right, even if it touches its
+    own by a corner alone, goes on if one lies ahead, and else turns left. The cells of a part are
+    connected by their sides, so the cells on both sides of such a corner aren't, and no ring has a
+    corner twice.
 
     Corners are rows and columns, 0, 0 the upper left one of the first cell, shape (n, 2). Seen with
     rows downwards, outer rings run anticlockwise and holes clockwise; of a part, the outer one is
@@ -224,18 +224,11 @@ def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
 
 
 def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
-    """Describe a grid's rooms, walkable areas and doors as a FeatureCollection, see `find_shapes`.
+    """Describe a grid's shapes as a FeatureCollection; see `find_shapes` for `kinds` and errors.
 
     A room or a walkable area is a Polygon or MultiPolygon, a door a LineString, in world x, y [m].
     Properties are ``kind``, ``level``, ``levelName``, ``height`` (of the level's ground [m]),
     ``id``, ``name`` and ``area`` [m²]; ``outdoors`` of rooms, ``state`` and ``rooms`` of doors.
-
-    Args:
-        grid: a grid of one or several levels.
-        kinds: which features: ``room``, ``walkable``, ``door``.
-
-    Raises:
-        QueryError: a kind is unknown.
     """
     features = []
     for shape in find_shapes(grid, kinds):
@@ -257,15 +250,15 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
 
 
 def encode_geojson(grid: NavGrid, path: Path) -> Files:
-    """Make a GeoJSON file of all that `to_geojson` describes."""
+    """Encode the FeatureCollection of `to_geojson`."""
     return {path: orjson.dumps(to_geojson(grid), option=orjson.OPT_APPEND_NEWLINE)}
 
 
 def encode_wkt(grid: NavGrid, path: Path) -> Files:
-    """Make a CSV of a grid's shapes, as GDAL, QGIS, PostGIS and pandas take it.
+    """Encode a grid's shapes as a CSV for GDAL, QGIS, PostGIS and pandas.
 
-    Its columns are ``WKT`` (OGC simple features) and then the properties that all features of a
-    GeoJSON of the grid have. Raises a MissingDependencyError without shapely.
+    Its columns are ``WKT`` (OGC simple features) and then the properties that all features of
+    `to_geojson` have. Raises a MissingDependencyError without shapely.
     """
     shapely = import_extra("shapely")
     rows: list[list[Any]] = [["WKT", *COLUMNS]]
@@ -278,9 +271,9 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     """Read the polygons of a GeoJSON file: a FeatureCollection, or a single Feature.
 
-    Coordinates are world x, y in metres; a third one is left out. Of the properties, ``name``
-    (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if missing)
-    count. A feature whose ``kind`` is ``walkable`` or ``door`` is left out. A MultiPolygon is one
+    Coordinates are world x, y in metres; a third one is ignored. The properties are ``name``
+    (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if
+    missing). Features of ``kind`` ``walkable`` or ``door`` are left out. A MultiPolygon is one
     room. Rings may be closed or not. Errors name the feature.
 
     Returns:
@@ -301,7 +294,7 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
 
 
 def _read_feature(feature: Any, where: str) -> Json | None:
-    """The outline of a feature; None where it says that it is something else than a room."""
+    """The outline of a feature; None for a feature that is no room."""
 
     def check(is_good: bool, expected: str, value: Any) -> None:
         if not is_good:

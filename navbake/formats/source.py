@@ -1,4 +1,4 @@
-"""Files read and written whole: paths, bytes or streams; the system's errors as FormatErrors."""
+"""Reads and writes whole files: paths, bytes or streams; system errors become FormatErrors."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
 """Files to be written, in this order: content, or pieces of it, by path."""
 
 LOG = logging.getLogger("navbake")
-CHUNK = 1 << 20  # that is read first [bytes]
-BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
+CHUNK = 1 << 20  # read first [bytes]
+BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP = b"\x1f\x8b"
 PACKED: dict[bytes, tuple[str, Any]] = {
     GZIP: ("gzip", gzip.open),
@@ -38,7 +38,7 @@ NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake
 
 
 def path_name(path: str | os.PathLike[str]) -> str:
-    """A path as an error shows it, on one line."""
+    """A path for messages, on one line."""
     name = os.fsdecode(path)
     return name if name.isprintable() else repr(name)
 
@@ -51,7 +51,7 @@ def check_path(path: object) -> str:
 
 
 def shown_type(value: object) -> str:
-    """What a value is, where it is not even of the right type."""
+    """Describe a value of a wrong type."""
     return "None" if value is None else f"one of Python's type {type(value).__name__}"
 
 
@@ -62,7 +62,7 @@ def _os_message(error: Exception) -> str:
 
 @contextmanager
 def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a source; what the system refuses becomes a FormatError."""
+    """Open a source; system errors become FormatErrors."""
     if isinstance(source, bytes | bytearray | memoryview):
         yield io.BytesIO(source), "the bytes given"
         return
@@ -89,10 +89,10 @@ def read_bytes(
     expected: str = "",
     remedy: str = "",
 ) -> tuple[bytes, str]:
-    """Read a file whole: its content, and its name for messages.
+    """Read a file whole; returns its content, and its name for messages.
 
-    `begins` is how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
-    begin so: it may be a device that never ends.
+    `begins` are the possible beginnings of such a file. Of any other, at most 1 MiB is read: it
+    may be a device that never ends.
     """
     with _opened(source) as (stream, name):
         data = stream.read(CHUNK)
@@ -111,13 +111,13 @@ def read_bytes(
 
 
 def _beginning(text: bytes) -> str:
-    """How a text begins, as an error shows it."""
+    """The beginning of a text for messages."""
     begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
     return f"{shown(begin)[1:]}…" if begin else "nothing"
 
 
 def unpack(data: bytes, name: str) -> bytes:
-    """Unpack gzip or bzip2, which the content tells; what is neither stays as it is."""
+    """Unpack gzip or bzip2, detected by the content; other data are returned as they are."""
     kind, opened = PACKED.get(data[:2], ("", None))
     if opened is None:
         return data
@@ -133,9 +133,9 @@ def unpack(data: bytes, name: str) -> bytes:
 
 
 def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
-    """Read a file that holds a grid's JSON object, plain or gzipped (which its content tells).
+    """Read the JSON of a grid's file, plain or gzipped (detected by its content).
 
-    Returns its text without a byte order mark, the file's size, and the place that errors name.
+    Returns its text without a byte order mark, the file's size, and the place for errors.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
@@ -159,7 +159,7 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> Any:
 
 
 def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
-    """Read a JSON file that should hold what is expected; also its name for messages."""
+    """Read a JSON file; also returns its name for messages, which name `expected`."""
     content, name = read_bytes(path)
     try:
         return orjson.loads(content.removeprefix(BOM)), name
@@ -169,7 +169,7 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
 
 
 def check_named(path: Path) -> None:
-    """Refuse a file that another file is to name in UTF-8, and can't."""
+    """Refuse a file whose name isn't UTF-8, as another file is to contain it."""
     if path.name != os.fsencode(path.name).decode(errors="replace"):
         raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
 
@@ -182,7 +182,7 @@ def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> 
 
 
 def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
-    """Write files that belong together, all or none; their paths."""
+    """Write files that belong together, all or none; returns their paths."""
     with _refusing(files):
         write_together(files)
     return list(files)
@@ -202,7 +202,7 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
 
 
 def import_extra(name: str, extra: str = "convert", what: str = "this") -> Any:
-    """Load a library of an extra, or say `what` needs it and how to install it."""
+    """Import a library of an extra, or raise an error that says how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

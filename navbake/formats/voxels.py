@@ -1,4 +1,4 @@
-"""Voxel files, told by their suffix, and the table of their IDs beside them."""
+"""Voxel files by their suffix, and the table of their IDs beside them."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def write_voxels(
     layout: Literal["binvox", "airsim"] = "binvox",
     mapping: IdMapping | None = None,
 ) -> None:
-    """Write a voxel file, and beside one that holds IDs the table of what they stand for.
+    """Write a voxel file, and the table of its IDs' names beside it if it has any.
 
     Args:
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
@@ -54,16 +54,15 @@ def write_voxels(
 
 
 def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
-    """Read a voxel file, with the table of its IDs if that lies beside it.
+    """Read a voxel file, with the table of its IDs if it lies beside it.
 
     Args:
         path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
-        max_voxels: most voxels that the grid may have. If None: 2**31, and no more memory than
-            256 MiB and 512 bytes for each byte of the file.
+        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
+            512 bytes for each byte of the file.
 
     Raises:
-        FormatError: the file is broken, of no format that is known, or needs more memory than
-            it may.
+        FormatError: the file is broken, of an unknown format, or needs too much memory.
     """
     suffix = _check_suffix(path)
     if suffix == ".npz":
@@ -82,7 +81,7 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
 
 
 class _Names(msgspec.Struct):
-    """The table of what IDs stand for, as a file has it."""
+    """The table of IDs' names in a file."""
 
     ids: dict[Annotated[int, msgspec.Meta(ge=0, lt=2**32)], str]
 
@@ -95,5 +94,5 @@ def _check_suffix(path: str | PathLike[str]) -> str:
 
 
 def names_path(path: str | PathLike[str]) -> Path:
-    """Where the table of a file's IDs is: ``a.npz.names.json`` beside ``a.npz``."""
+    """The path of the table of a file's IDs: ``a.npz.names.json`` beside ``a.npz``."""
     return Path(f"{path}.names.json")
