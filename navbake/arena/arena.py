@@ -1,4 +1,4 @@
-"""Arenas of squares: a level's obstacles in them, and what an agent has explored of one."""
+"""Arenas of squares: the obstacles of a level in them, and maps that an agent explores."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
 from navbake.types import Bool, Float, Int
 from navbake.voxels.placement import finite_array
 
-HAIR = 1e-6  # a range that ends this little before a face was measured to it [m]
+HAIR = 1e-6  # a range that ends this near before a face ends on it [m]
 
 
 def check_squares(square: float, corner: ArrayLike) -> Float:
@@ -43,7 +43,7 @@ def place_squares(
         shape: rows and columns, >= 1 each; as many as cover the rest of the level if None.
 
     Raises:
-        QueryError: a number is wrong, or the arena lies beside the level.
+        QueryError: a number is wrong, or the arena lies outside the level.
     """
     x0, y0, x1, y1 = level.lattice.bounds
     left, bottom = check_squares(square, (x0, y0) if corner is None else corner).tolist()
@@ -75,18 +75,17 @@ def place_squares(
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
-    """Mark the squares that hold an obstacle in any part: (rows, cols), bool, row 0 at the top.
+    """Mark the squares that overlap an obstacle: (rows, cols), bool, row 0 at the top.
 
-    Obstacles are occupied cells, and what lies beside the level. A cell that only touches a
-    square isn't in it.
+    Obstacles are occupied cells and the area outside the level. Touching is no overlap.
     """
     lattice = level.lattice
-    filled = np.pad(level.occupancy != 0, 1, constant_values=True)  # beside the level, too
+    filled = np.pad(level.occupancy != 0, 1, constant_values=True)  # outside the level, too
     # a summed-area table (Crow 1984): the sum over any rectangle from its four corners
     sums = np.pad(filled.astype(np.int64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
     def spans(first: float, count: int, limit: int) -> tuple[Int, Int]:
-        """The cells under each square along an axis, from and to, in the padded array."""
+        """The first and last cells of each square along an axis, in the padded array."""
         edges = (first + np.arange(count + 1) * squares.cell_size) / lattice.cell_size
         start = np.floor(edges[:-1] + CELL_SLACK).astype(np.int64) + 1
         end = np.ceil(edges[1:] - CELL_SLACK).astype(np.int64) + 1
@@ -101,16 +100,16 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
 
 
 class ExploredMap:
-    """A map of squares that an agent fills with what its sensors see.
+    """A map of squares that an agent fills from its sensors.
 
-    The arena is fully surrounded by walls, which are no part of it. The latest that was seen of
-    a square counts; within one call of `observe` a square that some ray ends in is an obstacle,
-    whatever other rays pass through it.
+    The arena is surrounded by walls, which are no part of it. The latest observation of a square
+    counts; within one call of `observe`, a square in which some ray ends is an obstacle, even if
+    other rays pass through it.
 
     Attributes:
-        lattice: where the squares lie in the world.
+        lattice: of the squares in the world.
         explored: shape (rows, cols), bool, row 0 at the top.
-        obstacles: the same; never true where nothing is explored.
+        obstacles: the same; never true in unexplored squares.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class ExploredMap:
         square: float = SQUARE,
         corner: Sequence[float] = (0.0, 0.0),
     ) -> None:
-        """Begin with nothing explored.
+        """Make an unexplored map.
 
         Args:
             shape: rows and columns, >= 1 each.
@@ -128,7 +127,7 @@ class ExploredMap:
             corner: the lower left corner, x and y, world frame [m].
 
         Raises:
-            FormatError: the shape is none.
+            FormatError: the shape is invalid.
             QueryError: a number is wrong.
         """
         rows, cols = check_shape(shape)
@@ -141,34 +140,34 @@ class ExploredMap:
     def from_descriptor(
         cls, part1: str, part2: str, shape: Sequence[int] = ARENA, **squares: Any
     ) -> ExploredMap:
-        """Go on from a map descriptor, see `navbake.arena.map_descriptor.decode`."""
+        """Make a map from a map descriptor, see `navbake.arena.map_descriptor.decode`."""
         own = cls(shape, **squares)
         own.explored, own.obstacles = decode(part1, part2, shape)
         return own
 
     def enter(self, x: float, y: float) -> None:
-        """Note that the agent is in the square at a world position [m]: explored, and free."""
+        """Mark the agent's square at a world position [m] as explored and free."""
         row, col = self._square_at(x, y)
         self.explored[row, col], self.obstacles[row, col] = True, False
 
     def observe(
         self, x: float, y: float, angles: ArrayLike, ranges: ArrayLike, max_range: float
     ) -> None:
-        """Note what range sensors measured from one place.
+        """Add the measurements of range sensors at one place.
 
-        Each ray explores the squares that it passes, and they are free. A range below
-        `max_range` ends in an obstacle: the square that holds the ray's end, or that begins
-        there. Squares behind it, and all outside the arena, don't change.
+        Each ray marks the squares that it passes as explored and free. A range below `max_range`
+        ends in an obstacle: the square that contains the ray's end, or begins there. Squares
+        behind it, and the area outside the arena, don't change.
 
         Args:
-            x, y: where the sensors are, world position [m].
+            x, y: the sensors' world position [m].
             angles: their directions, from the world's x towards its y, shape (n,) [rad].
-            ranges: what they measured, shape (n,) [m], >= 0; infinite, or `max_range` and more,
-                where they saw nothing; NaN where they measured nothing.
-            max_range: how far they see [m], > 0.
+            ranges: measured distances, shape (n,) [m], >= 0; infinite, or `max_range` and more,
+                for no obstacle; NaN for no measurement.
+            max_range: of the sensors [m], > 0.
 
         Raises:
-            QueryError: the position is beside the arena, or a number is wrong.
+            QueryError: the position is outside the arena, or a number is wrong.
         """
         self._square_at(x, y)
         ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
@@ -192,14 +191,14 @@ class ExploredMap:
     def look(
         self, truth: ArrayLike, x: float, y: float, angles: ArrayLike, max_range: float
     ) -> Float:
-        """See what sensors at a place would see in an arena that is known.
+        """Simulate the sensors at a place of a known arena, and add their measurements.
 
         Args:
-            truth: where obstacles are, shape (rows, cols), row 0 at the top.
+            truth: the obstacles, shape (rows, cols), row 0 at the top.
             x, y, angles, max_range: see `observe`.
 
         Returns:
-            The ranges, shape (n,), float64 [m]; infinite where nothing is in sight.
+            The ranges, shape (n,), float64 [m]; infinite for no obstacle.
 
         Raises:
             QueryError: see `observe`; or the truth has another shape.
@@ -238,10 +237,10 @@ class ExploredMap:
     def _trace(
         self, x: float, y: float, angle: float, length: float, beyond: bool
     ) -> tuple[Int, Int, Float]:
-        """The rows and columns of squares along a ray, nearest first, and where it enters them [m].
+        """The rows and columns of squares along a ray, nearest first, and their distances [m].
 
-        With `beyond`, the square that holds or follows the ray's end comes with the ray's
-        length or more, once.
+        With `beyond`, the square that contains or follows the ray's end has the ray's length or
+        more, once.
         """
         size, counts = self.lattice.cell_size, (self.lattice.width, self.lattice.height)
         # in squares from here on, columns and rows; rows run against y
@@ -255,7 +254,7 @@ class ExploredMap:
                 ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
                 lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
                 stops.append((lines - place) / speed)
-        # each piece between two crossings lies in one square: that of its middle
+        # a piece between two crossings lies in its middle's square
         t = np.unique(np.concatenate(stops).clip(0.0, far))
         t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
         starts, middles = t[:-1] * size, (t[:-1] + t[1:]) / 2
@@ -269,7 +268,6 @@ class ExploredMap:
 
 
 def _check_rays(angles: ArrayLike, max_range: float) -> Float:
-    """The directions of rays, shape (n,) [rad]."""
     ways = _numbers(angles, "angles [rad]")
     if not np.isfinite(ways).all():
         raise QueryError("expected finite angles [rad], got others")

@@ -1,11 +1,11 @@
-"""Map descriptors: what of an arena is explored, and what is in it, as two hexadecimal strings.
+"""Map descriptors: the explored squares of an arena and their obstacles, as two hex strings.
 
-Part 1 has a bit for each square, 1 where it is explored, between two bits 11 and two bits 11.
+Part 1 has a bit for each square, 1 for explored, between two bits 11 and two bits 11.
 Part 2 has a bit for each explored square, 1 for an obstacle, and 0s up to a full byte. Squares
 go row by row from the bottom, each row from the left. An arena of 15 × 20 squares fills 38 bytes
 in part 1; other sizes get 0s after the closing 11, up to a full byte.
 
-Arrays are ``[row, col]`` with row 0 at the top, as one draws a map and as all of navbake's are.
+Arrays are ``[row, col]`` with row 0 at the top, as in all of navbake.
 """
 
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import FormatError
 from navbake.types import Bool
 
-ARENA = (20, 15)  # rows and columns of the arena that the format is for
+ARENA = (20, 15)  # rows and columns of the format's arena
 SQUARE = 0.1  # edge of its squares [m]
 PAD = np.array([1, 1], dtype=np.uint8)
-MOST = 10**8  # squares that a map may have
+MOST = 10**8  # squares of a map
 
 UNEXPLORED, FREE, OBSTACLE = "?", ".", "#"
 
@@ -29,11 +29,11 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
     """Encode a map.
 
     Args:
-        explored: shape (rows, cols), row 0 at the top, true where a square is explored.
-        obstacles: the same, true where an obstacle is; what isn't explored doesn't count.
+        explored: shape (rows, cols), row 0 at the top, true for explored squares.
+        obstacles: the same, true for obstacles; unexplored squares are ignored.
 
     Returns:
-        Part 1 and part 2, in capitals; part 2 is empty where nothing is explored.
+        Part 1 and part 2, in capitals; part 2 is empty if nothing is explored.
 
     Raises:
         FormatError: the two aren't of one shape, or of no squares.
@@ -52,14 +52,14 @@ def encode(explored: ArrayLike, obstacles: ArrayLike) -> tuple[str, str]:
 def decode(part1: str, part2: str, shape: Sequence[int] = ARENA) -> tuple[Bool, Bool]:
     """Decode a map; the inverse of `encode`.
 
-    Small letters, and a part 2 that is filled up to a digit instead of a byte, are read too.
+    Also reads small letters, and a part 2 that is filled up to a digit instead of a byte.
 
     Args:
         shape: rows and columns, >= 1 each.
 
     Returns:
-        explored and obstacles, shape (rows, cols), bool, row 0 at the top; what isn't explored
-        holds no obstacle.
+        explored and obstacles, shape (rows, cols), bool, row 0 at the top; unexplored squares
+        have no obstacle.
 
     Raises:
         FormatError: a string isn't hexadecimal, too short or too long, or its padding is wrong.
@@ -124,7 +124,7 @@ def check_shape(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _from_hex(text: str, name: str) -> tuple[NDArray[np.uint8], int]:
-    """The bits, filled up to a full byte, and how many digits there are."""
+    """The bits, filled up to a full byte, and the number of digits."""
     if not isinstance(text, str):
         raise FormatError(f"expected {name} as a string of hexadecimal digits, got {text!r}")
     digits = text.strip()

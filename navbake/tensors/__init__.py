@@ -1,10 +1,9 @@
-"""Grids as arrays of numpy, PyTorch, JAX and others: batched questions, on any device.
+"""Grids as arrays of numpy, PyTorch, JAX and others: batched queries on any device.
 
-``t = grid.tensors(torch, device="cuda")`` makes the arrays; the functions here answer questions
-about many positions at once. They are pure: no random state, no loops over data, no branches on
-values. So they run inside ``jax.jit``, ``jax.vmap``, ``torch.vmap`` and ``torch.compile``.
-navbake imports no framework here: it uses the one that the caller hands over, by the Python array
-API (https://data-apis.org/array-api/).
+``t = grid.tensors(torch, device="cuda")`` makes the arrays; the functions here take many positions
+at once. They are pure, without random state, loops over data or branches on values, and so run
+inside ``jax.jit``, ``jax.vmap``, ``torch.vmap`` and ``torch.compile``. navbake imports no framework
+here: it uses the caller's by the Python array API (https://data-apis.org/array-api/).
 """
 
 from navbake.tensors.build import make_tensors

@@ -1,4 +1,4 @@
-"""Makes `GridTensors` of grids, for whatever array library the caller hands over."""
+"""Makes `GridTensors` of grids for the caller's array library."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Floating = np.dtype[np.floating]
 Made = dict[str, NDArray[Any]]
-FINEST = 8  # how many numbers of the dtype a cell is wide, at least
+FINEST = 8  # least width of a cell in numbers of the dtype
 
 
 def make_tensors(
@@ -39,22 +39,21 @@ def make_tensors(
 ) -> GridTensors:
     """Turn one or several grids into arrays of one library, on one device.
 
-    Later changes of a grid, blocks included, aren't seen: make new tensors then.
+    Later changes of a grid, blocks included, have no effect: make new tensors then.
 
     Args:
-        grids: one grid; or several, which functions tell apart by `scene_id`, their place in the
-            sequence.
+        grids: one grid, or several, numbered as `scene_id` in the order given.
         xp: ``numpy``, ``torch``, ``jax.numpy`` or another module that follows the Python array
             API.
-        device: where the arrays shall be, as the library names it; its default unless given.
-        dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres; what the
-            library makes of a Python float unless given. float32 is refused where it can't tell
-            neighbouring cells apart so far from the origin.
+        device: of the arrays, as the library names it; its default unless given.
+        dtype: ``"float32"`` or ``"float64"``: of positions and of all values in metres; the
+            library's default unless given. float32 is refused if it can't resolve cells so far
+            from the origin.
         goals: of one grid, goals as `PathFinder.find_path` takes them; of several, such a
-            sequence for each, all equally long. `distance_to_goal` and `path_step` know them by
-            their places.
-        max_drop: how far above the floor `is_navigable` lets a position be [m], >= 0.
-        cut_corners: as `PathFinder` has it.
+            sequence for each, all equally long. `distance_to_goal` and `path_step` number them in
+            this order.
+        max_drop: largest height above the floor for `is_navigable` [m], >= 0.
+        cut_corners: as in `PathFinder`.
     """
     is_one = hasattr(grids, "levels")
     if not is_one and not isinstance(grids, Iterable):
@@ -98,7 +97,7 @@ def make_tensors(
 def _open_library(
     xp: Any, device: Any, dtype: str | None
 ) -> tuple[Any, Callable[[NDArray[Any]], Any]]:
-    """A library's namespace, and what makes arrays of it: floats in the dtype."""
+    """A library's namespace, and a function that makes arrays of it, floats in the dtype."""
     try:
         from array_api_compat import array_namespace  # of the extra [tensors]
     except ImportError as error:
@@ -124,13 +123,13 @@ def _open_library(
             where = f"{space.__name__} can be made on the device {device!r}"
             raise QueryError(f"no array of {where}: {str(error).splitlines()[0]}") from error
 
-    if make(np.zeros(1)).dtype != wanted:  # JAX has no float64 and no int64 unless it was told to
+    if make(np.zeros(1)).dtype != wanted:  # JAX has no 64-bit types by default
         raise QueryError(f"{space.__name__} has no {dtype} as it is set up: use float32")
     return space, make
 
 
 def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> NDArray[Any]:
-    """Values by flat id as an array (levels, rows, cols) with room for all scenes."""
+    """Values by flat id as an array (levels, rows, cols), padded to `shape`."""
     padded = np.full(shape[1:], outside, dtype=values.dtype)
     for number, level in enumerate(search.grid.levels):
         part = values[search.flat.cells_of(number)].reshape(level.shape)
@@ -139,7 +138,7 @@ def _pad(search: Search, values: NDArray[Any], shape: Shape, outside: float) -> 
 
 
 def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
-    """Where the columns and rows of each level lie."""
+    """Edges of the columns and rows of each level."""
     num = shape.scenes, shape.levels
     names = ("x_first", "y_first", "scale", "west", "east", "north", "south")
     found: Made = {name: np.zeros(num, dtype=dtype) for name in names}
@@ -155,7 +154,7 @@ def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
                 f"{grids[at[0]].scene_id!r}: use float64"
             )
         x_edge = first_in_cell(x_min, size, width, dtype)
-        y_edge = -first_in_cell(-y_max, size, height, dtype)  # to the last bit the same formula
+        y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
         found["x_edge"][at][: width + 1], found["y_edge"][at][: height + 1] = x_edge, y_edge
         found["num_rows"][at], found["num_cols"][at] = height, width
         sides = x_edge[0], x_edge[-1], y_edge[0], y_edge[-1]
@@ -176,7 +175,7 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
         stand = np.where(np.isnan(z), own, z)
         heights, rank = np.unique(stand, return_inverse=True)
         rank = np.where(np.isnan(z), rank, rank + len(heights)).astype(np.int32)
-        # upside down: the lowest number from which the mirrored floor is at most the drop above
+        # mirrored: the lowest number from which the mirrored floor is at most the drop above
         top = np.where(flat.free, -lowest_reaching(-stand, max_drop, dtype), -np.inf)
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
@@ -205,7 +204,7 @@ def _goal_fields(
     onward = np.full(cost.shape, -1, dtype=np.int32)
     every = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
     for number, search in enumerate(searches):
-        # the id in the padded arrays of each cell, by flat id; and -1 at the end, for none
+        # padded ids by flat id, and -1 at the end, for none
         levels = enumerate(search.grid.levels)
         parts = [every[number, k, : v.height, : v.width].ravel() for k, v in levels]
         ids = np.concatenate([*parts, np.array([-1], dtype=np.int32)])
@@ -231,16 +230,15 @@ def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Sha
     return found
 
 
-# The run time finds a position's cell in float64: ``floor((x - x_min) / cell_size)``. In float32
-# the same formula gives another cell near an edge. So for each edge the smallest number of the
-# dtype is searched for which the formula in float64 gives the next cell: one comparison with it
-# decides as float64 does. Floors and drops are treated alike.
+# A position's cell is ``floor((x - x_min) / cell_size)`` in float64; in float32 the formula is
+# wrong near edges. So a bisection finds the smallest number of the dtype in each cell by the
+# float64 formula, and one comparison with it gives the exact cell. Likewise floors and drops.
 
 
 def smallest_true(
     holds: Callable[[Float], Bool], low: Float, high: Float, dtype: Floating
 ) -> NDArray[np.floating]:
-    """The smallest number of a dtype for which each of monotone conditions holds, by bisection."""
+    """The smallest number of a dtype at which each of monotone conditions holds, by bisection."""
     false, true = low.astype(dtype), high.astype(dtype)
     while True:
         middle = false + (true - false) / 2
@@ -268,7 +266,7 @@ def first_in_cell(
 def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:
     """The lowest z of `dtype` from which floors are at most a step above, by floor [m]."""
     some, where = np.unique(floors, return_inverse=True)
-    # numbers round the exact thresholds, farther off than rounding can move these
+    # bounds beyond the rounding of the exact thresholds
     exact = some - max_step
     reach = 1e-9 + 16 * float(np.finfo(dtype).eps) * (np.abs(some) + np.abs(exact))
     return smallest_true(lambda z: some <= z + max_step, exact - reach, exact + reach, dtype)[where]

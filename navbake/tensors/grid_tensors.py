@@ -1,8 +1,7 @@
-"""What the functions of `navbake.tensors` look things up in, and which cell a position is in.
+"""The arrays behind `navbake.tensors`, and the cell of a position in them.
 
-The rule is that of `navbake.navgrid.cells`, for arrays of any library. numpy answers large batches
-in pieces that fit the processor's cache, on several threads. The other libraries run whole
-expressions on threads or devices of their own.
+The rule is that of `navbake.navgrid.cells`. For numpy, large batches run in pieces that fit the
+processor's cache, on several threads; other libraries parallelize whole expressions themselves.
 """
 
 import math
@@ -20,11 +19,11 @@ Array: TypeAlias = Any
 
 NUMPY = ("numpy", "array_api_compat.numpy")
 PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second cache
-FAR = 1e30  # metres; what lies higher is no position
+FAR = 1e30  # [m]; higher positions are invalid
 
 
 class Shape(NamedTuple):
-    """How many scenes, levels, rows and columns the arrays have room for."""
+    """Padded numbers of scenes, levels, rows and columns."""
 
     scenes: int
     levels: int
@@ -36,18 +35,18 @@ class Shape(NamedTuple):
 class GridTensors:
     """One or several grids as arrays of one library, on one device; made by `make_tensors`.
 
-    Scenes are padded to the most levels, rows and columns that one of them has. The id of a cell
+    Scenes are padded to the largest numbers of levels, rows and columns. The id of a cell
     is ``((scene * levels + level) * rows + row) * cols + col``, over the padded `shape`; n is the
-    number of ids. What is "by level" has one value for each at ``scene * levels + level``.
+    number of ids. Arrays "by level" are indexed by ``scene * levels + level``.
     """
 
     xp: Any  # the array library's namespace
     dtype: Any  # of positions and of all values in metres: float32 or float64 of the library
     index: Any  # the integer dtype that ids are computed in
     shape: Shape  # padded
-    num_rooms: int  # the most rooms that a scene has
+    num_rooms: int  # the most rooms of a scene
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
-    goals: tuple[str, ...]  # what `goal` of `distance_to_goal` numbers, as it was given
+    goals: tuple[str, ...]  # the given goals by number
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
     scale: Array  # by level, cells per metre
@@ -62,8 +61,8 @@ class GridTensors:
     num_cols: Array
     # by cell, the lowest z [m] from which its floor, or else the ground, is at most a step above
     reach: Array
-    # by cell, int32, its place among the heights of a scene's floors, all grounds below all floors:
-    # of the floors that a position reaches, the highest counts
+    # by cell, int32, the rank of its floor among a scene's, grounds below all floors: the highest
+    # reachable floor is a position's
     rank: Array
     top: Array  # by cell, the highest z [m] at which `is_navigable` holds; -inf where it never does
     floor: Array  # by cell [m], NaN for no floor
@@ -71,7 +70,7 @@ class GridTensors:
     room: Array  # by cell, int32, 0 for no room
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
-    cost: Array  # at ``goal * n + cell``, what the cheapest path to the goal costs
+    cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
     # likewise, int32, the id of that path's next cell; itself at the goal, -1 for no path
     onward: Array
     by_island: Array  # the free cells' ids, sorted by `island_key`; int32, shape (m,)
@@ -87,10 +86,10 @@ STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "goals")
 
 
 def register_pytree(xp: Any) -> None:
-    """Let JAX see the arrays of GridTensors when it traces a function that takes one."""
+    """Register GridTensors as a pytree, so that JAX traces functions of it."""
     if xp.__name__.split(".")[0] != "jax":
         return
-    from jax import tree_util  # the caller handed over JAX
+    from jax import tree_util  # the caller's library
 
     arrays = [f.name for f in fields(GridTensors) if f.name not in STATIC]
     with suppress(ValueError):  # registered before
@@ -104,9 +103,9 @@ def locate(
     xp, first = t.xp, first_level(t, scene_id)
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     if scene_id is not None:
-        z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
+        z = xp.where(scene_id >= 0, z, xp.nan)  # unknown scenes
     best = level = xp.zeros_like(x, dtype=t.index)
-    if t.shape.levels == 1:  # none is to be chosen
+    if t.shape.levels == 1:  # no choice of a level
         cell, inside = on_level(t, x, y, first)
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
         return xp.where(inside, cell, 0), level, inside
@@ -122,10 +121,10 @@ def locate(
 
 
 def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Array, Array]:
-    """The cells at x, y of one level, clamped to valid ids, and whether they are there.
+    """Clamped, always valid cell ids of x, y on one level, and whether they are inside.
 
-    `first` is the number of the level among those of all scenes. The nearest edge is found by
-    rounding; on which side of that edge a position is, is decided exactly.
+    `first` is the level's number among those of all scenes. Rounding finds the nearest edge, and an
+    exact comparison the position's side of it.
     """
     xp, shape = t.xp, t.shape
     west, east, north, south = t.west[first], t.east[first], t.north[first], t.south[first]
@@ -141,7 +140,7 @@ def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Ar
 
 
 def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
-    """The number of the first level of each scene, among those of all scenes."""
+    """The number of each scene's first level among those of all scenes."""
     return 0 if scene_id is None else t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
 
@@ -160,7 +159,7 @@ def check_positions(t: GridTensors, positions: Array) -> Array:
 
 
 def as_array(t: GridTensors, values: Array) -> Array:
-    """Numbers as an array of the tensors' dtype; one of another might be in another cell."""
+    """Numbers as an array of the tensors' dtype; other dtypes might round to another cell."""
     if isinstance(values, int | float | Sequence):
         return _new_array(t, values, t.dtype)
     if (kind := getattr(values, "dtype", "no numbers")) != t.dtype:
@@ -171,7 +170,7 @@ def as_array(t: GridTensors, values: Array) -> Array:
 
 
 def check_scenes(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Array:
-    """The scenes of positions of a shape (...), -1 for unknown ones; None where there is one."""
+    """Scenes in a shape (...), -1 for unknown ones; None for tensors of one scene."""
     if scene_id is None:
         if t.shape.scenes > 1:
             raise QueryError(f"expected a scene_id, 0 to {t.shape.scenes - 1}: there are several")
@@ -193,7 +192,7 @@ def check_number(given: int | np.integer, what: str, count: int) -> int:
 def check_numbers(
     t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
 ) -> Array:
-    """Numbers, 0 to count - 1, in a shape; -1 for others, as a traced array can't be refused."""
+    """Numbers, 0 to count - 1, in a shape; -1 for others, as traced arrays can't raise."""
     if isinstance(given, int | Sequence | np.ndarray | np.integer):
         given = _new_array(t, given, None)
     if not hasattr(given, "dtype") or not t.xp.isdtype(given.dtype, "integral"):
@@ -205,7 +204,7 @@ def check_numbers(
 
 
 def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) -> Array:
-    """Values in a shape that they fit."""
+    """Values broadcast to a shape; a QueryError if they don't fit."""
     try:
         return t.xp.broadcast_to(values, shape)
     except (ValueError, RuntimeError, TypeError) as error:
@@ -214,12 +213,12 @@ def broadcast(t: GridTensors, values: Array, shape: tuple[int, ...], what: str) 
 
 
 def device_of(t: GridTensors) -> Array:
-    """Where the arrays are; None for the default, as in what JAX compiles."""
+    """The arrays' device; None for the default, as inside JAX's traced functions."""
     return getattr(t.floor, "device", None)
 
 
 def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
-    """Python's or numpy's numbers as an array on the tensors' device."""
+    """Numbers of Python or numpy as an array on the tensors' device."""
     try:
         return t.xp.asarray(values, dtype=dtype, device=device_of(t))
     except (ValueError, TypeError, RuntimeError) as error:
@@ -227,19 +226,19 @@ def _new_array(t: GridTensors, values: Array, dtype: Array) -> Array:
 
 
 def bounded(xp: Array, values: Array, low: Array | float, high: Array | float) -> Array:
-    """Values cut off at a lowest and a highest; NaN stays."""
+    """Values clipped to a range; NaN stays."""
     return xp.where(values < low, low, xp.where(values > high, high, values))
 
 
 def answer_all(
     t: GridTensors, answer: Callable[..., Array], positions: Array, *further: Array | int | None
 ) -> Array:
-    """Answer a question about positions of any shape (..., 3), in pieces where that is quicker."""
+    """Apply a function to positions of any shape (..., 3), in pieces where that is faster."""
     shape = tuple(positions.shape[:-1])
     count = math.prod(shape)
     if t.xp.__name__ not in NUMPY or count < 2 * PIECE:
         return answer(positions, *further)
-    from navbake.threads import run_in_bands  # saves numba where batches are small
+    from navbake.threads import run_in_bands  # saves numba for small batches
 
     whole = [
         a if a is None or isinstance(a, int) else np.reshape(a, (count, *a.shape[len(shape) :]))

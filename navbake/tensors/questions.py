@@ -1,10 +1,10 @@
-"""Batched questions: what cells hold, what lies round agents, ways to goals, random places.
+"""Batched queries: layers at positions, surroundings of agents, paths to goals, random places.
 
-Each function takes the tensors of one or several grids, `t`, and positions, world x, y, z [m], of
-any shape (..., 3) in the tensors' dtype, and gives values of shape (...). Where there are several
-grids, `scene_id` says which one is meant: an integer, or integers of shape (...). A position with a
-NaN, an infinite one and one beside the grid give NaN, False, 0 or -1. QueryError is raised where an
-array has another shape or dtype, or there is no such scene or goal.
+Each function takes the tensors `t` of one or several grids, and positions, world x, y, z [m], of
+any shape (..., 3) in the tensors' dtype, and returns values of shape (...). With several grids,
+`scene_id` selects one: an integer, or integers of shape (...). A position that is not finite or
+outside the grid gives NaN, False, 0 or -1. QueryError is raised for an array of another shape or
+dtype, and for an unknown scene or goal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MODES = ("nearest", "bilinear")
 
 
 def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The level that each position is on, int32, as `PathFinder.cell_at` has it; -1 for none."""
+    """The level of each position, int32, as in `PathFinder.cell_at`; -1 for none."""
 
     def answer(p: Array, scenes: Array) -> Array:
         _, level, inside = locate(t, p, scenes)
@@ -48,7 +48,7 @@ def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = No
 
 
 def floor(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """World z of the floor under each position [m], NaN where there is none."""
+    """World z of the floor under each position [m], NaN for none."""
     return _value(t, t.floor, t.xp.nan, positions, scene_id)
 
 
@@ -58,10 +58,10 @@ def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) 
 
 
 def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The connected part that each position is on, int32, 0 for none.
+    """The connected part of each position, int32, 0 for none.
 
-    Parts are numbered through all scenes: those of a scene follow those of the scenes before it. In
-    tensors of one grid, the numbers are `PathFinder.island_at`'s.
+    Parts are numbered through all scenes in order. In tensors of one grid, the numbers are those of
+    `PathFinder.island_at`.
     """
     return _value(t, t.island, 0, positions, scene_id)
 
@@ -79,15 +79,15 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None 
 def clearance(
     t: GridTensors, positions: Array, scene_id: Array | int | None = None, mode: str = "bilinear"
 ) -> Array:
-    """How far the nearest cell that isn't free is from each position [m]; NaN beside the grid.
+    """The distance from each position to the nearest cell that isn't free [m]; NaN outside.
 
-    Not `PathFinder.clearance`, which measures from the position itself to what is occupied. Here
-    each free cell has one value, `navbake.navgrid.islands.clearance`: from its centre to the
-    nearest centre of a cell that isn't free, less half a cell; all others have 0.
+    Unlike `PathFinder.clearance`, which measures from the position to obstacles, it is a layer,
+    `navbake.navgrid.islands.clearance`: from each free cell's centre to the nearest centre of a
+    cell that isn't free, less half a cell; 0 in all others.
 
-    The mode ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does;
-    ``"bilinear"`` interpolates between the centres of the four cells round the position, on the
-    position's level; at the edge of the grid the outer cells go on. It can be differentiated.
+    The mode ``"nearest"`` returns the value of the position's cell, as ``grid.values_at`` does;
+    ``"bilinear"`` interpolates between the centres of the four cells round the position on its
+    level, and is differentiable; the outer cells are continued at the edge of the grid.
     """
     if mode not in MODES:
         raise QueryError(f"expected a mode of {', '.join(MODES)}, got {mode!r}")
@@ -98,7 +98,7 @@ def clearance(
     def answer(p: Array, scenes: Array) -> Array:
         _, on, inside = locate(t, p, scenes)
         level = first_level(t, scenes) + on
-        # where a position is in no cell, nothing of it may get into the gradient
+        # keep positions outside the grid out of the gradient
         x = xp.where(inside, p[..., 0], t.x_first[level])
         y = xp.where(inside, p[..., 1], t.y_first[level])
         across = (x - t.x_first[level]) * t.scale[level] - 0.5
@@ -157,9 +157,9 @@ def heights(
     pattern: Array,
     scene_id: Array | int | None = None,
 ) -> Array:
-    """Floor heights at a pattern of points round each agent, turned with it: a height scan.
+    """A height scan: floor heights at a pattern of points round each agent, rotated with it.
 
-    Each point takes the nearest floor below its agent, by the rule of `level_at`. `yaw` are the
+    Each point's floor is the nearest below the agent, by the rule of `level_at`. `yaw` are the
     agents' headings [rad], 0 along x, counted towards y, shape (...); `pattern` are points in their
     frames, x ahead, y to the left [m], shape (k, 2). World z [m], shape (..., k); NaN for no floor.
     """
@@ -175,13 +175,12 @@ def patch(
     layer: str = "free",
     scene_id: Array | int | None = None,
 ) -> Array:
-    """Cut an egocentric picture of a layer round each agent, which looks up in it.
+    """Cut an egocentric map of a layer round each agent, with its heading up.
 
-    The first row is the farthest ahead, the first column the leftmost, the agent in the middle.
-    Each pixel, of a size `cell` [m], shows the grid's cell that its middle is in, by the rule of
-    `level_at` at the agent's z. The layer is ``free`` (bool), ``floor``, ``clearance`` (both [m]),
-    ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows, columns); False, NaN or
-    0 where there is nothing.
+    The agent is in the middle. Each pixel, of edge `cell` [m], shows the cell at its middle, by the
+    rule of `level_at` at the agent's z. The layer is ``free`` (bool), ``floor``, ``clearance``
+    (both [m]), ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows, columns);
+    False, NaN or 0 outside.
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
@@ -220,10 +219,10 @@ def _turned(
 def distance_to_goal(
     t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
 ) -> Array:
-    """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
+    """The cost of the cheapest path from each position to a goal, as in `PathFinder.distances`.
 
-    `goal` is its number among those of the tensors: an integer, or integers that fit the shape
-    (...). Costs are metres times weights; inf where no path leads there, NaN beside the grid.
+    `goal` is its number among those of the tensors: an integer, or integers that broadcast to
+    (...). Costs are metres times weights; inf for no path, NaN outside the grid.
     """
 
     def answer(p: Array, first: Array | int, scenes: Array) -> Array:
@@ -258,8 +257,8 @@ def path_step(
 ) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
-    Whoever follows it stays in the cells of that path, over links to other levels as well. World
-    x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN where there is no path.
+    Following it stays in the cells of that path, also over links to other levels. World
+    x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN for no path.
     """
     xp = t.xp
 
@@ -293,7 +292,7 @@ def _ask_goal(
         first = check_number(goal, "goal", _num_goals(t)) * num_cells
     else:
         goals = check_numbers(t, goal, "goal", _num_goals(t), shape)
-        p = xp.where((goals >= 0)[..., None], p, xp.nan)  # to no goal, so from nowhere
+        p = xp.where((goals >= 0)[..., None], p, xp.nan)  # unknown goals
         first = xp.where(goals >= 0, goals, 0) * num_cells
     # `first` is where the goal's cells begin in `cost` and `onward`
     return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))
@@ -315,19 +314,18 @@ def sample(
 ) -> Array:
     """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
 
-    The same numbers give the same places. The cells of a grid's levels are of one size.
+    The same numbers give the same places. A grid's levels must have cells of one size.
 
     Args:
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
-            it. 0.5 for these is the cell's centre, where the agent's radius fits for certain.
-            Shape (..., 1) gives centres.
+            it. 0.5 is the cell's centre, where the agent's radius fits for certain.
+            Shape (..., 1) returns centres.
         room: only in this room, by its number (see `room`); an integer or integers of shape (...).
-        min_clearance: only in cells with so much of `clearance` [m]; one number.
-        reachable_from: only where a walk leads to from these world positions, shape (..., 3) or
-            (3,).
+        min_clearance: only in cells with at least this `clearance` [m]; one number.
+        reachable_from: only cells connected with these world positions, shape (..., 3) or (3,).
 
     Returns:
-        World x, y and floor z [m], shape (..., 3); NaN where there is no such place.
+        World x, y and floor z [m], shape (..., 3); NaN if there is no such place.
     """
     xp = t.xp
     numbers = as_array(t, u)
@@ -360,7 +358,7 @@ def sample(
         high = low + 1
 
     def find(keys: Array, wanted: Array) -> Array:
-        """How many of the sorted keys are smaller than each number."""
+        """The number of sorted keys smaller than each number."""
         flat = xp.reshape(xp.astype(wanted, keys.dtype), (-1,))
         found = xp.searchsorted(keys, flat, side="left")
         return xp.reshape(xp.astype(found, t.index), wanted.shape)
@@ -373,7 +371,7 @@ def sample(
         allowed = xp.astype(t.clearance[cells] >= min_clearance, t.index)
         before = xp.concat([xp.zeros_like(allowed[:1]), xp.cumulative_sum(allowed)])
         count = before[end] - before[begin]
-    # which of the `count` cells the number means; the product may be rounded up
+    # the number's cell among `count`; the product may be rounded up
     rank = xp.astype(xp.floor(first * xp.astype(count, t.dtype)), t.index)
     rank = xp.minimum(rank, count - 1)
     rank = xp.where(rank < 0, 0, rank)

@@ -13,7 +13,7 @@ from navbake.voxels.placement import check_memory
 
 
 def lattice_of(voxels: VoxelGrid) -> Lattice:
-    """The cells under a voxel grid's columns."""
+    """The lattice of a voxel grid's columns."""
     nx, ny, _ = voxels.shape
     x, y, _ = voxels.origin
     return Lattice(x, y + ny * voxels.res, voxels.res, nx, ny)
@@ -27,16 +27,16 @@ def cut_band(
     *,
     whole: bool = False,
 ) -> NDArray[np.uint8]:
-    """Cut voxels at a band of heights: is anything in it?
+    """Mark the columns of voxels that are occupied in a band of heights.
 
     Args:
         voxels: of any dtype; all that are not 0 count.
         low, high: the band [m]: world z, or over the floor if one is given.
         floor: world z of each cell's floor, shape (ny, nx) [m]; no floor, NaN, is occupied.
-        whole: count only voxels that lie in the band as a whole, not those that reach into it.
+        whole: count only voxels that lie in the band as a whole, not those that overlap it.
 
     Returns:
-        Occupancy as navigation grids have it: ``[row, col]``, shape (ny, nx), uint8, rows
+        Occupancy as in navigation grids: ``[row, col]``, shape (ny, nx), uint8, rows
         against y; of the cells of `lattice_of`.
 
     Raises:
@@ -57,7 +57,7 @@ def cut_band(
     first, last = (np.nan_to_num(bound).clip(0, nz) for bound in (first, last))
     occupied = np.isnan(base)
     filled = voxels.occupied.transpose(1, 0, 2)[::-1]  # [x, y, z] as [row, col, z]
-    # layer by layer, which takes no memory for a mask of all voxels
+    # layer by layer, without a mask of all voxels
     for k in range(int(first.min()), int(last.max())):
         occupied |= filled[:, :, k] & (first <= k) & (k < last)
     return occupied.astype(np.uint8)
@@ -66,16 +66,16 @@ def cut_band(
 def plan_of(
     voxels: VoxelGrid, floor: float, *, step: float = 0.25, height: float = 1.14
 ) -> SceneGrid2D:
-    """A navigation grid of a level floor, from the voxels above it.
+    """Make a navigation grid of a level floor from the voxels above it.
 
-    A cell is blocked where a voxel reaches into the band from `step` to `height` over the floor.
-    Holes in the floor are not detected, because voxels don't show where an agent can stand.
+    A cell is blocked if a voxel overlaps the band from `step` to `height` over the floor.
+    Holes in the floor are not detected, as voxels don't show where an agent can stand.
 
     Args:
-        voxels: occupied where an agent can't be.
+        voxels: with the obstacles.
         floor: world z of the floor [m].
-        step: what an agent steps over [m].
-        height: its height [m], > step.
+        step: the agent's highest step [m].
+        height: the agent's [m], > step.
 
     Raises:
         QueryError: the band is empty.
@@ -100,17 +100,16 @@ def plan_of(
 
 
 def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -> VoxelGrid:
-    """A level as voxels: its occupied cells, from `step` to `height` over their floors.
+    """Make voxels of a level's occupied cells, from `step` to `height` over their floors.
 
-    Cells without a floor are filled from `step` to `height` over the level's ground. Voxels
-    have the cells' edge, and begin `step` over the ground or below; each that reaches into a
-    cell's band is filled, by more than float32 may have moved the floor. What the level says of
-    its rooms and weights is left out.
+    Cells without a floor are filled from `step` to `height` over the level's ground. Voxels have
+    the cells' edge, and begin `step` over the ground or below; each that overlaps a cell's band by
+    more than float32 rounding is filled. Rooms and weights are left out.
 
     Args:
         level: with ``occupancy`` and ``floorHeight``.
-        step: what an agent steps over, as in the level's settings [m].
-        height: its height, as in the level's settings [m], > step.
+        step: the agent's highest step, as in the level's settings [m].
+        height: the agent's, as in the level's settings [m], > step.
 
     Raises:
         QueryError: the band is empty.
@@ -123,7 +122,7 @@ def voxels_of(level: SceneGrid2D, *, step: float = 0.25, height: float = 1.14) -
     has_floor = ~np.isnan(level.floor_height)
     floor = np.where(has_floor, stored.astype(np.float64) * level.unit, level.ground)
     slack = CELL_SLACK + np.spacing(np.abs(stored)).astype(np.float64) * level.unit / res
-    # the lowest voxel begins whole voxels below the ground's band, under the lowest floor's
+    # begin whole voxels below the ground's band, under the lowest floor's
     below = max(math.ceil(((level.ground - floor) / res - slack).max()), 0)
     bottom = level.ground + step - below * res
     start = np.floor((floor + step - bottom) / res + slack)

@@ -1,4 +1,4 @@
-"""Voxel grids in memory: which part of space is filled, and by what."""
+"""Voxel grids in memory."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
 class VoxelGrid:
     """A box of cubic voxels, parallel to the world's axes.
 
-    Voxel (i, j, k) is the box from ``origin + (i, j, k) * res`` on, `res` long each way.
+    Voxel (i, j, k) is the cube of edge `res` with the lower corner ``origin + (i, j, k) * res``.
 
     Attributes:
-        values: shape (nx, ny, nz): bool, True where something is, or uint8, uint16 or uint32, the
-            ID of what is there, 0 for nothing.
-        origin: the lower corner of voxel (0, 0, 0), world frame [m].
-        res: edge of a voxel [m], > 0.
-        names: what the IDs stand for; empty where nothing says so. 0 is not among them, so
-            ``names.get(id)`` is None where there is nothing.
-        known: shape (nx, ny, nz), bool: False where nobody knows whether something is there (an
-            octree has such space); None where all is known.
-        notes: what whoever made, read or wrote it had to assume or to warn of, one line each.
+        values: shape (nx, ny, nz): bool, True for occupied; or uint8, uint16 or uint32 IDs, 0 for
+            empty.
+        origin: the lower corner of voxel (0, 0, 0), world frame [m]. res: edge of a voxel [m], > 0.
+        names: of the IDs, as far as known; without 0, so ``names.get(id)`` is None for empty
+        voxels. known: shape (nx, ny, nz), bool: False where the occupancy is unknown, as in
+        octrees; None
+            if all is known.
+        notes: assumptions and warnings of the grid's maker, reader or writer, one line each.
     """
 
     values: NDArray[Any]
@@ -56,7 +55,7 @@ class VoxelGrid:
             raise FormatError(f"expected `known` of dtype bool, got {known.dtype}")
         corner = finite_array(self.origin, (3,))
         if corner is None:
-            given = reprlib.repr(self.origin)[:80]  # on one line, whatever it is
+            given = reprlib.repr(self.origin)[:80]  # on one line
             raise FormatError(f"expected a lower corner x, y, z [m], got {given}")
         self.origin = tuple(corner.tolist())
         self.res = float(self.res)
@@ -83,7 +82,7 @@ class VoxelGrid:
 
     @property
     def occupied(self) -> Bool:
-        """True where something is, shape (nx, ny, nz), bool; `values` itself if it is that."""
+        """Occupied voxels, shape (nx, ny, nz), bool; `values` itself if it is bool."""
         return self.values if not self.is_segmented else self.values != 0
 
     @property
@@ -93,23 +92,20 @@ class VoxelGrid:
         return np.stack([low, low + np.array(self.shape) * self.res])
 
     def centers(self) -> Float:
-        """The middles of the occupied voxels, shape (n, 3), float64, world frame [m]."""
+        """The centres of the occupied voxels, shape (n, 3), float64, world frame [m]."""
         middles: Float = (np.argwhere(self.values) + 0.5) * self.res + np.array(self.origin)
         return middles
 
     def indices(self, xyz: ArrayLike) -> Int:
-        """The voxels, (..., 3) int64, that hold positions, (..., 3), world frame [m].
-
-        Outside the grid, indices are extrapolated.
-        """
+        """The voxels of positions, (..., 3) int64, extrapolated outside; world frame [m]."""
         place = (np.asarray(xyz, dtype=np.float64) - self.origin) / self.res
         return np.floor(place).astype(np.int64)
 
     def at(self, xyz: ArrayLike) -> NDArray[Any]:
-        """What the voxels at positions, (..., 3), world frame [m], hold, in the dtype of `values`.
+        """The values of the voxels at positions, (..., 3), world frame [m].
 
         Raises:
-            QueryError: a position is beside the grid, or no number.
+            QueryError: a position is outside the grid, or no number.
         """
         places = np.asarray(xyz, dtype=np.float64)
         if places.shape[-1:] != (3,) or not np.isfinite(places).all():
@@ -123,29 +119,29 @@ class VoxelGrid:
         return np.asarray(self.values[index[..., 0], index[..., 1], index[..., 2]])
 
     def ids(self) -> list[int]:
-        """The IDs that occur, ascending, without 0; [] where voxels hold none."""
+        """The IDs that occur, ascending, without 0; [] without IDs."""
         found: set[int] = set()
         if self.is_segmented:
-            for part in self.values:  # slice by slice: all at once takes much memory
+            for part in self.values:  # slice by slice, to limit memory
                 found.update(np.unique(part).tolist())
         return sorted(found - {0})
 
     def without_ids(self) -> VoxelGrid:
-        """The same voxels as occupied or not."""
+        """The same voxels as bool."""
         return replace(self, values=self.occupied, names={})
 
     def with_ids(self, ids: Mapping[int, int]) -> VoxelGrid:
-        """The same voxels with other IDs.
+        """Replace IDs.
 
         Args:
-            ids: the new ID of each, >= 0 and < 2**32; an ID that isn't there goes to 0.
+            ids: the new ID of each, >= 0 and < 2**32; missing IDs become 0.
 
         Raises:
             QueryError: the voxels hold no IDs.
         """
         if not self.is_segmented:
             raise QueryError("these voxels hold no IDs")
-        # a table of those that occur: IDs go up to 2**32, too many for a table of all
+        # a table of the IDs that occur; one of all 2**32 is too large
         present = np.array([0, *self.ids()], dtype=np.int64)
         table = np.array([0, *(ids.get(int(old), 0) for old in present[1:])])
         values = np.empty(self.shape, dtype=dtype_of(max(ids.values(), default=0)))

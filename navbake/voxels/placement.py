@@ -1,4 +1,4 @@
-"""Where a voxel grid lies: from a centre and counts, a size in metres, or a whole scene's box."""
+"""Places a voxel grid by a centre and counts, a size in metres, or a scene's bounding box."""
 
 import math
 import os
@@ -15,15 +15,12 @@ from navbake.navgrid.lattice import CELL_SLACK, num_cells
 from navbake.types import Float
 
 MANY = 2**200  # more than any memory, and still a float
-FINEST = 1e-5  # least edge of a voxel, well above what counts as touching [m]
+FINEST = 1e-5  # least edge of a voxel, well above the tolerance of touching [m]
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A box of voxels from its lower corner `origin`, (3,), on; `moved` from where it was asked.
-
-    World frame; metres.
-    """
+    """A box of voxels with the lower corner `origin`, (3,) [m], and how far it was `moved`."""
 
     origin: Float
     res: float
@@ -42,10 +39,10 @@ def place_grid(
 ) -> Placement:
     """Place a voxel grid.
 
-    The box round the centre `position` (the middle of the scene's box if None) is ``cells * res``,
-    or as many whole voxels as cover `size`. Without both it covers the scene's box `bounds`,
-    (2, 3) [m], None if endless, with corners on whole multiples of `res`. `align` moves
-    any box onto such multiples, as octrees need it: by half a voxel at most.
+    The box round the centre `position` (that of the scene's box if None) is ``cells * res``, or the
+    whole voxels that cover `size`. Without both it covers the scene's box `bounds`, (2, 3) [m],
+    None if endless, with corners on multiples of `res`. `align` moves any box onto such multiples,
+    as octrees need it: by half a voxel at most.
 
     Raises:
         ConfigError: a number is wrong, or both cells and size are given, or a centre alone.
@@ -86,14 +83,14 @@ def place_grid(
         if not (extent > 0).all():
             raise ConfigError(f"expected a size > 0 m along each axis, got {extent.tolist()}")
         nx, ny, nz = (num_cells(min(float(length), MANY * edge), edge) for length in extent)
-    check_memory((nx, ny, nz), 1)  # before such numbers meet arrays
+    check_memory((nx, ny, nz), 1)  # before arrays overflow
     origin = center - np.array((nx, ny, nz)) * edge / 2
     aligned = np.round(origin / edge) * edge if align else origin
     return Placement(aligned, edge, (nx, ny, nz), float(np.abs(aligned - origin).max()))
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
-    """Raise a ConfigError for a grid that does not fit into free memory."""
+    """Raise a ConfigError for an array larger than free memory."""
     needed, free = min(math.prod(shape) * itemsize, MANY), _free_memory()
     if needed > free:
         counts = (str(n) if n < 10**15 else f"{min(n, MANY):.3g}" for n in shape)
@@ -104,7 +101,7 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
 
 
 def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
-    """A value as float64 if it is finite numbers of that shape, else None."""
+    """A value as finite float64 numbers of a shape, else None."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -113,7 +110,7 @@ def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
 
 
 def check_three(value: ArrayLike | None, expected: str) -> Float:
-    """Three finite numbers, or a ConfigError that says what was `expected`."""
+    """Three finite numbers; a ConfigError says `expected` otherwise."""
     numbers = finite_array(value, (3,))
     if numbers is None:
         raise ConfigError(f"expected {expected}, got {value!r}")
@@ -121,7 +118,7 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
 
 
 def _free_memory() -> int:
-    """Memory that can be had without swapping [bytes]; 2**62 where the system does not say."""
+    """Memory available without swapping [bytes]; 2**62 if unknown."""
     free = 2**62
     # ValueError: a container's limit is "max"; IndexError: a line without a number
     with suppress(OSError, ValueError):
