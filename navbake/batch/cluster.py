@@ -1,7 +1,7 @@
-"""Does the jobs of a batch on a Ray cluster: a Ray task for each, in a worker process beside it.
+"""Runs the jobs of a batch on a Ray cluster, each as a Ray task with a worker process of its own.
 
-The worker processes are those of `workers.py`, so limits, retries and reasons are the same as on
-one machine. A task whose node is lost is done again by Ray.
+Workers are those of `workers.py`, with the same limits, retries and reasons. Ray repeats a task
+whose node is lost.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from navbake.errors import NavbakeError, printable
 from navbake.files import scratch_folder
 from navbake.formats.source import import_extra
 
-MOST_LOSSES = 3  # how often Ray does a task again whose node or process was lost
-LOOK = 5.0  # after which it is seen whether the cluster has grown [s]
-PATIENCE = 10.0  # within which a cluster takes a connection [s]
-STORE = 80 << 20  # of memory for what tasks are handed, in a cluster of one's own [bytes]
-# Read by Ray as it is imported. With the first, which is meant for other systems, its processes
-# listen on the loopback device only. Usage is told to nobody.
+MOST_LOSSES = 3  # retries of a task whose node or process was lost
+LOOK = 5.0  # between checks of the cluster's size [s]
+PATIENCE = 10.0  # for a connection to a cluster [s]
+STORE = 80 << 20  # of the object store in a cluster of one's own [bytes]
+# Read by Ray as it is imported: its processes listen on the loopback device only, and send no usage
+# statistics.
 PRIVATE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 
 
 class _Terms(NamedTuple):
-    """What all tasks of a batch are to do."""
+    """The common parameters of a batch's tasks."""
 
     work: Callable[[Any], Any]
     limits: JobLimits
     prepare: Callable[[], None] | None
-    folder: str  # the current one of whoever runs the batch
+    folder: str  # the batch's current one
     witness: str | None
     version: str
 
@@ -53,17 +53,16 @@ def do_on_ray(
     prepare: Callable[[], None] | None = None,
     on_event: OnEvent = lambda event, ended: None,
 ) -> Generator[Ended, None, None]:
-    """Do jobs on a Ray cluster, as `workers.do_jobs` does them on one machine.
+    """Do jobs on a Ray cluster, as `workers.do_jobs` on one machine.
 
-    All nodes have to be able to import `work`; see `workers.Workers` for other arguments.
+    All nodes must be able to import `work`; see `workers.Workers` for other arguments.
 
     Args:
-        count: how many tasks run at once at most; None for the CPUs of the cluster. With a number,
-            CPUs that it hasn't are asked for, which makes a cluster grow that can.
-        address: of the cluster; ``local`` for one that is started on this machine, listens on the
-            loopback device only, and ends with the batch; None for what ``RAY_ADDRESS`` says, else
-            ``local``.
-        witness: a file where the jobs write, which all nodes must see; None for no such check.
+        count: the most tasks at once; None for the cluster's CPUs. More than these are requested,
+            so that an autoscaling cluster grows.
+        address: of the cluster; ``local`` starts one on this machine's loopback device for the
+            batch; None for ``RAY_ADDRESS``, else ``local``.
+        witness: a file in the output folder, which all nodes must see; None for no such check.
 
     Raises:
         MissingDependencyError: ray isn't installed.
@@ -100,7 +99,7 @@ def do_on_ray(
 
 
 def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
-    """Do a job on a node; returns how it ended, and tries at it that failed before."""
+    """Do a job on a node; returns how it ended, and earlier failed attempts."""
     why = None
     if terms.version != __version__:
         why = f"it has navbake {__version__}, and the batch is one of {terms.version}"
@@ -112,7 +111,7 @@ def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
         node = socket.gethostname()
         raise NavbakeError(printable(f"no worker can work on node {node}: {why}"))
     os.chdir(terms.folder)
-    # or each process that is started here would begin with importing Ray's own main module
+    # else each process started here imports Ray's main module first
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers
     if _workers is None:
@@ -122,12 +121,12 @@ def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
     return ended._replace(number=number), [each._replace(number=number) for each in tries]
 
 
-_workers: Workers | None = None  # of this Ray process, which Ray keeps for many tasks of a batch
+_workers: Workers | None = None  # kept for all tasks of a batch in this Ray process
 
 
 @contextmanager
 def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
-    """Be connected to a Ray cluster inside; a process that is connected already stays so."""
+    """Connect to a Ray cluster inside; an existing connection is kept."""
     address = address or os.environ.get("RAY_ADDRESS") or "local"
     is_own = address == "local"
     if is_own:
@@ -163,10 +162,10 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
 
 
 def _check_reachable(address: str) -> None:
-    """Find out at once that nobody listens at an address, which takes Ray minutes."""
+    """Fail at once if nobody listens at an address, which takes Ray minutes."""
     host, _, port = address.rpartition(":")
     if "/" in address or not port.isdigit():
-        return  # one that Ray looks up, as "auto"
+        return  # looked up by Ray, as "auto"
     try:
         with socket.create_connection((host.strip("[]"), int(port)), PATIENCE):
             pass
@@ -176,6 +175,6 @@ def _check_reachable(address: str) -> None:
 
 
 def _last_line(error: BaseException) -> str:
-    """What Ray says of a task that it lost: the first sentence of the last line says most."""
+    """Ray's reason for a lost task: the first sentence of the message's last line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return printable((lines or [type(error).__name__])[-1].partition(". ")[0][:200])

@@ -1,4 +1,4 @@
-"""What became of each scene of a batch: a line of JSON each, and the same as Parquet."""
+"""The index of a batch: a line of JSON for each scene, and the same as Parquet."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ LOCK = ".navbake-batch.lock"
 
 @contextmanager
 def only_batch(folder: Path) -> Iterator[None]:
-    """Be the only batch that writes into a folder; the system ends that with the process.
+    """Hold the lock of an output folder; the system releases it when the process ends.
 
     Raises:
-        NavbakeError: another one does, or the folder can't be made or written.
+        NavbakeError: another batch holds it, or the folder can't be made or written.
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
@@ -63,14 +63,9 @@ def only_batch(folder: Path) -> Iterator[None]:
 
 
 class LineFile:
-    """A file to which lines of JSON are added, each in one write: several may write and read it.
+    """A file of JSON lines, each added in one write, so that several may write and read it.
 
-    Args:
-        path: is made if it isn't there.
-        what: how errors call it.
-
-    Raises:
-        NavbakeError: the file can't be written.
+    It is made if missing; a NavbakeError calls it `what` if it can't be written.
     """
 
     def __init__(self, path: Path, what: str) -> None:
@@ -81,39 +76,38 @@ class LineFile:
             if path.is_file() and path.stat().st_size:
                 with path.open("rb") as file:
                     file.seek(-1, os.SEEK_END)
-                    if file.read() != b"\n":  # a line that was cut off
+                    if file.read() != b"\n":  # a truncated line
                         os.write(self._file, b"\n")
         except OSError as error:
             raise refused(what, error) from error
 
     def add(self, line: Json) -> None:
-        """Add a line."""
         try:
             write_all(self._file, line_of(line))
         except OSError as error:
             raise refused(self._what, error) from error
 
     def close(self) -> None:
-        """Give the file back; its lines stay."""
+        """Close the file."""
         with suppress(OSError):
             os.close(self._file)
 
 
 def write_index(folder: Folder, rows: Iterable[Json], has_table: bool) -> None:
-    """Write a batch's rows in its order, then those of other scenes that are there."""
+    """Write a batch's rows in its order, then the existing rows of other scenes."""
     own = {row["id"]: row for row in rows}
     own |= {id: row for id, row in read_index(folder).items() if id not in own}
     write_file(folder, NAME, b"".join(map(line_of, own.values())))
     if has_table:
         write_file(folder, TABLE, encode_rows(own.values()))
     else:
-        remove_files(folder, [TABLE])  # it would say other than the index
+        remove_files(folder, [TABLE])  # outdated
 
 
 def read_index(folder: Folder) -> dict[str, Json]:
-    """The last row of each scene, by its id; {} where there is no index.
+    """The last row of each scene, by its id; {} without an index.
 
-    A line that was cut off, as when a batch was killed, counts as none.
+    A truncated line, as of a killed batch, is skipped.
     """
     rows: dict[str, Json] = {}
     try:
@@ -136,7 +130,7 @@ def line_of(row: Json) -> bytes:
 
 
 def _refuse(word: str) -> float:
-    """NaN and Infinity are no JSON, and could not be written again."""
+    """Refuse NaN and Infinity, which are no JSON."""
     raise ValueError(word)
 
 
@@ -144,13 +138,10 @@ def _refuse(word: str) -> float:
 
 
 def encode_rows(rows: Iterable[Json]) -> bytes:
-    """Rows of an index as a Parquet file; the same rows, the same bytes.
-
-    Its columns are those of `_schema`, whatever the rows hold: those of several batches can be
-    joined.
+    """Encode rows as Parquet with the fixed columns of `_schema`; equal rows give equal bytes.
 
     Raises:
-        NavbakeError: a row has a value of another type, as of an index that somebody changed.
+        NavbakeError: a row has a value of another type, as in an edited index.
     """
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     pyarrow = import_extra("pyarrow", "batch", "Parquet")

@@ -1,4 +1,4 @@
-"""One scene of a batch: whether it is done, and how it is baked. This is what a worker does."""
+"""Bakes one scene of a batch in a worker, and decides whether it is done already."""
 
 from __future__ import annotations
 
@@ -57,21 +57,21 @@ from navbake.processes import lacked_memory
 from navbake.types import Json
 
 OK, FAILED, LEFT = "ok", "failed", "left"
-ERROR = "error"  # how a scene fails where its process goes on
+ERROR = "error"  # of a failure in a process that goes on
 DIGITS = 4  # of seconds
 
 
 class Plan(NamedTuple):
-    """What a batch asks for of each scene.
+    """The options of a batch.
 
     Attributes:
-        folder: where the folders of the scenes are, a Path or a URL.
+        folder: the output folder, a Path or a URL.
         settings: those that all scenes share, by section.
         overrides: ``a.b=value``, which replace those of the batch and of the scene.
-        products: what to make besides the grid, see `products.parse_products`.
+        products: besides the grid, see `products.parse_products`.
         thumbnail: whether to make a small picture for the batch's page.
         has_table: whether the index is written as Parquet as well.
-        hosts: of the web, to which lists, settings and redirects there may lead besides their own.
+        hosts: further hosts that lists, settings and redirects on the web may lead to.
     """
 
     folder: Folder
@@ -83,26 +83,25 @@ class Plan(NamedTuple):
     hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> Folder:
-        """The folder of what is made of a scene; a NavbakeError if it is a link out of `folder`."""
+        """A scene's output folder; a NavbakeError if it is a link out of `folder`."""
         place = as_folder(join(self.folder, job.id))
         check_inside(self.folder, place)
         return place
 
     def named(self, job: Job) -> list[str]:
-        """The URLs of a scene that the user named outside of files, not a list on a store."""
+        """The URLs of a scene that the user gave, not a list on a store."""
         settings = [self.settings, apply_overrides({}, self.overrides)]
         settings += [] if job.list else [job.settings]
         return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
 
 
 class Scene(NamedTuple):
-    """A scene as it is before its bake.
+    """A scene before its bake.
 
     Attributes:
-        config: its settings; all paths are of this machine.
-        inputs: size and digest of each file that it is made of, by its path from the output
-            folder, or by its URL.
-        key: is another when the grid or a product may be; see `open_scene`.
+        config: its settings, with paths on this machine.
+        inputs: size and digest of each input file, by its path from the output folder, or its URL.
+        key: changes when the grid or a product may change; see `open_scene`.
     """
 
     config: BakeConfig
@@ -115,16 +114,11 @@ class Scene(NamedTuple):
 
 @contextmanager
 def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
-    """Find a scene's files and compute its key, inside of which copies from stores are there.
+    """Find a scene's files and compute its key; copies from stores exist inside the with statement.
 
-    The key is a digest of the settings, the version of navbake, the products, and each file that
-    the scene is made of: name and content, or what its store says of the content. Textures and
-    skins change no cell and don't count.
-
-    Args:
-        plan: of the batch.
-        job: the scene.
-        whole: whether to copy all files from a store; else those that name others.
+    The key is a digest of the settings, navbake's version, the products, and name and content (or a
+    store's digest) of each input file. Textures and skins change no cell and are left out. `whole`
+    copies all files from stores, else only those that name others.
     """
     allow_hosts(plan.hosts)
     check_host(job.source, plan.named(job))
@@ -144,7 +138,7 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
 
 
 def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
-    """The files and the key of a scene whose settings are known."""
+    """The files and the key of a scene from its settings."""
     home = config.inputs[0].parent
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
@@ -166,14 +160,10 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
 
 
 def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) -> Json | None:
-    """The row of a scene that is done: its key is the same, and what was made is there.
+    """The row of a scene that is done: its key is the same, and its files exist.
 
-    Its record has ``files`` that are part of this, and ``more`` that are not, as a thumbnail.
-
-    Args:
-        plan: of the batch.
-        job: the scene.
-        sizes: of a batch that writes into a store, the size of each file there.
+    Its record has ``files`` that count for this, and ``more`` that don't, as a thumbnail. `sizes`
+    are those of all files in the output folder if it is on a store.
     """
     if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
         return None
@@ -194,7 +184,7 @@ def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) ->
 
 
 def read_record(place: Folder) -> Json:
-    """What a scene's folder says of what was made there; {} where nothing was."""
+    """The record in a scene's folder of the files made there; {} if none."""
     with suppress(NavbakeError, ValueError):
         record = json.loads(read_file(join(place, RECORD)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
@@ -203,19 +193,19 @@ def read_record(place: Folder) -> Json:
 
 
 def write_record(place: Folder, record: Json) -> None:
-    """Write what a scene's folder says of what was made there, see `remove_made`."""
+    """Write the record of the files in a scene's folder, see `remove_made`."""
     write_file(place, RECORD, json.dumps(record, allow_nan=False).encode())
 
 
 def remove_made(place: Folder) -> None:
-    """Remove what was made of a scene, and what a writer that was killed left; nothing else.
+    """Remove a scene's recorded outputs and leftovers of killed writers, and nothing else.
 
-    A scene's folder may be the user's own, with a picture beside the scene. So the names of all
-    that is made besides the grid are in the record before they are made.
+    A scene's folder may hold the user's own files. So the names of all products are recorded before
+    they are made.
     """
     record = read_record(place)
     made = filter(OWN.fullmatch, {*record.get("files", ()), *record.get("more", ())} - {GRID})
-    # the grid first: where it is, all is there; the record last, as it names the others
+    # the grid first, as it marks completeness; the record last, as it names the others
     remove_files(place, [GRID, *sorted(made), RECORD])
     if isinstance(place, Path):
         remove_leftovers(place, age=0)
@@ -225,12 +215,11 @@ def remove_made(place: Folder) -> None:
 
 
 def bake_scene(plan: Plan, job: Job) -> Json:
-    """Bake a scene and write all that is asked for; returns its row of the index.
+    """Bake a scene and write all products; returns its row of the index.
 
-    Files appear whole, the grid last: where there is a grid, all is there. Of a scene that fails,
-    nothing is there. What is wrong with it is in its row; a MemoryError alone is raised, also for
-    what `lacked_memory` knows, because nobody knows what state it leaves the process in. A scene
-    for which the output has no room is ``left``, with the reason as ``error``.
+    Files appear whole, the grid last; a scene that fails leaves none, and its row has the reason.
+    Only a MemoryError is raised, also for errors that `lacked_memory` recognizes, as the state of
+    the process is unknown then. If the output has no room, the status is ``left``.
     """
     begin = time.perf_counter()
     try:
@@ -250,30 +239,30 @@ def bake_scene(plan: Plan, job: Job) -> Json:
 
 
 def begin_row(plan: Plan, job: Job, status: str) -> Json:
-    """How a scene's row in the index begins."""
+    """The first fields of a scene's row in the index."""
     return {"id": job.id, "status": status, "source": _name(plan, job.source)}
 
 
 def fail(plan: Plan, job: Job, how: str, why: str, seconds: float) -> Json:
-    """The row of a scene that failed, of which nothing stays."""
+    """The row of a failed scene, whose files are removed."""
     with suppress(NavbakeError):
         remove_made(plan.place(job))
     return {**begin_row(plan, job, FAILED), "how": how, "error": why, **_times(seconds)}
 
 
 def stamp() -> str:
-    """Now, as ISO 8601 has it: UTC, to a millisecond."""
+    """The time as ISO 8601: UTC, to a millisecond."""
     now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
     return now.replace("+00:00", "Z")
 
 
 def prepare(products: Iterable[str], thumbnail: bool) -> None:
-    """Make all of a sample, so that no scene pays for loading what that needs."""
+    """Make all products of a sample once, to load modules outside of the scenes' times."""
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:
         for product in products:
-            with suppress(NavbakeError):  # the scenes will say what is wrong
+            with suppress(NavbakeError):  # raised again by the scenes
                 make_product(product, grid, config, folder)
         if thumbnail:
             write_thumbnail(grid, folder)
@@ -285,7 +274,7 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
     place = plan.place(job)
     with open_scene(plan, job, whole=True) as scene:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the row has those that matter
+            warnings.simplefilter("ignore")  # the row has the relevant ones
             result = run_bake(scene.config, threads=1)
         grid = result.grid
         grid.timings = {}  # the same scene, the same bytes
@@ -316,9 +305,9 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
 def _write_products(
     plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig, row: Json
 ) -> Json:
-    """Write all that is asked for, the grid last; size and digest of each file by its name.
+    """Write all products, the grid last; returns size and digest of each file by its name.
 
-    What the scene's `row` says of the products is added to it.
+    The products' values are added to the scene's `row`.
     """
     with scratch_folder() as folder:
         for product in plan.products:
@@ -333,7 +322,7 @@ def _write_products(
             write_thumbnail(grid, folder)
         others = [name for name in os.listdir(folder) if name != GRID]
         own = others
-        if isinstance(place, Path):  # what is there already is the user's, until it is replaced
+        if isinstance(place, Path):  # existing files are the user's until replaced
             own = [name for name in others if not os.path.lexists(place / name)]
         if own:
             write_record(place, {"files": {}, "more": own})
@@ -347,7 +336,7 @@ def _times(seconds: float) -> Json:
 
 
 def _name(plan: Plan, path: str | Path) -> str:
-    """How the index calls a file: by its URL, or by its path from the output folder."""
+    """The index's name of a file: its URL, or its path from the output folder."""
     if is_url(path):
         return shown(str(path))
     if isinstance(plan.folder, Path):
@@ -356,7 +345,7 @@ def _name(plan: Plan, path: str | Path) -> str:
 
 
 def _relative(path: str | Path, folder: str | Path) -> str:
-    if os.pardir in Path(path).parts:  # of a link, it leads elsewhere than its text does
+    if os.pardir in Path(path).parts:  # after a link, `..` leads elsewhere than its text
         path = os.path.realpath(path)
     try:
         return Path(os.path.relpath(path, folder)).as_posix()

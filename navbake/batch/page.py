@@ -1,6 +1,6 @@
-"""The page of a batch: what became of its scenes, for a browser, without a server or the network.
+"""The page of a batch, for a browser without a server or the network.
 
-`page.html` and `page.js` show what `describe_batch` gathers from the index, names as text only.
+`page.html` and `page.js` show the data of `describe_batch`, names as text only.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from navbake.views.page.page import make_page, to_text
 
 NAME = "index.html"
 PICTURES = "'self' file: data:"  # thumbnails are beside the page
-EVERY = 15.0  # how often the page of a batch that runs is written anew [s]
-SHARE = 0.01  # of the time that this may take
+EVERY = 15.0  # least interval of writing a running batch's page [s]
+SHARE = 0.01  # of the time for this, at most
 
 STATUSES = (OK, FAILED, LEFT)
 CHARTS = ("free_area", "cells", "rooms", "seconds")
 SHOWN = ("id", "status", "source", "version", "ended", "levels", "doors", *CHARTS)  # as it is
 NUM_BINS = 24  # bars of a chart, about
-SKEWED = 20  # so many times the median at the most: then bars have equal ratios, not widths
-TEXTS = ("failures", "warnings", "audit")  # why a scene failed, and what was noticed
+SKEWED = 20  # ratio of maximum and median from which bars have equal ratios, not widths
+TEXTS = ("failures", "warnings", "audit")  # grouped by `fold`
 
 # a setting, what is quoted, and words
 PART = re.compile(
@@ -60,18 +60,17 @@ def write_page(
 ) -> None:
     """Write the page of a batch, whole or not at all: to `path`, or into its folder.
 
-    Its links lead from there to the folder. `progress` is how many scenes of a batch that still
-    runs have ended, of how many.
+    `progress` is the number of ended scenes of a running batch, and of all.
     """
     base = "."
     if path is not None:
-        try:  # as it is written: browsers know nothing of links in a file system
+        try:  # lexically, as browsers don't resolve links of a file system
             base = os.path.relpath(folder, path.parent).replace(os.sep, "/")
         except ValueError:  # another drive on Windows
             base = Path(folder).absolute().as_posix()
     name = (folder.resolve() if isinstance(folder, Path) else Path(store.shown(folder))).name
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
-    # a name that is no UTF-8 is its bytes in a link, as browsers have it
+    # browsers expect the bytes of a name that is no UTF-8
     content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
     title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
     packed = to_text(json.dumps(content).encode())  # names may be no UTF-8
@@ -83,7 +82,7 @@ def write_page(
 
 
 def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
-    """Whether a scene has a thumbnail, by its id; of a store, from one listing."""
+    """A predicate whether a scene has a thumbnail, by its id; a store is listed once."""
     if isinstance(folder, Path):
         return lambda id: os.path.isfile(folder / id / THUMBNAIL)
     found = store.sizes_below(folder)
@@ -91,9 +90,9 @@ def _find_thumbnails(folder: store.Folder) -> Callable[[str], bool]:
 
 
 def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
-    """Draw the thumbnails that are missing, from the grids; returns how many are missing still.
+    """Draw missing thumbnails from the grids; returns how many are still missing.
 
-    `show` is called with the share that is done. Raises FullError where the folder has no room.
+    `show` is called with the share that is done. Raises FullError if the folder has no room.
     """
     has_thumbnail, num_failed = _find_thumbnails(folder), 0
     done = [id for id, row in read_index(folder).items() if row.get("status") == OK]
@@ -104,7 +103,7 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
         try:
             store.check_inside(folder, place)
             picture = draw_thumbnail(read_navgrid(store.read_file(store.join(place, GRID))))
-            if record := read_record(place):  # so that it is removed with the grid
+            if record := read_record(place):  # for its removal with the grid
                 write_record(place, {**record, "more": [THUMBNAIL]})
             store.write_file(place, THUMBNAIL, picture)
         except NavbakeError as error:  # no grid, a broken one, or a folder that can't be written
@@ -117,14 +116,14 @@ def draw_thumbnails(folder: store.Folder, show: Callable[[float], None]) -> int:
 
 
 class LivePage:
-    """The page of a batch that runs, for a small share of its time; on a store, at its end."""
+    """The page of a running batch, in a small share of its time; on a store, only at its end."""
 
     def __init__(self, folder: store.Folder, total: int) -> None:
         self._folder, self._total = folder, total
         self._next = time.monotonic() + EVERY if isinstance(folder, Path) else float("inf")
 
     def refresh(self, done: int) -> None:
-        """Write it if it is time; `done` is how many of the batch's scenes have ended."""
+        """Write the page if it is due; `done` is the number of ended scenes."""
         begin = time.monotonic()
         if begin < self._next:
             return
@@ -135,12 +134,12 @@ class LivePage:
 
 
 def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
-    """What the page shows of the rows of an index.
+    """The page's data of the rows of an index.
 
     Returns:
-        ``scenes``; ``work``: how long any was being baked [s]; ``groups``: the group of each
+        ``scenes``; ``work``: see `measure_work` [s]; ``groups``: the group of each
         status and of each of `TEXTS`; ``edges`` of the bars of each chart; ``classes``: lower
-        edges of those in which episodes are counted.
+        edges of the episodes' classes.
     """
     scenes: list[Json] = []
     for row in rows:
@@ -164,10 +163,7 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
 
 
 def measure_work(scenes: Iterable[Json]) -> float:
-    """How long at least one scene was being baked [s], however often the batch went on.
-
-    That is the length of the union of the times from each one's beginning to its end.
-    """
+    """The time in which at least one scene was being baked [s], over all runs of the batch."""
     work, reached, spans = 0.0, -math.inf, []
     for scene in scenes:
         if scene["ended"] and scene["seconds"]:
@@ -180,7 +176,7 @@ def measure_work(scenes: Iterable[Json]) -> float:
 
 
 def _edges(values: Sequence[float]) -> list[float]:
-    """The edges of bars for some numbers: as wide as one another, or in equal ratios."""
+    """The edges of a histogram: of equal widths, or equal ratios for skewed values."""
     if not values:
         return []
     least, most = float(min(values)), float(max(values))
@@ -195,17 +191,17 @@ def _edges(values: Sequence[float]) -> list[float]:
 
 
 def _group(texts: Iterable[str]) -> dict[str, str]:
-    """The group of each text: what it has in common with others, or itself where it is alone."""
+    """The group of each text by `fold`, or the text itself if it is alone."""
     folded = {text: fold(text) for text in texts}
     count = Counter(folded.values())
     return {text: group if count[group] > 1 else text for text, group in folded.items()}
 
 
 def fold(text: str) -> str:
-    """A text without what differs from scene to scene, so that alike ones are the same.
+    """A text without scene-specific parts, to group similar messages.
 
-    What is quoted, paths, names of files and words with digits in them become ``…``, numbers
-    become ``#``. What stands between backticks is a setting and stays.
+    Quoted parts, paths, names of files and words with digits become ``…``, numbers ``#``. Settings
+    in backticks stay.
     """
 
     def replace(match: re.Match[str]) -> str:

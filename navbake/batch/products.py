@@ -1,4 +1,4 @@
-"""What a batch makes of each scene besides its grid."""
+"""The products of a batch besides grids."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.layers import LAYERS
 
-GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
+GRID = "grid.json.gz"  # of every scene, written last
 PICTURE, REPORT = "picture.png", "report.html"
-THUMBNAIL = "thumbnail.png"  # no product: it can be made of the grid at any time
-RECORD = ".navbake-made"  # of a scene's folder: what was made, and the key, see `job.py`
+THUMBNAIL = "thumbnail.png"  # no product, as it can be made of the grid later
+RECORD = ".navbake-made"  # of a scene's folder: its files and key, see `job.py`
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
 OWN = re.compile(
@@ -43,13 +43,13 @@ CLASSES = {measure: EDGES[measure] for measure in ("distance", "ratio", "levels"
 
 
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
-    """Check ``KIND`` or ``KIND:VALUE:…``; each once, numbers in their shortest form, sorted.
+    """Check ``KIND`` or ``KIND:VALUE:…``; unique, sorted, numbers in their shortest form.
 
-    So the same products in another order are known to be made already.
+    So equal products have equal keys in any order.
 
     Raises:
         ConfigError: there is no such kind, or its values are wrong.
-        MissingDependencyError: what it needs is not installed.
+        MissingDependencyError: an extra is not installed.
     """
     products = set()
     for text in texts:
@@ -67,13 +67,13 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
-    """Write the files of a product, each whole or not at all; returns what the row says of it."""
+    """Write the files of a product, each whole or not at all; returns its values for the row."""
     name, *values = product.split(":")
     return KINDS[name].make(grid, config, values, folder) or {}
 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:
-    """Write a small picture of a grid into its scene's folder, for the batch's page."""
+    """Write a small picture of a grid for the batch's page."""
     from navbake.views.notebook import draw_thumbnail  # loads Pillow
 
     write_bytes(draw_thumbnail(grid), folder / THUMBNAIL)
@@ -119,7 +119,7 @@ def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
 
 
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.formats.nav2 import encode_nav2  # only who wants maps loads it
+    from navbake.formats.nav2 import encode_nav2  # loads Pillow
 
     path = folder / f"{'-'.join(('nav2', *values))}.yaml"
     radius = float(values[0]) if values else None
@@ -147,9 +147,9 @@ def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
     task, sampler, count, seed = values
     try:
         drawn = make_episodes(grid, task, sampler, count=int(count), seed=int(seed), files=[GRID])
-    except QueryError as error:  # the scene has no such object, or the rules refuse all
+    except QueryError as error:  # no such object, or no valid episode
         return {"warnings": [f"no episodes of {task}: {error}"]}
-    # one set is made of all scenes'
+    # all scenes' are merged into one set
     episodes = tuple(
         msgspec.structs.replace(episode, id=f"{episode.scene}/{episode.id}")
         for episode in drawn.episodes
@@ -170,13 +170,10 @@ def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
 
 
 def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
-    """One set of episodes out of several scenes', in their order, as pieces of a file.
+    """Merge several scenes' sets of episodes in order; returns pieces of a file.
 
-    Args:
-        sets: the ids of the scenes in the batch, and the content of their files.
-
-    Raises:
-        NavbakeError: the agents differ, or two scenes have one id.
+    `sets` are the scenes' ids and files. Raises a NavbakeError if the agents differ, or two scenes
+    have one id.
     """
     headers, pieces = list[Header](), list[bytes]()
     for id, content in sets:
@@ -209,7 +206,7 @@ def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], fold
 
 
 def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.views.report.report import write_report  # only who wants a report loads it
+    from navbake.views.report.report import write_report  # loads slowly
 
     write_report(grid, folder / REPORT, audits=[audit(grid)])
 
@@ -218,10 +215,10 @@ class Kind(NamedTuple):
     """A kind of product.
 
     Attributes:
-        make: writes it; returns what a scene's row says of it, if anything.
-        check: checks the values and gives them their shortest form.
-        least, most: how many values it takes.
-        usage: how it is asked for.
+        make: writes it; returns its values for the scene's row.
+        check: checks the values and returns their shortest form.
+        least, most: numbers of values.
+        usage: its form, for messages.
     """
 
     make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], Json | None]

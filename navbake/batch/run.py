@@ -1,4 +1,4 @@
-"""Bakes a batch of scenes, each once, and notes what became of each."""
+"""Bakes a batch of scenes, each once, and writes the index."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
 
-AT_ONCE = 16  # scenes of which it is found out at once whether they are done
-# of a row of the index: what tells whether a scene is done, which may be long
+AT_ONCE = 16  # scenes whose records are read at once
+# keys of a record that are not in the index
 BOOKKEEPING = ("key", "inputs", "files", "ended")
 
 
@@ -54,11 +54,11 @@ there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene
 
 @dataclass
 class BatchResult:
-    """What a batch came to.
+    """The result of a batch.
 
     Attributes:
         rows: of each scene, in the batch's order, as in the index.
-        skipped: how many were done already.
+        skipped: number of scenes that were done already.
         stopped: why the batch ended early, None if it didn't.
     """
 
@@ -67,7 +67,7 @@ class BatchResult:
     stopped: str | None = None
 
     def count(self, status: str) -> int:
-        """How many scenes have a status: ``ok``, ``failed`` or ``left``."""
+        """Number of scenes with a status: ``ok``, ``failed`` or ``left``."""
         return sum(row["status"] == status for row in self.rows)
 
 
@@ -84,24 +84,24 @@ def run_batch(
     """Bake scenes in worker processes, each into a folder of its own.
 
     A scene is done already if its folder has the grid and a record with its key, see
-    `job.open_scene`. One that fails, hangs or crashes its worker costs itself alone. Where the
-    folder has no room for one, the batch stops. However the batch ends, short of being killed, the
-    index has a row for each scene, in order, as far as there is room for it; ``left`` is one that
-    the batch did not come to. On this machine, each row is a line of the index at once.
+    `job.open_scene`. One that fails, hangs or crashes its worker doesn't affect others. If the
+    folder has no room, the batch stops. Unless the process is killed, the index has a row for each
+    scene, in order; ``left`` if the batch ended before it. On this machine, each row is written at
+    once.
 
     Args:
-        plan: what is made.
+        plan: the batch's options.
         jobs: the scenes.
-        on_event: is called with what happens.
-        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
+        on_event: is called with each event, see `line_of_event`.
+        workers: number of processes, >= 1; None for each CPU of a cluster, else 1.
         limits: of each scene.
         max_failures: the batch ends when more scenes failed than this; None for never.
-        executor: where the worker processes are; None for this machine.
+        executor: runs the worker processes; None for this machine.
 
     Raises:
         ConfigError: an override or a shared setting is wrong.
         NavbakeError: the folder can't be written, another batch writes into it, no worker process
-            starts, or the scenes' episodes make no set.
+            starts, or the scenes' episodes can't be merged.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
@@ -138,7 +138,7 @@ def run_batch(
                     job, row = left[end.number], end.value
                     if end.how != DONE:
                         row = fail(plan, job, end.how, end.value, end.seconds)
-                    if row["status"] == LEFT:  # there is no room for it, nor for the others
+                    if row["status"] == LEFT:  # no room for others, either
                         result.stopped = row["error"]
                         break
                     rows[job.id] = row
@@ -153,7 +153,7 @@ def run_batch(
             result.stopped = str(error)
         finally:
             for job in left:
-                # its worker may have been killed as it wrote; on a store, the next one removes that
+                # a killed worker may leave files; on a store, the next run removes them
                 if job.id not in rows and isinstance(plan.folder, Path):
                     with suppress(NavbakeError):
                         remove_leftovers(Path(plan.place(job)), age=0)
@@ -168,10 +168,9 @@ def run_batch(
 
 
 def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
-    """Write the scenes' sets of episodes as one beside the index, for each that is made.
+    """Merge the scenes' sets of episodes, of each product, into a file beside the index.
 
-    Raises:
-        NavbakeError: they make no set, see `products.merge_sets`, or it can't be written.
+    Raises a NavbakeError if they can't be merged, see `products.merge_sets`, or written.
     """
     for product in plan.products:
         kind, *values = product.split(":")
@@ -185,16 +184,16 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows of scenes that are done already, by id."""
     sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
-    with ThreadPoolExecutor(AT_ONCE) as pool:  # stores take long to answer
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # stores respond slowly
         found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
 
 
 def line_of_event(event: str, values: Json) -> Json:
-    """What happens, as a line of JSON for programs that collect logs.
+    """An event as a line of JSON for log collectors.
 
     It has ``time``, ``level`` (``info``, ``warning`` or ``error``) and ``event``: ``begin``,
-    ``scene-begin``, ``retry``, ``scene`` or ``end``. Others of its keys are those of the index.
+    ``scene-begin``, ``retry``, ``scene`` or ``end``. Its other keys are those of the index.
     """
     is_error = values.get("status") == FAILED or values.get("stopped") or values.get("failed")
     level = "error" if is_error else "info"

@@ -35,9 +35,9 @@ from navbake.types import Json
 
 LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
-TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
+TEXTS = ("id", *SCENE_KEYS)  # whose `001` is text
 LINE_END = re.compile(r"\r\n?|\n")
-# what some file system takes for something else than a letter of a name, or drops at its ends
+# characters that some file system forbids, or drops at the end of a name
 UNFIT = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
 RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
 MAX_BYTES = 200  # of a part of an id; file systems take 255
@@ -45,23 +45,23 @@ WANTED = "expected a scene, settings, a list or a pattern, got"
 
 
 def list_jobs(sources: Iterable[str]) -> list[Job]:
-    """List the scenes that some sources name, in their order.
+    """List the scenes of sources, in their order.
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
     sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
     a scene. Each may be a URL that fsspec knows. Paths in a list are relative to it. A row has
     ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
-    in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. An empty value is
-    none. An id that is given is the grid's, too, whatever the scene's own settings say.
+    in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. Empty values are
+    ignored. A given id is the grid's, too, and overrides the scene's own settings.
 
-    An id that isn't given is the file's name without its ending; of names that several share,
-    with as many of the folders above as tell them apart.
+    The default id is the file's name without its ending, and with the parent folders needed to
+    make it unique.
 
     Raises:
-        ConfigError: a source names nothing, a list is broken, or ids can't be told apart. Whether
-            the scenes of lists and URLs are there is not asked: one that isn't fails by itself.
+        ConfigError: a source is empty, a list is broken, or ids are not unique. Missing scenes of
+            lists and URLs fail later, each by itself.
         NavbakeError: a list can't be read.
-        MissingDependencyError: what a URL or Parquet needs is not installed.
+        MissingDependencyError: a dependency for a URL or Parquet is not installed.
     """
     found = [entry for source in sources for entry in _expand(plain_path(source))]
     if not found:
@@ -80,12 +80,12 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
 
 
 def check_id(name: str, place: str) -> None:
-    r"""Refuse an id that could lead out of the output folder, or that some file system refuses.
+    r"""Refuse an id that may lead out of the output folder, or that some file system refuses.
 
     Raises:
         ConfigError: it is empty or absolute; a part of it begins with a dot, ends with a dot or a
-            space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or what
-            can't be printed; or it is the name of a file that navbake writes of another scene.
+            space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or an
+            unprintable character; or it is the name of a file that navbake writes of another scene.
     """
     for part in name.split("/"):
         wanted = ""
@@ -106,16 +106,12 @@ def check_id(name: str, place: str) -> None:
 
 
 def fold_name(name: str) -> str:
-    """A name without what some file systems ignore: capitals, and how accents are composed.
-
-    Names that differ in nothing else may be one file. This is Unicode's canonical caseless
-    matching.
-    """
+    """A name under Unicode's canonical caseless matching, as some file systems compare names."""
     return unicodedata.normalize("NFD", unicodedata.normalize("NFD", name).casefold())
 
 
 def _check_unique(jobs: list[Job]) -> None:
-    """Refuse two jobs whose outputs would be one folder on some file system, see `fold_name`."""
+    """Refuse two jobs whose folders are the same on some file system, see `fold_name`."""
     seen: dict[str, Job] = {}
     for job in jobs:
         other = seen.setdefault(fold_name(job.id), job)
@@ -133,7 +129,7 @@ def _check_unique(jobs: list[Job]) -> None:
 
 
 def _name(found: list[Job]) -> list[str]:
-    """The id of each entry: its own, or the end of its path that no other has."""
+    """The ids of entries: their own, or the unique ends of their paths."""
     paths = [_parts_of(entry.source) for entry in found]
     depths = [1] * len(found)
     while True:
@@ -160,7 +156,7 @@ def _parts_of(source: str) -> tuple[str, ...]:
 
 
 def _expand(source: str) -> Iterator[Job]:
-    """The scenes that a source names."""
+    """The scenes of a source."""
     name = shown(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
     if not is_url(source) and not is_pattern and not os.path.exists(source):
@@ -225,7 +221,7 @@ def _entry(row: Json, folder: Folder, place: str) -> Job:
 
 
 def _without_nones(row: Mapping[str, Any]) -> Json:
-    """A row, or settings in it, without what counts as not given."""
+    """A row, or settings in it, without empty values."""
     found = {}
     for key, value in row.items():
         given = _without_nones(value) if isinstance(value, Mapping) else value
@@ -267,7 +263,7 @@ def _json_rows(content: bytes, name: str) -> Rows:
 
 
 def _csv_rows(content: bytes, name: str) -> Rows:
-    """The rows, each under the line that it begins at: a value in quotes may have several."""
+    """The rows by their first line, as a quoted value may span several."""
     lines = csv.reader(
         (f"{line}\n" for line in _lines(content, name)), strict=True, skipinitialspace=True
     )
@@ -296,7 +292,7 @@ def _csv_rows(content: bytes, name: str) -> Rows:
 
 
 def _plain(text: str) -> Any:
-    """A cell of a CSV: a number, true, false, a list or an object as JSON has it, else text."""
+    """A cell of a CSV: a number, true, false, a list or an object as in JSON, else text."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -307,10 +303,10 @@ def _table_rows(content: bytes, name: str) -> Rows:
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
-    except Exception as error:  # pyarrow raises its own, and what Python has for odd values
+    except Exception as error:  # pyarrow raises many types
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigError(f"broken Parquet in {name}: {reason}") from error
     for number, row in enumerate(rows, 1):
-        # pandas adds a column that nobody asked for
+        # pandas adds an index column
         kept = {key: value for key, value in row.items() if not key.startswith("__index_level_")}
         yield f"{name}, row {number}", kept

@@ -16,19 +16,18 @@ from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
 
-OF_EACH = ("path", "id")  # keys of `scene` that no two scenes can share
+OF_EACH = ("path", "id")  # keys of `scene` that are unique
 
 
 class Job(NamedTuple):
     """One scene of a batch.
 
     Attributes:
-        id: unique in the batch; the folder of what is made of it, parts between slashes. Empty
-            while it isn't known yet.
+        id: unique in the batch; the output folder, parts between slashes. Empty until known.
         source: the path or URL of the scene, or of its settings (YAML).
-        settings: what replaces the batch's settings for it, by section.
-        place: where it stands in a list, for messages.
-        list: the URL of the list that names it; empty where the user does, or a list that is here.
+        settings: override the batch's settings for it, by section.
+        place: its place in a list, for messages.
+        list: the URL of its list; empty for local lists and sources given by the user.
     """
 
     id: str
@@ -51,7 +50,7 @@ def read_shared(path: str | os.PathLike[str]) -> Json:
 
 
 def check_shared(settings: Mapping[str, Any], place: str) -> None:
-    """Refuse settings for several scenes that say which scene it is."""
+    """Refuse shared settings that select a scene."""
     scene = settings.get("scene")
     if scene is None:
         return
@@ -68,13 +67,10 @@ def check_shared(settings: Mapping[str, Any], place: str) -> None:
 
 
 def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
-    """Find out what is wrong with what all scenes share before any scene fails.
+    """Check the shared settings and overrides before any scene.
 
-    A file of outlines is looked for unless it is on a store, or is another one for each scene: in
-    an override, a path is relative to the scene's YAML, where it has one.
-
-    Raises:
-        ConfigError: a setting is wrong, or a file isn't there.
+    A file of outlines must exist, unless it is on a store, or an override makes it relative to each
+    scene's YAML. Raises a ConfigError.
     """
     for override in overrides:
         key = override_key(override)
@@ -95,17 +91,9 @@ def settings_of(
 ) -> BakeConfig:
     """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
 
-    Its own are those of its YAML file, replaced by those of its row in a list. Files that its YAML
-    and overrides name are relative to the YAML's folder.
-
-    Args:
-        job: the scene.
-        shared: those of the batch.
-        overrides: ``a.b=value``.
-        fetch: the path of a file, which it copies if it is on a store.
-
-    Raises:
-        ConfigError: they are wrong.
+    Its own are those of its YAML file, replaced by those of its row in a list. Paths in its YAML
+    and overrides are relative to the YAML's folder. `fetch` returns the local path of a file,
+    copied if it is on a store. Raises a ConfigError.
     """
     place = f"the settings of {job.place}"
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
@@ -129,15 +117,13 @@ def of_id(name: str) -> Json:
 
 
 def is_yaml(source: str) -> bool:
-    """Whether a scene's source is settings (YAML)."""
     return Path(source).suffix.lower() in YAML_SUFFIXES
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:
-    """Settings by section, from keys such as ``agent.radius``; files are relative to a folder.
+    """Nest settings with keys such as ``agent.radius`` by section; paths are relative to a folder.
 
-    Raises:
-        ConfigError: a key is none, or has keys below a value; the message names the `place`.
+    Raises a ConfigError, with the `place`, if a key is unknown, or has keys below a value.
     """
     nested: dict[str, Any] = {}
     for key, value in settings:
@@ -158,7 +144,7 @@ def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dic
 
 
 def outlines_of(settings: Mapping[str, Any]) -> str | None:
-    """The file of room outlines that settings name; None where they name none."""
+    """The file of room outlines in settings, None for none."""
     rooms = settings.get("rooms")
     name = rooms.get("polygons") if isinstance(rooms, Mapping) else None
     return name if isinstance(name, str) else None
@@ -174,7 +160,7 @@ def _read_mapping(path: str) -> Mapping[str, Any]:
 
 
 def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Settings with another path of their scene and of a file of room outlines."""
+    """Settings with changed paths of their scene and file of room outlines."""
     changed = dict(settings)
     for section, key in (("scene", "path"), ("rooms", "polygons")):
         inner = settings.get(section)

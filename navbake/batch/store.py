@@ -1,7 +1,4 @@
-"""Files of a batch: on this machine, or on a store that fsspec knows.
-
-Only this module loads fsspec. What a store refuses is a NavbakeError that names the file.
-"""
+"""Files of a batch, on this machine or on a store of fsspec; errors name the file."""
 
 from __future__ import annotations
 
@@ -29,16 +26,15 @@ URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is no
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 HERE = ("file", "local")  # schemes of this machine's own files
 WEB = ("http", "https")  # a query (`?…`) may follow the path; folders have no listing
-# Schemes whose files appear whole when their upload ends. Elsewhere a file is written under
-# another name and moved, which on an object store would be a second upload.
+# Schemes with atomic uploads. Elsewhere a file is written under another name and moved, which on an
+# object store would be a second upload.
 OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
-# What a store says of a file that is another when the content is: a digest or a version, else a
-# time of change
+# a store's fingerprints of a file: a digest or a version, else a time of change
 TAGS = (
     *("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation"),
     *("lastmodified", "last_modified", "last-modified", "mtime", "modified", "updated", "created"),
 )
-# What the system says of a file system that takes no more files, and what helps
+# errors of a full file system, and what is missing
 REMEDIES = {
     errno.ENOSPC: "free space",
     getattr(errno, "EDQUOT", errno.ENOSPC): "free space",  # Windows has no quotas
@@ -46,22 +42,22 @@ REMEDIES = {
 }
 
 
-_hosts: set[str] = set()  # of the web, that files elsewhere may lead to, see `allow_hosts`
+_hosts: set[str] = set()  # see `allow_hosts`
 
 
 class FullError(NavbakeError):
-    """An output folder takes no more files, so that no scene can be kept in it."""
+    """Raised when an output folder has no room for more files."""
 
 
 class MissingFileError(NavbakeError):
-    """There is no such file."""
+    """Raised for a missing file."""
 
 
 # ---------------------------------------------------------------- URLs
 
 
 def is_url(path: object) -> bool:
-    """Whether something is the URL of a file on a store; ``file://`` is this machine's own."""
+    """Whether a path is the URL of a file on a store; ``file://`` is this machine's own."""
     found = URL.match(path) if isinstance(path, str) else None
     return found is not None and found[1].lower() not in HERE
 
@@ -71,26 +67,26 @@ def _is_web(url: str) -> bool:
 
 
 def plain_path(path: str) -> str:
-    """The path that a URL such as ``file:///a/b`` stands for; other paths and URLs stay."""
+    """The path of a URL such as ``file:///a/b``; other paths and URLs are returned as they are."""
     found = URL.match(path)
     return found[2] if found is not None and found[1].lower() in HERE else path
 
 
 def as_folder(path: str | os.PathLike[str]) -> Folder:
-    """A folder as this package keeps it: the URL without a slash at its end, or a Path."""
+    """A folder as a URL without a slash at its end, or a Path."""
     text = plain_path(os.fspath(path))
     return text.rstrip("/") if is_url(text) else Path(text)
 
 
 def parent(path: str) -> Folder:
-    """The folder that a file is in."""
+    """The folder of a file."""
     if not is_url(path):
         return Path(path).parent
     return _without_query(path).rpartition("/")[0]
 
 
 def join(folder: Folder, name: str) -> str:
-    """The path of a file whose name counts from a folder; a URL or an absolute path stays.
+    """The path of a name in a folder; a URL or an absolute path is returned as it is.
 
     Raises:
         ConfigError: the name leads out of the folder's store.
@@ -108,13 +104,13 @@ def join(folder: Folder, name: str) -> str:
 
 
 def shown(url: str) -> str:
-    """A URL as messages and the index show it: without a password, and without a query."""
+    """A URL for messages and the index: without a password or a query."""
     found = URL.match(url)
     if found is None:
         return url
     authority, slash, path = _without_query(url).partition("://")[2].partition("/")
     user, at, host = authority.rpartition("@")
-    # services of the web take a token as the user
+    # web services use tokens as users
     user = "" if found[1].lower() in WEB or not at else f"{user.partition(':')[0]}@"
     return f"{found[1]}://{user}{host}{slash}{path}"
 
@@ -124,19 +120,14 @@ def _without_query(url: str) -> str:
 
 
 def allow_hosts(hosts: Iterable[str]) -> None:
-    """Let lists and redirects of the web lead to these hosts as well, in this process."""
+    """Allow lists and redirects on the web to lead to these hosts, in this process."""
     _hosts.update(map(str.lower, hosts))
 
 
 def check_host(url: str, named: Iterable[str]) -> None:
-    """Refuse a URL of the web whose host is none of those that somebody named.
+    """Refuse a URL on the web with a host that is neither in `named` URLs nor allowed.
 
-    Args:
-        url: what a list or settings on the web name.
-        named: URLs whose hosts may be asked, besides those of `allow_hosts`.
-
-    Raises:
-        NavbakeError: it leads elsewhere.
+    `url` is from a list or settings on the web. Raises a NavbakeError.
     """
     host, known = _host(url), {*map(_host, named), *_hosts}
     if _is_web(url) and host not in known:
@@ -152,8 +143,8 @@ def _host(url: str) -> str:
 
 @cache
 def _client_options() -> Json:
-    """What keeps a client of the web on the host that it was sent to."""
-    import aiohttp  # which fsspec needs for the web, in no extra
+    """Options that keep a web client on allowed hosts."""
+    import aiohttp  # for fsspec's web client; in no extra
 
     async def look(session: Any, context: Any, request: Any) -> None:
         to = urljoin(str(request.url), request.response.headers.get("Location", ""))
@@ -168,11 +159,7 @@ def _client_options() -> Json:
 
 
 def check_inside(folder: Folder, path: Folder) -> None:
-    """Refuse what is in an output folder of this machine, but is a link that leads out of it.
-
-    Raises:
-        NavbakeError: nothing is written or removed there.
-    """
+    """Raise a NavbakeError for a link in a local output folder that leads out of it."""
     if isinstance(folder, Path):
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(os.path.realpath(folder)):
@@ -183,11 +170,7 @@ def check_inside(folder: Folder, path: Folder) -> None:
 
 
 def read_file(path: str | Path) -> bytes:
-    """Read a file whole.
-
-    Raises:
-        NavbakeError: it isn't there, or can't be read.
-    """
+    """Read a file whole; raises a NavbakeError."""
     with _naming("read", path):
         if isinstance(path, str) and is_url(path):
             system, inner = _open_store(path)
@@ -197,9 +180,7 @@ def read_file(path: str | Path) -> bytes:
 
 
 def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> None:
-    """Write a file, given as bytes or pieces, whole.
-
-    Others see the old content or the new, and nothing between.
+    """Write a file, given as bytes or pieces, atomically.
 
     Raises:
         FullError: the folder has no room.
@@ -221,7 +202,7 @@ def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> N
         system.makedirs(above, exist_ok=True)
         try:
             system.pipe_file(beside, content)
-            with suppress(FileNotFoundError):  # some stores move nothing over what is there
+            with suppress(FileNotFoundError):  # some stores don't move over existing files
                 system.rm_file(path)
             system.mv(beside, path)
         except BaseException:
@@ -231,7 +212,7 @@ def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> N
 
 
 def remove_files(folder: Folder, names: Iterable[str]) -> None:
-    """Remove files in this order; one that isn't there is removed already."""
+    """Remove files in this order; missing ones are skipped."""
     with _naming("write", folder):
         for name in names:
             with suppress(FileNotFoundError, NotADirectoryError):
@@ -243,7 +224,7 @@ def remove_files(folder: Folder, names: Iterable[str]) -> None:
 
 
 def sizes_below(folder: str) -> dict[str, int]:
-    """The size of each file in a folder of a store and the folders in it [bytes], by its path."""
+    """The size of each file below a folder of a store [bytes], by its path."""
     with _naming("list", folder):
         system, path = _open_store(folder)
         system.invalidate_cache()  # others may have written since
@@ -258,7 +239,7 @@ def sizes_below(folder: str) -> dict[str, int]:
 def match_files(pattern: str) -> list[str]:
     """The URLs of the files that a pattern with ``*``, ``?`` or ``[`` matches, sorted.
 
-    One file that is called so goes before. What begins with a dot is hidden.
+    A file with exactly this name is preferred. Hidden files, with a dot first, are left out.
     """
     with _naming("list", pattern):
         system, path = _open_store(pattern)
@@ -275,7 +256,7 @@ def match_files(pattern: str) -> list[str]:
 
 @lru_cache(maxsize=1 << 16)
 def _digest(path: str, size: int, modified_ns: int) -> str:
-    """The sha256 of a file, which is read once for many scenes that share it."""
+    """The sha256 of a file, cached for scenes that share it."""
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while chunk := file.read(1 << 20):
@@ -284,7 +265,7 @@ def _digest(path: str, size: int, modified_ns: int) -> str:
 
 
 def describe_file(path: Path) -> Json:
-    """Size and sha256 of a file of this machine."""
+    """Size and sha256 of a local file."""
     status = os.stat(path)
     digest = _digest(str(path), status.st_size, status.st_mtime_ns)
     return {"size": status.st_size, "sha256": digest}
@@ -294,19 +275,18 @@ def describe_file(path: Path) -> Json:
 
 
 class Mirror:
-    """A temporary folder for copies of stores' files, each at the place that it has on its store.
+    """A temporary folder for copies of stores' files, at their paths on the stores.
 
-    It is one of `scene_files.Files`: a file is copied when it is read. Files of this machine are
-    where they are.
+    It implements `scene_files.Files`: a file is copied when it is read. Local files stay in place.
     """
 
     def __init__(self, named: Iterable[str] = ()) -> None:
-        """Make one; `named` as in `check_host`."""
+        """Make a mirror; `named` as in `check_host`."""
         self._named = [*named]
         self._stack = ExitStack()
         self._folder: Path | None = None
-        self._urls: dict[Path, str] = {}  # of folders of stores' roots, and of files that are named
-        self._listed: dict[str, dict[str, Any]] = {}  # what stores say of files, by their folder
+        self._urls: dict[Path, str] = {}  # of roots of stores and named files
+        self._listed: dict[str, dict[str, Any]] = {}  # stores' entries by folder
         self.known: dict[Path, Mapping[str, Any] | None] = {}
 
     def __enter__(self) -> Mirror:
@@ -316,7 +296,7 @@ class Mirror:
         self._stack.close()
 
     def place(self, url: str) -> Path:
-        """Where a file of a store is, or would be, in the folder."""
+        """The path of a store's file in the folder, copied or not."""
         if self._folder is None:
             self._folder = Path(os.path.realpath(self._stack.enter_context(scratch_folder())))
         scheme, _, rest = shown(url).partition("://")
@@ -327,7 +307,7 @@ class Mirror:
         return root / path
 
     def url_of(self, path: Path) -> str | None:
-        """The URL of a place in the folder; None of one outside."""
+        """The URL of a path in the folder; None outside."""
         path = Path(os.path.abspath(path))
         for above in (path, *path.parents) if self._urls else ():
             if above in self._urls:
@@ -336,18 +316,17 @@ class Mirror:
         return None
 
     def has(self, path: Path) -> bool:
-        """Whether there is such a file."""
         return self._find(path) is not None
 
     def bring(self, path: Path) -> None:
-        """Copy a file, unless it is there."""
+        """Copy a file if it isn't yet."""
         url = self.url_of(path)
         if url is not None and not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(read_file(url))
 
     def fetch(self, name: str) -> Path:
-        """The path of a file, which is copied if it is on a store; for errors see `check_host`."""
+        """The local path of a file, copied if it is on a store; for errors see `check_host`."""
         if not is_url(name):
             return Path(name)
         check_host(name, self._named)
@@ -356,7 +335,7 @@ class Mirror:
         return path
 
     def describe(self, path: Path) -> Json:
-        """Size of a file and what tells that it is the same: the store's tag, else its sha256."""
+        """Size and a fingerprint of a file: the store's tag, else its sha256."""
         info = self._find(path) or {}
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
         tag = next((f"{key}:{facts[key]}" for key in TAGS if key in facts), None)
@@ -366,11 +345,11 @@ class Mirror:
         return {"size": facts["size"], "tag": tag}
 
     def told(self, text: str) -> str:
-        """A text about files in the folder, as one about those on the stores."""
+        """Replace paths of the folder in a text by the stores' URLs."""
         return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
 
     def _find(self, path: Path) -> Mapping[str, Any] | None:
-        """What the store says of a file, nothing of one of this machine; None if it isn't there."""
+        """The store's entry of a file, {} for a local one; None if it doesn't exist."""
         url = self.url_of(path)
         if url is None:
             return {} if os.path.isfile(path) else None
@@ -399,14 +378,11 @@ class Mirror:
             return info if info is not None and info.get("type", "file") == "file" else None
 
 
-# ---------------------------------------------------------------- what stores and disks refuse
+# ---------------------------------------------------------------- errors
 
 
 def why_full(error: BaseException | None) -> OSError | None:
-    """The system's error that says that a disk takes no more: this one or a cause of it, or None.
-
-    Readers are never told so.
-    """
+    """The "disk full" error of the system, among an error and its causes, or None."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in REMEDIES:
             return error
@@ -415,7 +391,7 @@ def why_full(error: BaseException | None) -> OSError | None:
 
 
 def refused(what: str, error: OSError) -> NavbakeError:
-    """The error for what the system refuses to write; a FullError where there is no room."""
+    """The error for a failed write; a FullError if there is no room."""
     why = error.strerror or str(error)
     if error.errno in REMEDIES:
         remedy = REMEDIES[error.errno]
@@ -438,19 +414,19 @@ def _open_store(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _naming(doing: str, path: Folder) -> Iterator[None]:
-    """Turn what a system or a store refuses into an error that names the file, and no password."""
+    """Turn errors of the system or a store into ones that name the file, without passwords."""
     name = shown(str(path))
     try:
         yield
     except (NavbakeError, MemoryError):
         raise
-    except Exception as error:  # stores raise what their libraries raise
+    except Exception as error:  # stores' libraries raise many types
         full = why_full(error) if doing == "write" else None
         if doing == "write" and not is_url(path) and isinstance(error, OSError):
             raise refused(f"into {name}", error) from error
         if full is not None:
             raise refused(f"into {name}", full) from error
-        cause = None if name != str(path) else error  # a library's message may have the password
+        cause = None if name != str(path) else error  # it may contain the password
         if isinstance(error, FileNotFoundError):
             raise MissingFileError(f"cannot {doing} {name}: there is no such file") from cause
         if cause is None:
@@ -458,6 +434,6 @@ def _naming(doing: str, path: Folder) -> Iterator[None]:
         else:
             text = " ".join(str(error).split()) or type(error).__name__
             why = printable(URL_IN_TEXT.sub(lambda found: shown(found[0]), text)[:400])
-        # fsspec names the package that a kind of store needs
+        # fsspec names the missing package
         kind = MissingDependencyError if isinstance(error, ImportError) else NavbakeError
         raise kind(f"cannot {doing} {name}: {why}") from cause

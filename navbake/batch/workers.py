@@ -1,4 +1,4 @@
-"""Worker processes that do jobs, each of which may hang, crash or take too much memory."""
+"""Worker processes for jobs that may hang, crash or take too much memory."""
 
 from __future__ import annotations
 
@@ -21,23 +21,22 @@ from navbake.errors import NavbakeError, printable
 from navbake.files import scratch_folder
 from navbake.processes import end_with_parent, ending_of, limit_memory
 
-TICK = 0.5  # how long the parent waits at most, to see which jobs have begun [s]
-LATE = 1.0  # how much longer a wait takes only where this process was stopped [s]
-AHEAD = 3  # jobs that are handed out for each worker: none waits for the parent
-MOST_BREAKS = 3  # of pools in a row in which no job ended, before the batch gives up
-MOST_TEXT = 200  # of what a worker wrote on stderr, characters
+TICK = 0.5  # interval at which the parent looks for begun jobs [s]
+LATE = 1.0  # excess of a wait that shows that this process was stopped [s]
+AHEAD = 3  # submitted jobs per worker, so that none waits for the parent
+MOST_BREAKS = 3  # of consecutive pools without a finished job, before an error
+MOST_TEXT = 200  # characters of a worker's stderr
 DONE, CRASHED, TOO_LONG, TOO_LARGE = "done", "crashed", "too long", "too large"
-BEGUN, AGAIN = "scene-begin", "retry"  # what happens besides that jobs end
+BEGUN, AGAIN = "scene-begin", "retry"  # events besides the ends of jobs
 
 
 class JobLimits(NamedTuple):
-    """What one job may take.
+    """The limits of one job.
 
     Attributes:
         seconds: time [s]; None for no limit.
-        memory: what its process may reserve beyond what it starts with [GiB]; None for no limit.
-            Kept on Linux only.
-        retries: how often a job that crashed, or took too long or too much, is tried again.
+        memory: beyond the process's own at its start [GiB]; None for no limit. On Linux only.
+        retries: of a job that crashed or exceeded a limit.
     """
 
     seconds: float | None = None
@@ -46,14 +45,14 @@ class JobLimits(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How a job ended, or why a try at it did.
+    """The end of a job, or of an attempt at it.
 
     Attributes:
         number: the job's place among the jobs.
         how: ``done``, ``crashed``, ``too long`` or ``too large``.
-        value: what the work returned, if it is done; else why it isn't.
-        seconds: how long it took, at the last try.
-        worker: the id of its process, 0 where that isn't known.
+        value: the result of a job that is done, else the reason.
+        seconds: duration of the last attempt.
+        worker: the id of its process, 0 if unknown.
     """
 
     number: int
@@ -76,14 +75,14 @@ def do_jobs(
 ) -> Generator[Ended, None, None]:
     """Do jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
 
-    The workers are gone when the iterator is closed, or at the end.
+    The workers end when the iterator is closed or exhausted.
     """
     with Workers(work, min(count, len(jobs)), **options) as workers:
         yield from workers.do(jobs, on_event)
 
 
 class Workers:
-    """Worker processes, which are started when they are needed and kept for many jobs."""
+    """Worker processes, started on demand and kept for many jobs."""
 
     def __init__(
         self,
@@ -96,17 +95,17 @@ class Workers:
         """Set up workers.
 
         Args:
-            work: a function of a module, which returns what can be pickled.
-            count: how many workers, >= 1.
+            work: a module's function, whose result can be pickled.
+            count: number of workers, >= 1.
             limits: of each job.
-            prepare: a function of a module that each worker calls before its first job.
+            prepare: a module's function that each worker calls before its first job.
         """
         self._work, self._count, self._limits, self._prepare = work, count, limits, prepare
         self._closing = ExitStack()
         self._pool: ProcessPool | None = None
 
     def __enter__(self) -> Workers:
-        # of temporary files, and of what each worker wrote on stderr, by its id
+        # temporary files, and each worker's stderr by its id
         self._folder = self._closing.enter_context(scratch_folder())
         return self
 
@@ -115,11 +114,11 @@ class Workers:
         self._closing.close()
 
     def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
-        """Do jobs, which can be pickled, and yield how each ended, in the order in which they end.
+        """Do jobs, which can be pickled, and yield their ends in the order of completion.
 
         `on_event` is called when a job begins, and when it will be tried again.
-        A job that ended its worker, or took too much memory, is tried again at the end, in a
-        process of its own: what another job left behind may have been the cause.
+        A job that crashed its worker, or took too much memory, is tried again at the end, in a
+        process of its own, in case an earlier job in the process was the cause.
 
         Raises:
             NavbakeError: no worker starts.
@@ -147,7 +146,6 @@ class Workers:
                 raise NavbakeError(f"cannot start a worker process{f': {why}' if why else ''}")
 
     def _stop(self) -> None:
-        """End the workers."""
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
             self._pool.join()
@@ -156,9 +154,9 @@ class Workers:
     def _in_pool(
         self, jobs: Sequence[Any], left: deque[int], alone: bool, on_event: OnEvent
     ) -> Iterator[Ended]:
-        """Do jobs in a pool until none is left or it breaks; those that it had are left then.
+        """Do jobs in a pool until none is left or it breaks; its unfinished jobs go back to `left`.
 
-        A process does one job if they are to be `alone`.
+        If `alone`, each job has a new process.
         """
         if self._pool is None:
             self._pool = ProcessPool(
@@ -172,7 +170,7 @@ class Workers:
         begun: dict[Future[Any], float] = {}
         limit = self._limits.seconds
         seconds = None if limit == float("inf") else limit
-        excused: set[Future[Any]] = set()  # this process, and so its workers, was stopped meanwhile
+        excused: set[Future[Any]] = set()  # not late: this process, and so its workers, was stopped
         while left or number_of:
             while left and len(number_of) < AHEAD * self._count:
                 arguments = self._work, jobs[left[0]], alone, self._limits.memory
@@ -183,7 +181,7 @@ class Workers:
                     left.extendleft(number_of.values())
                     return
                 number_of[future] = left.popleft()
-            before = time.time()  # by which the pool measures, too
+            before = time.time()  # the pool's clock
             done, _ = wait(number_of, TICK, FIRST_COMPLETED)
             if time.time() - before > TICK + LATE:
                 excused.update(number_of)
@@ -221,7 +219,7 @@ class Workers:
         return Ended(number, CRASHED, why, seconds)
 
     def _last_words(self, pid: int | None) -> str:
-        """The last line that a worker, or any, wrote on stderr, where libraries say why."""
+        """The last line of stderr of a worker, or of any, where libraries print reasons."""
         text = b""
         with suppress(OSError):
             for path in self._folder.glob(str(pid or "[0-9]*")):
@@ -232,7 +230,7 @@ class Workers:
 
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
-    """Let Ctrl-C wait: processes and threads that start inside hear of none until they want to.
+    """Block Ctrl-C inside; processes and threads that start inside keep it blocked.
 
     Without it, Ctrl-C prints the traceback of each worker that is still importing modules.
     """
@@ -241,7 +239,7 @@ def _ctrl_c_waits() -> Iterator[None]:
         return
     from multiprocessing import resource_tracker  # Windows has none
 
-    resource_tracker.ensure_running()  # its start would let the signal through
+    resource_tracker.ensure_running()  # its start would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -255,7 +253,7 @@ def _ctrl_c_waits() -> Iterator[None]:
 def _settle(
     parent: int, folder: Path, memory: float | None, prepare: Callable[[], None] | None
 ) -> None:
-    """Leave Ctrl-C, the terminal and the end of the parent to the parent; get ready."""
+    """Prepare a worker: signals, terminal, end with the parent, and memory limit."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "pthread_sigmask"):
@@ -266,7 +264,7 @@ def _settle(
     os.dup2(nothing, 1)
     words = os.open(folder / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     os.dup2(words, 2)
-    tempfile.tempdir = str(folder)  # so what a killed worker leaves there is removed
+    tempfile.tempdir = str(folder)  # removed after a killed worker
     if prepare is not None:
         prepare()
     global _unlimited
@@ -279,14 +277,14 @@ _unlimited: Callable[[], None] = lambda: None  # noqa: E731 ends this worker's l
 def _do(
     work: Callable[[Any], Any], job: Any, alone: bool, memory: float | None
 ) -> tuple[int, str, Any]:
-    """Do a job; returns the process, how it ended, and the result or why there is none."""
+    """Do a job; returns the process, how it ended, and the result or the reason."""
     os.ftruncate(2, 0)
     try:
         return os.getpid(), DONE, work(job)
     except MemoryError as error:
         if not alone:
-            os._exit(1)  # who knows in which state this process is
-        _unlimited()  # or there may be no memory to say so
+            os._exit(1)  # its state is unknown
+        _unlimited()  # the message needs memory
         most = "there is" if memory is None else f"{memory:g} GiB"
         text = f" ({printable(str(error))})" if str(error) else ""
         return os.getpid(), TOO_LARGE, f"it took more memory than {most}{text}"
