@@ -1,4 +1,4 @@
-"""Files that are written as a whole or not at all, temporary folders, and CSV."""
+"""Atomic writes, temporary folders, and CSV."""
 
 import csv
 import errno
@@ -20,29 +20,29 @@ from navbake.errors import NavbakeError, printable
 
 LOG = logging.getLogger("navbake")
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")  # files; folders by `tempfile`
-OLD = 86400.0  # age at which what a writer left is a leftover: no write takes a day [s]
-_swept: set[Path] = set()  # folders that this process has removed leftovers from
+OLD = 86400.0  # age of leftovers: no write takes a day [s]
+_swept: set[Path] = set()  # folders without leftovers since this process began
 
 
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
-    """Write a file, given as bytes or pieces, under another name beside its place and rename it.
+    """Write a file atomically, given as bytes or pieces: under another name, then renamed.
 
-    Of a link, the file that it points to is replaced. A device or a pipe is written to directly.
+    A link's target is replaced. A device or a pipe is written to directly.
 
     Raises:
-        OSError: the path can't be written; a file that was there is unchanged.
+        OSError: the path can't be written; an existing file is unchanged.
     """
     write_together({Path(path): data})
 
 
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
-    """Write several files, each as `write_whole` does; all or, as far as the system allows, none.
+    """Write several files, each as `write_whole`; all or, as far as the system allows, none.
 
-    All are written beside their places before the first is renamed, in the order given: a file
-    that names others comes after them.
+    All are written before the first is renamed, in the order given, so put a file that names others
+    after them.
 
     Raises:
-        OSError: a path can't be written. No file has changed, unless it was a renaming that failed.
+        OSError: a path can't be written. No file has changed, unless a renaming failed.
     """
     with ExitStack() as stack:
         for commit in [stack.enter_context(_beside(data, path)) for path, data in contents.items()]:
@@ -51,7 +51,7 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
 
 @contextmanager
 def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
-    """Write a file under another name; yields the function that puts it into its place."""
+    """Write a file under another name; yields a commit function that renames it."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
 
@@ -62,7 +62,7 @@ def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], 
         yield write_device
         return
     target = Path(os.path.realpath(path))
-    if target.parent not in _swept:  # once a process: a folder of many files takes long to list
+    if target.parent not in _swept:  # once per process, as listing a large folder is slow
         _swept.add(target.parent)
         remove_leftovers(target.parent)
     file, temporary = create_temporary(target.parent)
@@ -77,17 +77,12 @@ def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], 
 
 
 def create_temporary(folder: Path) -> tuple[BinaryIO, Path]:
-    """Open a new temporary file in a folder."""
     path = folder / f".navbake-{os.urandom(8).hex()}.tmp"
     return open(path, "xb"), path
 
 
 def write_all(file: int, data: bytes) -> None:
-    """Write to a file, in one write where the system takes it all.
-
-    It takes less where the disk is getting full. Then the rest is written after it, or an OSError
-    says why it can't be: what comes next never follows half of this unnoticed.
-    """
+    """Write all data to a file; raises an OSError if the disk gets full."""
     written = os.write(file, data)
     while written < len(data):
         written += os.write(file, data[written:])
@@ -96,7 +91,7 @@ def write_all(file: int, data: bytes) -> None:
 def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
     """Encode rows as CSV (RFC 4180) in UTF-8; None and NaN are empty cells.
 
-    Text that a spreadsheet would take for a formula begins with an apostrophe, and control
+    Text that a spreadsheet would evaluate as a formula gets an apostrophe in front, and control
     characters are escaped. Source: OWASP, "CSV Injection".
     """
 
@@ -106,28 +101,28 @@ def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
         return cell if cell == cell else None
 
     text = io.StringIO()
-    # with other ends of lines, csv leaves a name with such an end unquoted
+    # with other line ends, csv doesn't quote names that contain them
     csv.writer(text, lineterminator="\r\n").writerows(map(plain, row) for row in rows)
     return text.getvalue().encode()
 
 
 def check_writable(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a path that `write_whole` could not write, before any work is done."""
+    """Raise an OSError for a path that `write_whole` can't write, before any work is done."""
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass
 
 
 def readable_stem(path: str | PathLike[str]) -> str:
-    """The stem of a file's name as UTF-8 can hold it; bytes that are not UTF-8 become U+FFFD."""
+    """The stem of a file's name, bytes that are not UTF-8 as U+FFFD."""
     return os.fsencode(Path(path).stem).decode(errors="replace")
 
 
 def check_regular(path: str | PathLike[str]) -> None:
-    """Raise an OSError for a pipe or a device, which may keep whoever reads it for ever.
+    """Raise an OSError for a pipe or a device, which may block its reader for ever.
 
-    For files that another file names: what users name themselves may be a pipe. What isn't there
-    passes, and folders do: whoever opens them says so.
+    For files named by other files; users' own arguments may be pipes. Folders and missing files
+    pass.
     """
     try:
         mode = os.stat(path).st_mode
@@ -138,11 +133,9 @@ def check_regular(path: str | PathLike[str]) -> None:
 
 
 def remove_leftovers(folder: Path, age: float = OLD) -> None:
-    """Remove the temporary files and folders of this user that killed processes left in a folder.
+    """Remove this user's temporary files and folders of killed processes from a folder.
 
-    Args:
-        folder: where they are; what can't be removed stays.
-        age: how long ago they were changed last, at least [s]; 0 where nobody else writes.
+    Only those last changed at least `age` [s] ago; 0 if nobody else writes. Failures are ignored.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -159,7 +152,7 @@ def remove_leftovers(folder: Path, age: float = OLD) -> None:
 
 
 def _is_replaceable(path: str | PathLike[str]) -> bool:
-    """Whether the path is a file, or nothing yet."""
+    """Whether the path is a regular file or missing."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -171,13 +164,9 @@ def _is_replaceable(path: str | PathLike[str]) -> bool:
 
 @contextmanager
 def scratch_folder(place: Path | None = None) -> Iterator[Path]:
-    """Make a temporary folder, and remove it at the end; what killed processes left goes first.
+    """Make a temporary folder in `place`, else the system's, and remove it at the end.
 
-    Args:
-        place: the folder that it is in; None for the system's folder for such things.
-
-    Raises:
-        NavbakeError: it can't be made there.
+    Leftovers of killed processes are removed first. Raises a NavbakeError if it can't be made.
     """
     where: Path | str = "" if place is None else place
     try:
@@ -189,7 +178,7 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
             prefix="navbake-", dir=where, ignore_cleanup_errors=True
         )
     except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):  # of which no folder is the cause
+        if error.errno in (errno.EMFILE, errno.ENFILE):  # not the folder's fault
             raise
         into = f" into {where}" if where else ""
         raise NavbakeError(

@@ -1,4 +1,4 @@
-"""What processes that do risky work for another one have in common."""
+"""Limits and exit states of worker processes."""
 
 from __future__ import annotations
 
@@ -12,22 +12,19 @@ from navbake.errors import NavbakeError
 
 try:
     import resource
-except ImportError:  # Windows limits no process that way
+except ImportError:  # on Windows
     resource = None  # type: ignore[assignment]
 
 GIB = 1 << 30  # bytes
 END_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
-# What errors say, whatever their type, of memory that the system refused: MuJoCo of its own
-# allocations, then of those of C++; and what the system says itself, of a library, for example
+# messages of failed allocations: of MuJoCo's own, of C++'s in MuJoCo, and of the system
 NO_MEMORY = ("could not allocate memory", "unknown exception", "cannot allocate memory")
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """Ask the system to end this process when its parent ends, however that happens; on Linux.
+    """Let the system end this process with its parent, on Linux.
 
-    Args:
-        parent: the parent's id; if it is given and the parent has ended already, this process ends
-            at once.
+    Ends it at once if the process with the id `parent` has already ended.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(END_WITH_PARENT, signal.SIGKILL)
@@ -36,14 +33,13 @@ def end_with_parent(parent: int | None = None) -> None:
 
 
 def limit_memory(gib: float | None) -> Callable[[], None]:
-    """Limit what this process may reserve from now on, on Linux, and let it leave no core dump.
+    """Limit the memory that this process may reserve, on Linux, and disable core dumps.
 
     Args:
-        gib: how much more than it has now [GiB]; None, or more than a process can have, for no
-            limit.
+        gib: beyond its current memory [GiB]; None, or more than a process can have, for no limit.
 
     Returns:
-        What ends the limit of memory.
+        A function that removes the limit of memory.
     """
     if resource is None:
         return lambda: None
@@ -53,7 +49,7 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
     try:
         with open("/proc/self/statm", "rb") as file:
             pages = int(file.read().split()[0])
-    except OSError:  # no Linux: such limits are not kept there
+    except OSError:  # limits are kept on Linux only
         return lambda: None
     before = resource.getrlimit(resource.RLIMIT_AS)
     most, hard = pages * resource.getpagesize() + int(gib * GIB), before[1]
@@ -63,14 +59,11 @@ def limit_memory(gib: float | None) -> Callable[[], None]:
 
 
 def lacked_memory(error: BaseException) -> bool:
-    """Whether a limit of this process' memory led to an error.
+    """Whether an error was caused by a memory limit of this process.
 
-    Libraries turn that into errors of their own. So where there is a limit, what an error came
-    from counts, too, and so do its words, as MuJoCo has no error of a type of its own for this.
-
-    Returns:
-        Without a limit, whether it is a MemoryError: then sizes that a broken file states may
-        lead to the others.
+    With a limit, an error's causes and its message count, too, as libraries like MuJoCo raise
+    errors of their own. Without one, only a MemoryError does, as sizes in a broken file may cause
+    the others.
     """
     if isinstance(error, MemoryError):
         return True
@@ -81,7 +74,7 @@ def lacked_memory(error: BaseException) -> bool:
         if isinstance(cause, MemoryError):
             return True
         text = str(cause).lower()
-        # navbake's own errors say the same of their cause, and name files besides
+        # navbake's own errors repeat their cause, and name files
         if not isinstance(cause, NavbakeError) and any(words in text for words in NO_MEMORY):
             return True
         cause = cause.__cause__ or cause.__context__
@@ -89,10 +82,10 @@ def lacked_memory(error: BaseException) -> bool:
 
 
 def ending_of(status: int) -> str:
-    """How a process ended, from the exit status that Python gives: a number, or a signal's name."""
+    """Describe the end of a process from Python's exit status: a number, or a signal's name."""
     if status >= 0:
         return f"exit status {status}"
     try:
         return signal.Signals(-status).name
-    except ValueError:  # a number without a name
+    except ValueError:  # unnamed signal
         return f"signal {-status}"

@@ -14,16 +14,15 @@ if TYPE_CHECKING:
     from navbake.verifier.report import VerifyReport
     from navbake.verifier.source import SceneSource
 
-SHOWN = 10  # disagreements that a message lists
+SHOWN = 10  # disagreements in a message
 
 
 def assert_true(
     grid: NavGrid | str | PathLike[str], scene: SceneSource | None = None, **options: Any
 ) -> VerifyReport:
-    """Assert that a grid says of its scene what MuJoCo and FCL say.
+    """Assert that a grid agrees with its scene; arguments and result are those of `navbake.verify`.
 
-    Takes and returns what `navbake.verify` does; the message of its AssertionError lists the first
-    places where they disagree.
+    The message of its AssertionError lists the first disagreements.
     """
     report = verify(grid, scene, **options)
     if not report.ok:
@@ -33,10 +32,9 @@ def assert_true(
 
 
 def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -> AuditReport:
-    """Assert that an audit finds no error in a grid and, if `remarks` count, nothing to remark.
+    """Assert that an audit finds no error in a grid and, if `remarks` count, no remark.
 
-    Takes and returns what `navbake.audit` does; the message of its AssertionError lists what was
-    found.
+    Arguments and result are those of `navbake.audit`; the AssertionError lists the findings.
     """
     report = audit(grid)
     found = report.remarks if remarks else report.errors
@@ -46,6 +44,5 @@ def assert_sound(grid: NavGrid | str | PathLike[str], *, remarks: bool = True) -
 
 
 def _list(head: str, places: list[str]) -> str:
-    """A message of a line and the first places, one a line."""
     rest = len(places) - SHOWN
     return "\n".join([head, *places[:SHOWN], *([f"and {rest} more"] if rest > 0 else [])])

@@ -1,7 +1,7 @@
-"""How kernels run on several threads: threads of Python, each with a range of the work.
+"""Runs compiled kernels on Python threads, each with ranges of the work.
 
-A kernel that lets go of Python's lock runs beside others of its kind. That takes a fraction of the
-time to compile that numba's own parallel loops take, and works after a fork and from any thread.
+Kernels release the GIL. They compile in a fraction of the time of numba's own parallel loops, and
+work after a fork and from any thread.
 """
 
 import os
@@ -20,8 +20,8 @@ from navbake.errors import ConfigError
 
 Result = TypeVar("Result")
 
-BANDS = 8  # ranges for each thread: enough that all end at about the same time
-_limit = threading.local()  # `count`: the most threads for what this thread starts
+BANDS = 8  # ranges per thread: enough to balance them
+_limit = threading.local()  # `count`: the most threads for kernels that this thread starts
 _pool: ThreadPoolExecutor | None = None
 _pool_lock = threading.Lock()
 
@@ -31,16 +31,16 @@ def run_in_bands(
 ) -> None:
     """Call a kernel for ``range(begin, begin + count)``, by ranges, on as many threads as allowed.
 
-    The threads take the ranges in order, each the next one when it is done with its last. Which
-    thread takes which must not matter: each range writes what no other one reads or writes.
+    The threads take the ranges in order, each its next one when done. The result must not depend on
+    that: each range writes data that no other one reads or writes.
 
     Args:
         kernel: ``kernel(*args, first, last)`` does the work of ``range(first, last)``; compiled
             with ``nogil=True``.
-        count: how much work there is, >= 0.
-        args: what all calls are given.
-        least: how much work is worth a call, >= 1; less of it than that runs on this thread.
-        begin: where the work begins.
+        count: size of the work, >= 0.
+        args: of all calls.
+        least: smallest range that is worth a call, >= 1; less work runs on this thread.
+        begin: start of the work.
     """
     threads = num_threads()
     size = max(least, -(-count // (threads * BANDS)))
@@ -54,23 +54,21 @@ def run_in_bands(
     try:
         _work(kernel, args, bands)
     finally:
-        deque(bands, maxlen=0)  # after an error here nothing more is begun
-        # one that has not begun has nothing left to do
+        deque(bands, maxlen=0)  # after an error, no further range begins
+        # the ranges are used up
         _wait([future for future in started if not future.cancel()])
 
 
 def take_rows(source: Any, index: Any, out: Any, first: int, end: int) -> None:
-    """Write the rows of an array that an index names: `numpy.take`, for `run_in_bands`."""
+    """`numpy.take` of rows, as a kernel for `run_in_bands`."""
     np.take(source, index[first:end], axis=0, out=out[first:end], mode="clip")
 
 
 def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
-    """Start a function on another thread; on one thread, it runs when its result is asked for.
+    """Start a function on another thread; returns a function that waits for its result or error.
 
-    Kernels that it starts may take as many threads as those of this thread.
-
-    Returns what waits for the result, and gives it or raises what the function raised. If no other
-    thread has begun by then, because all are busy, the one that asks runs it.
+    Its kernels may take as many threads as this thread's. If it hasn't begun when the result is
+    needed, as with one thread or if all are busy, it runs on the waiting thread.
     """
     count = num_threads()
     if count == 1:
@@ -80,14 +78,14 @@ def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
 
 
 def _run_limited(count: int, task: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-    with limit_threads(count):  # a limit is known to its own thread alone
+    with limit_threads(count):  # limits are per thread
         return task(*args)
 
 
 def _work(
     kernel: Callable[..., Any], args: tuple[Any, ...], bands: Iterator[tuple[int, int]]
 ) -> None:
-    # `next` of a list's iterator is one step of Python's: two threads never get the same
+    # `next` of a list's iterator is atomic
     for first, last in bands:
         kernel(*args, first, last)
 
@@ -98,13 +96,13 @@ def _wait(futures: list["Future[None]"]) -> None:
 
 
 def num_threads() -> int:
-    """How many threads the kernels that this thread of Python starts may take."""
+    """The most threads for kernels that this Python thread starts."""
     return int(getattr(_limit, "count", None) or numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 @contextmanager
 def limit_threads(count: int | None) -> Iterator[None]:
-    """Run what is inside on at most `count` threads, or a ConfigError; None changes nothing."""
+    """Limit kernels inside to `count` threads; None changes nothing. Raises a ConfigError."""
     before = getattr(_limit, "count", None)
     if count is not None:
         is_whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
@@ -127,7 +125,7 @@ def _get_pool() -> ThreadPoolExecutor:
 
 
 def _after_fork() -> None:
-    """A forked child has none of its parent's threads, and the lock may be held by one of them."""
+    """Reset a forked child, which has no threads and maybe a locked lock."""
     global _pool, _pool_lock
     _pool, _pool_lock = None, threading.Lock()
 

@@ -1,7 +1,7 @@
-"""Types of the settings' fields, and the message of an error in one, on one line.
+"""Types of the settings' fields, and their errors, each on one line.
 
-A message reads ``expected <text>, got <value> at `<key>` in <file>``: a field's type gives its
-first part, `describe_errors` the rest.
+A message is ``expected <text>, got <value> at `<key>` in <file>``: a field's type has the first
+part, `describe_errors` adds the rest.
 """
 
 import json
@@ -27,12 +27,12 @@ from navbake.known_names import find_near
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:
-    """The error to raise for a value: ``expected <text>, got …``, details ``got`` and ``at``."""
+    """An error of the form ``expected <text>, got …``, with details ``got`` and ``at``."""
     return PydanticCustomError("expected", "expected {text}", {"text": text, **details})
 
 
 def expects(text: str) -> WrapValidator:
-    """Give every error of a value one message: ``expected <text>, got …``."""
+    """Give all errors of a value the message ``expected <text>, got …``."""
 
     def check(value: Any, validate: Callable[[Any], Any]) -> Any:
         try:
@@ -51,24 +51,24 @@ def setting(default: Any, text: str, default_text: str | None = None) -> Any:
 
 
 def section(model: type[BaseModel], text: str) -> Any:
-    """A field that holds a section, whose settings have their defaults if it is left out."""
+    """A field with a section, which has its defaults if left out."""
     return Field(default_factory=model, description=text)
 
 
 def to_path(value: Any) -> Path:
-    """Take text or a path for a path; anything else is refused."""
+    """Convert text to a path; refuses other types."""
     if isinstance(value, str | PathLike) and str(value) and "\0" not in str(value):
         return Path(value)
     raise ValueError("no path")
 
 
 def resolve(path: Path, info: ValidationInfo) -> Path:
-    """Take a path relative to the file that names it, whose folder is in pydantic's context."""
+    """Resolve a path relative to the file that names it, by the folder in pydantic's context."""
     return Path((info.context or {}).get("folder", "")) / path
 
 
 def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A validator that refuses some values; what was expected instead is for `expects` to say."""
+    """A validator that refuses values; `expects` has the message."""
 
     def check(value: Any) -> Any:
         if is_wrong(value):
@@ -82,13 +82,13 @@ Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
-# one pattern is a list of one: `bodies: robot*`
+# a single pattern is a list of one: `bodies: robot*`
 Patterns = Annotated[
     list[Name], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
 ]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
 Model = TypeVar("Model", bound=BaseModel)
-# `grid:` with nothing under it is null in YAML, and means the section's defaults
+# an empty `grid:` is null in YAML, and means the section's defaults
 Section = Annotated[Model, BeforeValidator(lambda value: {} if value is None else value)]
 
 
@@ -112,7 +112,7 @@ OTHER_WORDS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
 SINGLE: dict[str, tuple[str, Any]] = {"scene": ("path", str), "levels": ("ground", (int, float))}
 """Of a section, the key and types of what people write in place of a mapping."""
 MAX_SHOWN = 60  # characters of a value in a message
-MAX_ITEMS = 6  # of a list that is shown
+MAX_ITEMS = 6  # of a shown list
 NESTED = (Mapping, list, tuple, set)
 MAX_ERRORS = 3  # errors in a message
 Location = tuple[int | str, ...]
@@ -122,9 +122,9 @@ Sections = Mapping[str, type[BaseModel]]  # the model of each section by its dot
 def describe_errors(
     error: ValidationError, sections: Sections, source: str, overrides: Sequence[str] = ()
 ) -> str:
-    """Word the first three errors as one line, unknown keys first, and count the others.
+    """Describe the first three errors in one line, unknown keys first, and count the others.
 
-    An override that is at fault is named in place of the source.
+    A faulty override is named in place of the source.
     """
     # an unknown key is often the reason for other errors; sorting keeps these in order
     details = sorted(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
@@ -140,7 +140,7 @@ def describe_errors(
 
 
 def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str = "") -> str | None:
-    """Say which key is none of a setting, by the keys alone; None if all are."""
+    """Describe the first unknown key, None if all are known."""
     for key, value in data.items():
         if section in sections and key not in _keys(sections, section):
             return _unknown_key((*filter(None, section.split(".")), key), sections)
@@ -151,7 +151,7 @@ def find_unknown_key(data: Mapping[str, Any], sections: Sections, section: str =
 
 
 def show_value(value: Any) -> str:
-    """Show a value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
+    """A value of a YAML file on one line, shortened: ``"5cm"``, ``true``, ``[1, 2]``."""
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple | set):
@@ -181,7 +181,7 @@ def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
 
 
 def _unknown_key(loc: Location, sections: Sections) -> str:
-    """Name the key that was probably meant: of the same section first, then of all."""
+    """Suggest the nearest known key, of the same section first."""
     section, unknown = ".".join(p for p in loc[:-1] if isinstance(p, str)), str(loc[-1])
     known, elsewhere = _keys(sections, section), dict[str, str]()
     # reversed, so that of sections with a key in common the first one is named

@@ -1,4 +1,4 @@
-"""Settings that are laid over others: Python's keywords over a file, a scene's over a batch's."""
+"""Merges settings: keywords over a file's, a scene's over a batch's."""
 
 from __future__ import annotations
 
@@ -42,11 +42,12 @@ class SettingKeywords(TypedDict, total=False):
 def merge(
     below: Mapping[str, Any], above: Mapping[str, Any], place: str, section: str = ""
 ) -> dict[str, Any]:
-    """Lay settings over others, key by key; a section without keys changes nothing.
+    """Merge settings key by key, `above` over `below`; a section without keys changes nothing.
 
     Raises:
-        ConfigError: there are keys above for what is a value below, as ``rooms: none``. They would
-            undo it. The message names the `place` of the settings.
+        ConfigError: `above` has keys below a value of `below`, as ``rooms: none``. The message
+        names
+            the `place`.
     """
     merged = dict(below)
     for key, value in above.items():
@@ -65,7 +66,7 @@ def merge(
 
 
 def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
-    """Settings in any form that `as_config` takes, with keywords laid over them, see `merge`.
+    """Settings in any form of `as_config`, with keywords over them, see `merge`.
 
     Tuples count as lists, and NumPy's numbers as Python's. Raises a ConfigError for wrong settings.
     """
@@ -85,21 +86,21 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
         if path.suffix.lower() in YAML_SUFFIXES:
             config, folder = read_yaml(path), path.parent
             if not isinstance(config, Mapping):
-                return as_config(path)  # which says what is wrong with it
+                return as_config(path)  # raises
     return parse_config(merge(config, _checked(keywords), source), source, folder=folder)
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
-    """The settings of a scene in memory, by its name.
+    """The settings of a scene in memory.
 
-    A `scene.path` among the keywords is what the grid names; nothing is read from there.
+    A `scene.path` in the keywords becomes the grid's, but isn't read.
     """
     settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
     return parse_config(merge(settings, _checked(keywords), "the keywords"), "the keywords")
 
 
 def _checked(keywords: Mapping[str, Any]) -> Any:
-    """The keywords as YAML has them; a ConfigError says in which section a key of one belongs."""
+    """The keywords as YAML values; a ConfigError suggests the section of a setting outside one."""
     for key in keywords.keys() - BakeConfig.model_fields:
         for section, model in SECTIONS.items():
             name = key.removeprefix(f"{section}_")
@@ -111,7 +112,7 @@ def _checked(keywords: Mapping[str, Any]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value as YAML would have it: lists for tuples and arrays, Python's own numbers."""
+    """A value as in YAML: lists for tuples and arrays, Python's own numbers."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -122,7 +123,7 @@ def _plain(value: Any) -> Any:
 
 
 def _hint(given: Any) -> str:
-    """What to give in place of things that are close to a scene."""
+    """A remedy for objects similar to a scene."""
     if type(given).__name__ == "MjData":
         return ": give its model first, then the data"
     # dm_control's models; then environments, and dm_control's Physics

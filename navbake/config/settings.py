@@ -55,13 +55,13 @@ MeshMode = Literal["auto", "hull", "surface", "shell"]
 
 
 def memory_path(name: str) -> Path:
-    """What stands for the path of a scene in memory: its name, as in ``<apartment>``."""
+    """The path of a scene in memory, from its name: ``<apartment>``."""
     name = "".join(char if char.isprintable() and char not in "/\\" else "_" for char in name)
     return Path(f"<{name if name.strip('. ') else 'scene'}>")
 
 
 def is_memory_path(path: str | PathLike[str]) -> bool:
-    """Whether a path stands for a scene in memory that was given no file's name."""
+    """Whether a path stands for a scene in memory without a file."""
     return str(path).startswith("<") and str(path).endswith(">")
 
 
@@ -84,8 +84,6 @@ SceneId = Annotated[
 
 
 class ExcludeSettings(Settings):
-    """What is left out of the scene, by name patterns with the shell's wildcards."""
-
     bodies: Patterns = setting(
         [], "body name patterns (*, ?, [...]); child bodies are left out too"
     )
@@ -101,8 +99,6 @@ def _is_nowhere(direction: list[float]) -> bool:
 
 
 class SceneSettings(Settings):
-    """The scene, which of its geoms count, and its pose."""
-
     id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
     path: ScenePath = Field(
         description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
@@ -127,7 +123,7 @@ class SceneSettings(Settings):
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
     )
-    # The tags let pydantic check one branch of the union, so that an error speaks of that one only.
+    # with tags, pydantic checks one branch of the union, so that errors are about that one
     meshes: Annotated[
         Annotated[
             MeshMode, expects("auto, hull, surface, shell or {pattern: one of these}"), Tag("=one")
@@ -181,7 +177,7 @@ DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto
 
 
 class RoomPolygon(Settings):
-    """A room that is given by its outline."""
+    """A room with a given outline."""
 
     name: OptionalName = setting(None, "its name, or null")
     level: Annotated[
@@ -210,9 +206,7 @@ def _read_polygons(value: Any, info: ValidationInfo) -> Any:
 
 
 class RoomSettings(Settings):
-    """How the floor is divided into rooms."""
-
-    # The key is `from`, a keyword of Python; so the field is `sources`, with that alias.
+    # the key `from` is a keyword of Python, so it is an alias of `sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     sources: Annotated[
@@ -269,8 +263,6 @@ def _check_above_ground(value: float | None, info: ValidationInfo) -> float | No
 
 
 class AgentSettings(Settings):
-    """The agent that must fit where it stands."""
-
     height: Positive = setting(1.14, "height of the agent [m], > 0")
     radius: NotNegative = setting(0.05, "radius of its footprint [m], >= 0")
     traversable_floor_height: Annotated[NotNegative, AfterValidator(_check_below_height)] = setting(
@@ -282,8 +274,6 @@ class AgentSettings(Settings):
 
 
 class GridSettings(Settings):
-    """The lattice of cells."""
-
     cell_size: Positive = setting(0.1, "edge of a cell [m], > 0")
     bounds: Annotated[
         Annotated[
@@ -316,9 +306,7 @@ Position = Annotated[
 
 
 class FloorSettings(Settings):
-    """Which surfaces that one can stand on are floors, and which are furniture."""
-
-    # as `sources` of rooms: the field of the key `from` is `starts`
+    # as of `RoomSettings.sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
@@ -350,8 +338,6 @@ class FloorSettings(Settings):
 
 
 class NameSettings(Settings):
-    """The names of what stands in the cells."""
-
     enabled: bool = setting(True, "write them: true or false")
     walls: Patterns = setting(
         [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
@@ -359,8 +345,6 @@ class NameSettings(Settings):
 
 
 class DoorSettings(Settings):
-    """Which bodies are doors, and the state in which they are baked."""
-
     patterns: Patterns = setting([], "body name patterns of doors (*, ?, [...])")
     find: bool = setting(
         True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
@@ -371,8 +355,6 @@ class DoorSettings(Settings):
 
 
 class VerifySettings(Settings):
-    """Whether the bake compares its grid with the scene by MuJoCo and FCL."""
-
     sample: Annotated[int | None, Field(ge=1), expects("a whole number >= 1, or null")] = setting(
         None, "how many cells to look at after the bake, or null for none"
     )
@@ -446,7 +428,7 @@ class BakeConfig(Settings):
     @model_validator(mode="before")
     @classmethod
     def _fill_scans(cls, data: Any) -> Any:
-        """Take `floors.fill` of scans, unless it is given."""
+        """Set the default of `floors.fill` for scans."""
         if isinstance(data, Mapping):
             scene, floors = data.get("scene"), data.get("floors") or {}
             is_scan = isinstance(scene, Mapping) and scene.get("scan") is True
@@ -456,16 +438,16 @@ class BakeConfig(Settings):
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """The files that the settings name: the scene, and what was read with them (GeoJSON)."""
+        """The input files of the settings: the scene, and outlines (GeoJSON)."""
         return (Path(self.scene.path), *self._named)
 
     def __eq__(self, other: object) -> bool:
-        """Whether all settings are the same, whatever files they were read from."""
+        """Whether all settings are equal, from whatever files."""
         return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """The scene or settings at a path; those of a sample at its bare name, if no file has it.
+    """The scene or settings at a path, or a sample's settings by its name if there is no such file.
 
     Raises:
         ConfigError: it is a grid.
@@ -481,10 +463,9 @@ def find_source(path: str | PathLike[str]) -> Path:
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is taken for a scene; the bare name of a sample, where
-    there is no such file, for its settings. `scene.path` is relative to the
-    YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
-    a setting is a ConfigError.
+    A path that does not end in .yaml or .yml is a scene, or the name of a sample if there is no
+    such file. `scene.path` is relative to the YAML file. Each override, ``a.b=value``, replaces a
+    setting of the file. Raises a ConfigError for any fault.
     """
     path = find_source(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
@@ -498,7 +479,7 @@ def parse_config(
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
 ) -> BakeConfig:
-    """Validate settings that are nested mappings already; raises as `load_config` does.
+    """Validate settings in nested mappings; raises as `load_config`.
 
     Messages name the `source`. `scene.path` is relative to `folder`.
     """
@@ -509,7 +490,7 @@ def parse_config(
             f"expected settings in {source}, got a map of nav2: `navbake convert` makes a grid of "
             f"it, `navbake convert` to .xml a scene"
         )
-    # null stands for a section's defaults: so what a file without `scene` lacks is `scene.path`
+    # null is a section's defaults, so that a file without `scene` lacks `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
     context: dict[str, Any] = {"folder": folder, "inputs": []}
     try:
@@ -521,7 +502,7 @@ def parse_config(
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:
-    """Take settings in any of their forms: themselves, a YAML or scene file, or a mapping."""
+    """Settings from any form: `BakeConfig`, a YAML or scene file, or a mapping."""
     if isinstance(config, str | PathLike):
         return load_config(config)
     return config if isinstance(config, BakeConfig) else parse_config(config)
@@ -536,10 +517,10 @@ def settings_digest(config: BakeConfig) -> str:
 
 
 def settings_to_state(config: BakeConfig) -> Json:
-    """The settings that a grid states: of scene, agent, cells and floors, where not the defaults.
+    """The settings that a grid states: scene, agent, cells and floors that aren't the default.
 
-    The scene's file is stated without its folder, so that grids don't depend on where it is; a
-    scene in memory has none. Doors stand as the grid itself says.
+    The scene's file is stated without its folder, so that grids don't depend on it; a scene in
+    memory has none. The grid itself has the states of doors.
     """
     sections = {"scene", "agent", "grid", "levels", "floors"}
     stated: Json = config.model_dump(

@@ -1,4 +1,4 @@
-"""Writes YAML to start from: every setting with its meaning, unit, range and default."""
+"""Writes YAML templates: every setting with its meaning, unit, range and default."""
 
 import contextlib
 import json
@@ -32,7 +32,7 @@ def render_template(config: BakeConfig) -> str:
 def write_template(
     scene: str | PathLike[str], path: str | PathLike[str] | None = None, *, force: bool = False
 ) -> Path:
-    """Write the commented default settings for a scene, and return the path that was written.
+    """Write the commented default settings for a scene; returns the path.
 
     The path is ``<scene id>.yaml`` in the current folder if None; `force` overwrites a file.
     """
@@ -50,7 +50,7 @@ def write_template(
 
 
 def template_for(scene: Path, folder: Path) -> tuple[str, str]:
-    """The name of a YAML for a scene, and its text, the commented defaults, for a folder."""
+    """The name and the text of a scene's YAML template, for a folder."""
     if scene.suffix.lower() in YAML_SUFFIXES:
         raise ConfigError(f"expected a scene, got the settings file {scene}")
     scene_id = load_config(scene).scene.id
@@ -60,14 +60,14 @@ def template_for(scene: Path, folder: Path) -> tuple[str, str]:
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))
     text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))
-    # Names of files can be anything: make sure that the text reads back.
+    # check that the text reads back, whatever the file's name
     name = f"{scene_id}.yaml"
     parse_config(parse_yaml(text, str(folder / name)), str(folder / name))
     return name, text
 
 
 def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
-    """A line for each setting with its comment, which stands above it where it is too long."""
+    """A line for each setting, its comment beside it, or above if too long."""
     lines = []
     for key, field in type(section).model_fields.items():
         name, value, comment = field.alias or key, getattr(section, key), field.description or ""
@@ -86,7 +86,7 @@ def _section_lines(section: BaseModel, indent: str = "") -> list[str]:
 
 
 def _flow(value: Any) -> str:
-    """A value as JSON, which is YAML's flow style; without quotes where YAML reads it as text."""
+    """A value as JSON (YAML's flow style), text without quotes if YAML allows it."""
     value = value.as_posix() if isinstance(value, Path) else value
     is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z_.][\w./-]*", value, re.ASCII)
     if is_word and parse_yaml(value, "a word") == value:

@@ -1,4 +1,4 @@
-"""Reads YAML that people write by hand: plain scalars as in YAML 1.2, and no key twice."""
+"""Reads hand-written YAML: plain scalars as in YAML 1.2, and unique keys."""
 
 import re
 from collections.abc import Hashable, Mapping, Sequence
@@ -10,8 +10,8 @@ import yaml
 from navbake.errors import ConfigError
 
 MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))  # their keys may hold dots
-MOST_SHOWN = 200  # characters of what PyYAML says: it repeats tags and names, however long
-# What PyYAML raises for a value that an explicit tag, as in ``!!bool maybe``, does not fit
+MOST_SHOWN = 200  # characters of a message of PyYAML, which repeats long tags and names
+# raised by PyYAML for a value that doesn't fit its explicit tag, as in ``!!bool maybe``
 UNFIT = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
 
@@ -24,7 +24,7 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Leave ``<<`` alone: merged keys can grow without bound, and nobody needs them here."""
+        """Don't merge keys ``<<``, which can grow without bound."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
@@ -53,7 +53,6 @@ for _name, _pattern in {
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file."""
     try:
         return decode_yaml(path.read_bytes(), str(path))
     except FileNotFoundError:
@@ -88,7 +87,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Set each ``a.b=value`` in a copy of nested mappings; the last one for a key counts."""
+    """Set each ``a.b=value`` in a copy of nested mappings; the last one of a key counts."""
     result = dict(data)
     for override in overrides:
         *sections, last = override_key(override)
