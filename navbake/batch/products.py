@@ -119,7 +119,7 @@ def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
 
 
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.formats.nav2 import encode_nav2  # loads Pillow
+    from navbake.formats.nav2 import encode_nav2  # loaded on use
 
     path = folder / f"{'-'.join(('nav2', *values))}.yaml"
     radius = float(values[0]) if values else None
@@ -206,7 +206,7 @@ def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], fold
 
 
 def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.views.report.report import write_report  # loads slowly
+    from navbake.views.report.report import write_report  # loaded on use
 
     write_report(grid, folder / REPORT, audits=[audit(grid)])
 

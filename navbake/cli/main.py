@@ -1,4 +1,4 @@
-"""The command line: its commands, its exit status, and how errors are shown.
+"""The command line: its commands, its exit status, and error messages.
 
 Only the modules of `navbake.cli` print, and only this one ends the process.
 """
@@ -43,7 +43,7 @@ COMMANDS = {
 }
 """The commands in the groups in which --help lists them."""
 ALIASES = {"mdf": "map-descriptor"}
-ANSWERS = {  # what a first guess, or an old name, means
+ANSWERS = {  # guesses and old names of commands
     "export": "write `navbake convert GRID FILE`: the ending of FILE says to what",
     "extrude": "write `navbake convert MAP scene.xml`",
 }
@@ -53,7 +53,6 @@ class _Groups(TyperGroup):
     """The commands, listed in groups."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the help of all commands."""
         width = max(map(len, self.commands))
         for title, group in COMMANDS.items():
             names = [function.__name__.replace("_", "-") for function in group]
@@ -66,7 +65,7 @@ class _Groups(TyperGroup):
                 )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find a command by its name, or say which one is meant."""
+        """Find a command by its name, or suggest the nearest."""
         if args[0] in ANSWERS:
             ctx.fail(f"No such command '{args[0]}': {ANSWERS[args[0]]}")
         return super().resolve_command(ctx, [ALIASES.get(args[0], args[0]), *args[1:]])
@@ -81,7 +80,7 @@ app = Typer(
     rich_markup_mode=None,
 )
 for command in (command for group in COMMANDS.values() for command in group):
-    # a place may begin with a minus
+    # a place may start with a minus
     settings = {"ignore_unknown_options": command is why}
     app.command(cls=Command, context_settings=settings)(prepared(command))
 
@@ -89,14 +88,14 @@ for command in (command for group in COMMANDS.values() for command in group):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 a NavbakeError, 2 wrong usage."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # names of geoms and files may hold what the terminal's encoding lacks
+        # names may contain characters that the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
     for name in ("navbake.compiled", "navbake.formats"):
         logging.getLogger(name).handlers[:] = [_LogPrinter()]
     try:
         try:
             app(None if arguments is None else list(arguments), prog_name="navbake")
-        finally:  # what is buffered may not fit any more, either
+        finally:  # flush, which may fail, too
             if sys.stdout is not None:
                 sys.stdout.flush()
     except NavbakeError as error:
@@ -106,16 +105,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         if error.filename is not None or error.errno not in UNWRITABLE:
             raise
-        # what is still buffered goes nowhere: Python would try it again at its end, and complain
-        with suppress(OSError, ValueError):  # ValueError: it has no number, as under tests
+        # drop the buffer, or Python would flush it again at its end, and fail
+        with suppress(OSError, ValueError):  # ValueError: no file descriptor, as under tests
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if error.errno != errno.EPIPE:  # whoever closed a pipe wants no more
+        if error.errno != errno.EPIPE:  # a closed pipe is no error
             print_error(f"cannot write to stdout: {error.strerror}")
         raise SystemExit(1) from None
 
 
 class _LogPrinter(logging.Handler):
-    """Prints what is logged of compiling and of files, one line on stderr each."""
+    """Prints log records on compiling and files, one line on stderr each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())

@@ -1,6 +1,6 @@
-"""Arguments and options that several commands share, and what checks them.
+"""Arguments and options that several commands share, and their checks.
 
-Places are spelled one way in all commands: ``x,y``, ``x,y,z`` or ``x,y,L1``.
+Places have one syntax in all commands: ``x,y``, ``x,y,z`` or ``x,y,L1``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def option(metavar: str, text: str, *names: str, default: Any = None, **more: Any) -> Any:
-    """An option with a value, None unless given: what help calls the value, and what it says."""
+    """An option with a value, None unless given; `metavar` and `text` are for its help."""
     return Option(default, *names, metavar=metavar, help=text, **more)
 
 
@@ -39,7 +39,7 @@ def flag(name: str, text: str) -> Any:
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
-    """Refuse what is not KEY=VALUE; the settings refuse unknown keys."""
+    """Refuse overrides that are not KEY=VALUE; the settings refuse unknown keys."""
     for override in overrides or []:
         if "=" not in override:
             raise BadParameter(f"expected KEY=VALUE, got {override!r}")
@@ -47,7 +47,7 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 
 def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
-    """Values by key, of texts as ``KEY=VALUE``."""
+    """Values by key, from texts as ``KEY=VALUE``."""
     pairs = [text.partition("=") for text in texts or ()]
     for key, mark, _ in pairs:
         if not mark:
@@ -101,10 +101,10 @@ def check_output(
     may_make_folder: bool = False,
     option: str = "-o",
 ) -> None:
-    """Refuse an output before any work is done: one that can't be written, or would do harm.
+    """Refuse an output that can't be written, or would do harm, before any work is done.
 
-    Its name has to end in one of `suffixes`, it must be none of `inputs`, and its folder may be
-    missing only if it may be made. ``-``, which is stdout, is always right. `option` is for
+    Its name must end in one of `suffixes`, it must be none of `inputs`, and its folder may be
+    missing only with `may_make_folder`. ``-``, which is stdout, is always valid. `option` is for
     messages.
     """
     if path == STDOUT:
@@ -137,7 +137,7 @@ def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
 
 
 def write_output(data: bytes, output: Path) -> None:
-    """Write a file, or its content to stdout; a file is named on stdout unless --quiet is given."""
+    """Write a file, or its content to stdout; prints the file's name unless --quiet is given."""
     if output == STDOUT:
         write_stdout(data)
     else:
@@ -146,7 +146,6 @@ def write_output(data: bytes, output: Path) -> None:
 
 
 def write_stdout(data: bytes) -> None:
-    """Write a file's content to stdout."""
     if sys.stdout is None:
         raise NavbakeError("cannot write to stdout: it is closed")
     sys.stdout.buffer.write(data)
@@ -154,26 +153,24 @@ def write_stdout(data: bytes) -> None:
 
 
 def beside_output(path: Path | None) -> AbstractContextManager[Any]:
-    """Print on stderr what a command says inside, where its output goes to stdout."""
+    """Redirect a command's prints to stderr if its output goes to stdout."""
     return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
 def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
-    """Refuse options that do nothing: name, whether it is given, whether it applies, what for."""
+    """Refuse options without effect: name, whether it is given, whether it applies, its purpose."""
     for name, is_given, applies, purpose in uses:
         if is_given and not applies:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
 class Command(TyperCommand):
-    """A command whose help calls values by their metavars alone, and has --output first.
+    """A command whose help has plain metavars, without Python types, and --output first.
 
-    typer prints the Python type of an argument, too, as ``<list[str]>``. Its errors of values that
-    are no numbers leave out what was given.
+    Errors of values that are no numbers name the value.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take the arguments apart."""
         words = [part for word in args for part in word.split("=", 1)]
         try:
             return list(super().parse_args(ctx, args))
@@ -185,7 +182,6 @@ class Command(TyperCommand):
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the help of arguments and of options."""
         for title, kind in (("Arguments", "argument"), ("Options", "option")):
             shown = [each for each in self.get_params(ctx) if each.param_type_name == kind]
             shown.sort(key=lambda each: "--output" not in each.opts)
@@ -197,10 +193,10 @@ class Command(TyperCommand):
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:
-    """A command as typer takes it: with the options that all have, and with groups of options.
+    """Prepare a command for typer: with --quiet and --verbose, and with groups of options.
 
-    All commands have --quiet and --verbose. typer makes an option of each parameter; so what it
-    sees in place of a NamedTuple are the NamedTuple's fields, with their annotations and defaults.
+    typer makes an option of each parameter, so a NamedTuple's fields replace it, with their
+    annotations and defaults.
     """
     groups = {p.name: p.annotation for p in _parameters(command) if hasattr(p.annotation, "_make")}
 
@@ -225,10 +221,7 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Parameters of a function or fields of a NamedTuple, with their annotations evaluated.
-
-    They are keyword-only, so that one with a default may precede one without.
-    """
+    """Parameters of a function or fields of a NamedTuple, keyword-only, with evaluated types."""
     hints = get_type_hints(function, include_extras=True)
     return [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
@@ -244,7 +237,7 @@ GivenPlace: TypeAlias = tuple[float, float, float | None, int | None]
 
 
 def parse_place(text: str, option: str) -> GivenPlace:
-    """Read a place that was given to an option; what is none is a BadParameter."""
+    """Parse a place given to an option; raises a BadParameter."""
     found = SPELLED.fullmatch(text)
     if not found:
         hint = (
@@ -261,11 +254,11 @@ def parse_place(text: str, option: str) -> GivenPlace:
 
 
 def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[float]:
-    """World x, y, z [m] of a place: where it has no z, the floor of its level there.
+    """World x, y, z [m] of a place, on the floor of its level if it has no z.
 
-    A place without a level is on the only one that has a floor there; where none or several have,
-    it is a BadParameter, as is one on a level that is open to the one below there. On a grid of
-    one level it stays x, y. A level that there is not is a QueryError.
+    A place without a level is on the only level with a floor there; with none or several, it is a
+    BadParameter, as is one on a level that is open to the one below. On a grid of one level it
+    stays x, y. An unknown level is a QueryError.
     """
     x, y, z, level = given
     if z is not None or (level is None and len(grid.levels) == 1):

@@ -1,4 +1,4 @@
-"""What commands print: tables and JSON on stdout, warnings and errors on stderr."""
+"""Prints tables and JSON on stdout, warnings and errors on stderr."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from navbake.types import Json
     from navbake.verifier.report import VerifyReport
 
-rich_console = lazy("rich.console")  # which take 0.1 s: only what is too wide needs them
+rich_console = lazy("rich.console")  # takes 0.1 s; for wide tables only
 rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
@@ -49,8 +49,8 @@ VOLUME = SimpleNamespace(quiet=False, verbose=False)
 def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
     """Print less or more inside.
 
-    With `verbose`, the records of the logger ``navbake`` go to stderr, but for warnings, which
-    commands print anyway, and then how long it took.
+    With `verbose`, the records of the logger ``navbake`` go to stderr, except warnings, which
+    commands print anyway, and at the end the duration.
     """
     VOLUME.quiet, VOLUME.verbose = quiet, verbose
     if not verbose:
@@ -71,42 +71,41 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
 
 
 def _is_for_the_terminal(record: logging.LogRecord) -> bool:
-    """Whether a record is to be printed; then control characters in it are escaped."""
+    """Whether to print a record; escapes control characters in it."""
     record.msg, record.args = printable(record.getMessage()), ()
     return record.levelno < logging.WARNING
 
 
 def print_json_line(value: Any) -> None:
-    """Print a value as one line of JSON, at once: others may read along."""
+    """Print a value as one line of JSON and flush it."""
     print(json.dumps(value, separators=(",", ":"), allow_nan=False), flush=True)
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON; NaN and infinity are refused, as JSON has neither."""
+    """Print a value as JSON; refuses NaN and infinity, which JSON lacks."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
-    # JSON escapes what is below a space; other characters may control a terminal, too
+    # JSON escapes characters below a space, but not all control characters
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
 
 def say(text: object) -> None:
-    """Print one line, control characters escaped: names may hold what moves a cursor."""
+    """Print one line, with control characters escaped: names may contain terminal commands."""
     print(printable(str(text)))
 
 
 def say_unless_quiet(text: object) -> None:
-    """Print one line that nobody asked for; with --quiet nothing."""
+    """Print one line of information, nothing with --quiet."""
     if not VOLUME.quiet:
         say(text)
 
 
 def print_error(message: str) -> None:
-    """Print one line on stderr."""
-    if sys.stderr is not None:  # else print would take stdout
+    if sys.stderr is not None:  # None would be stdout
         print(f"navbake: {printable(message)}", file=sys.stderr)
 
 
 def print_causes(error: BaseException) -> None:
-    """Print on stderr what led to an error, one line each; without --verbose nothing."""
+    """Print the causes of an error on stderr, one line each, with --verbose only."""
     cause = error.__cause__ if VOLUME.verbose else None
     while cause is not None:
         print_error(f"because of {type(cause).__name__}: {cause}")
@@ -114,25 +113,24 @@ def print_causes(error: BaseException) -> None:
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
-    """Print warnings on stderr, one a line."""
     for warning in warnings:
         print_error(f"warning: {warning}")
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Whether a stream is one of a terminal; None is a closed one."""
+    """Whether a stream is a terminal; None is a closed one."""
     return stream is not None and stream.isatty()
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables on stdout, one under the other, at most as wide as the terminal."""
+    """Print tables on stdout, at most as wide as the terminal."""
     width = shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
     for index, table in enumerate(tables):
         print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 
 
 def geom_table(geoms: Iterable[GeomReport]) -> Table:
-    """A row for each geom: whether it counts, as what, and why."""
+    """A row for each geom: whether and as what it counts, and why."""
     rows = (
         (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
         for g in geoms
@@ -156,7 +154,7 @@ def cell_table(facts: Json) -> Table:
 
 
 def verify_table(report: VerifyReport) -> Table:
-    """A row for each level: how often grid and scene agree, and how often not."""
+    """A row for each level: the numbers of agreements and disagreements."""
     rows = [
         [getattr(level, key) for key in VERIFY_COLUMNS.values()]
         for level in ([*report.levels, report.total] if report.levels[1:] else report.levels)
@@ -165,7 +163,7 @@ def verify_table(report: VerifyReport) -> Table:
 
 
 def lay_out(table: Table, width: int | None = None) -> list[str]:
-    """The lines of a table; of one that is wider than `width` characters, rich wraps the cells."""
+    """The lines of a table; rich wraps the cells of a table wider than `width` characters."""
     shown = [table.headings, *table.rows] if any(table.headings) else table.rows
     widths = [max(map(text_width, column)) for column in zip(*shown, strict=True)]
     is_number = [heading in table.numbers for heading in table.headings]
@@ -196,9 +194,9 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
 
 
 def text_width(text: str) -> int:
-    """How many columns of a terminal a text takes: a Chinese character takes two."""
+    """The width of a text in a terminal: a Chinese character takes two columns."""
     if text.isascii():
         return len(text)
-    from rich.cells import cell_len  # without rich, --help starts a fifth sooner
+    from rich.cells import cell_len  # rich slows --help by a fifth
 
     return cell_len(text)

@@ -9,16 +9,15 @@ from navbake.cli.printing import is_terminal
 from navbake.errors import printable
 from navbake.lazy import lazy
 
-console = lazy("rich.console")  # nothing is drawn where there is no terminal
+console = lazy("rich.console")  # loaded on a terminal only
 progress = lazy("rich.progress")
 
 
 @contextmanager
 def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
-    """Yields a function that shows how far something is: its name, the share done, and a note.
+    """Yields a function that shows progress: a name, the share done, and a note.
 
-    Each name has a bar on the terminal's stderr; where stderr is no terminal, nothing is shown.
-    What is printed on stderr meanwhile stands above the bars.
+    Each name has a bar on stderr, if that is a terminal; other output appears above the bars.
     """
     if hidden or not is_terminal(sys.stderr):
         yield lambda name, share, note="": None

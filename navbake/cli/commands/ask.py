@@ -1,4 +1,4 @@
-"""The commands that ask and check a grid: `info`, `rooms`, `why`, `path`, `verify` and `audit`."""
+"""The commands that query and check a grid: `info`, `rooms`, `why`, `path`, `verify`, `audit`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 NAMED = ("room:", "object:")
 SAMPLE = 100_000
-SHOWN = 20  # disagreements that are printed one by one
+SHOWN = 20  # printed disagreements
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
@@ -190,7 +190,7 @@ def _print_json(found: paths.Path | None, reason: str | None) -> None:
 
 
 class Sample(NamedTuple):
-    """Which cells to look at."""
+    """Options that select cells."""
 
     sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE)
     every: bool = flag("--all", "Look at all cells.")
@@ -315,7 +315,7 @@ def audit(
 def _write_marked(
     grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
 ) -> None:
-    """Draw a grid's occupancy with marks: level, world x and y [m], and what is there."""
+    """Draw a grid's occupancy with marks: level, world x and y [m], and text."""
     from navbake.views.plot import Mark  # loads numpy
 
     write_picture(grid, output, layers=("occupancy",), marks=[Mark(*mark) for mark in marks])

@@ -91,7 +91,7 @@ def samples(
 
     Example: navbake samples house -o try
     """
-    from navbake import samples as known  # --help does without it
+    from navbake import samples as known  # not for --help
 
     if not names:
         for name in known.names():
@@ -139,7 +139,7 @@ class Box(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Options that say how the files are written."""
+    """Options of the files' layout."""
 
     compact: bool = flag("--compact", ".binvox: renumber the IDs that occur, from 1.")
     twin: bool = flag("--twin", ".binvox with IDs: write NAME.occupied.binvox without IDs, too.")
@@ -195,7 +195,7 @@ def voxelize(
         check_output(output, inputs=settings.inputs)
     voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
-    # an octree's voxels begin at multiples of their edge, and all files are to hold the same ones
+    # an octree's voxels begin at multiples of their edge, and all files hold the same ones
     box = box._replace(align=box.align or any(has_octree))
     grid = voxelizer.create(segments=_parse_segments(segments), **box._asdict())
     print_warnings(grid.notes)
@@ -250,7 +250,7 @@ def _parse_segments(words: list[str] | None) -> Any:
 
 
 class Isolation(NamedTuple):
-    """Options that keep MuJoCo's compiler in a process of its own."""
+    """Options that run MuJoCo's compiler in a process of its own."""
 
     isolate: bool = flag(
         "--isolate", "Compile scenes in a process of its own: a crash of MuJoCo is an error then."
@@ -354,7 +354,7 @@ def bake(
 
 @contextmanager
 def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None]:
-    """Print an error and note who failed, where others are to be baked; else raise it."""
+    """Print an error and note the failed file if there are others; else raise it."""
     try:
         yield
     except NavbakeError as error:
@@ -379,7 +379,7 @@ def _bake_one(
     limits = CompileLimits(**stated) if isolation.isolate else None
     with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
         asked: Any = {"threads": threads, "progress": progress, "limits": limits}
-        # with --quiet, all warnings follow on the bake
+        # with --quiet, all warnings follow the bake
         tell = None if VOLUME.quiet else lambda hint: print_warnings([hint])
         result = run_bake(config, **asked, tell=tell)
     if not with_timings:
@@ -404,21 +404,21 @@ def _bake_one(
         print(f"{sum(result.timings.values()):.2f} s: {stages}")
 
 
-# --- where the grids of several scenes are written ------------------------------------------------
+# --- output files -----------------------------------------------------------------------------
 
 
 def is_folder(output: str) -> bool:
-    """Whether an output is a folder: one that exists, or a new one that ends in a slash."""
+    """Whether an output is a folder: it exists, or ends in a slash."""
     return output.endswith(("/", os.sep)) or os.path.isdir(output)
 
 
 def lay_out(
     jobs: Sequence[tuple[Path, BakeConfig]], output: str | None, name: str | None
 ) -> list[Path]:
-    """Find the file that the grid of each CONFIG and its settings is written to.
+    """Find the output file of each CONFIG.
 
-    That is `output`, or a file in that folder, or what the settings say, or a file in the current
-    folder. In a folder, files are called by `name`; without one by the scene's id.
+    That is `output`, or a file in that folder, or the settings' output, or a file in the current
+    folder. In a folder, files are named by `name`, or else by the scene's id.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
@@ -433,7 +433,7 @@ def lay_out(
 
 
 def fill_name(name: str, scene_id: str, path: Path) -> str:
-    """The name of a file with its fields filled in; one that leads out of the folder is refused."""
+    """Fill in the fields of a file's name; refuses one that leads out of the folder."""
     try:
         filled = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
     except (AttributeError, LookupError, ValueError) as error:

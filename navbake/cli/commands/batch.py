@@ -36,7 +36,7 @@ INDEX = "index.jsonl"
 
 
 class Ways(NamedTuple):
-    """How the batch runs: as a whole, for one scene, and on which machines."""
+    """Options of the run: as a whole, for one scene, and its machines."""
 
     jobs: int | None = option(
         "N",
@@ -101,8 +101,8 @@ def batch(
 ) -> None:
     """Bake many scenes in several processes.
 
-    What is done already is skipped. What became of each scene is in FOLDER/index.jsonl. A scene
-    that fails, hangs or crashes costs itself alone. The exit status is 1 if any failed.
+    Scenes that are done already are skipped, and failures don't affect other scenes. The outcome of
+    each scene is in FOLDER/index.jsonl. The exit status is 1 if any failed.
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
@@ -162,7 +162,7 @@ def batch(
 
 
 class _Watch:
-    """Says how a batch goes on: lines of JSON, or a bar and what failed; and its page."""
+    """Shows a batch's progress, as lines of JSON or a bar with failures, and writes its page."""
 
     def __init__(self, stack: ExitStack, ways: Ways, folder: Folder) -> None:
         from navbake.batch.index import LineFile
@@ -180,10 +180,10 @@ class _Watch:
         self._page: LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
-        """Note what happens."""
+        """Handle an event."""
         counts = self._counts
         if event == "begin":
-            _warm_up()  # compiles what all workers need, once
+            _warm_up()  # once for all workers
             counts["skipped"] = values["skipped"]
             self._total = counts["left"] = values["scenes"] - values["skipped"]
         self._log(event, values)
@@ -192,7 +192,7 @@ class _Watch:
             from navbake.cli.progress import progress_bars
 
             self._page = LivePage(self._folder, self._total) if self._ways.page else None
-            # on a terminal, lines and a bar would run into each other
+            # on a terminal, lines and a bar would mix
             hidden = VOLUME.quiet or (self._ways.as_json and is_terminal(sys.stdout))
             self._show = self._stack.enter_context(progress_bars("batch", hidden))
         if event == "scene":
@@ -220,19 +220,19 @@ class _Watch:
         self._log("end", {**self._counts, "stopped": stopped, "seconds": seconds})
 
     def interrupt(self, error: BaseException) -> None:
-        """Note that the batch ended early, by a signal or because it can't go on."""
+        """Log that the batch ended early, by a signal or an error."""
         from navbake.batch.page import write_page
 
         why = str(error) if isinstance(error, Exception) else "interrupted"
         if self._total and why == "interrupted" and not self._ways.as_json:
             say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
-        with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
+        with suppress(OSError, NavbakeError):  # the first error counts
             self._log_end(why)
             if self._page is not None:
                 write_page(self._folder)
 
     def end(self, result: BatchResult) -> None:
-        """Print what the batch came to."""
+        """Print the result."""
         from navbake.batch.index import NAME, TABLE
         from navbake.batch.page import NAME as PAGE
         from navbake.batch.page import write_page
@@ -243,7 +243,7 @@ class _Watch:
         self._counts |= {"failed": failed, "left": left}
         try:
             self._log_end(result.stopped)
-        except NavbakeError as error:  # of the log; what the batch came to is said all the same
+        except NavbakeError as error:  # of the log; the result is printed anyway
             if self._ways.as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
@@ -271,7 +271,7 @@ def _in_words(counts: Json) -> str:
 
 
 def draw_missing_thumbnails(folder: Folder) -> None:
-    """Draw the thumbnails that a batch's page lacks, as of scenes that were baked without one."""
+    """Draw the missing thumbnails of a batch's page."""
     from navbake.batch.page import draw_thumbnails
     from navbake.batch.store import FullError
     from navbake.cli.progress import progress_bars
@@ -287,7 +287,7 @@ def draw_missing_thumbnails(folder: Folder) -> None:
 
 
 def _warm_up() -> None:
-    """Compile what bakes call, unless that is done: workers find it on disk."""
+    """Compile the kernels of a bake into the cache, unless done, for all workers."""
     from navbake import compiled  # loads numba
 
     if compiled.cache_folder() is None:
@@ -300,7 +300,7 @@ def warm_up() -> None:
     """Compile all kernels for this machine, once.
 
     It takes a minute or two. Without it, the first bake and the first query compile what they use.
-    For a container, set NUMBA_CACHE_DIR to a folder of its own: compiled code is kept there.
+    In a container, set NUMBA_CACHE_DIR to a folder for the compiled code.
 
     Example: navbake warm-up
     """

@@ -1,4 +1,4 @@
-"""The commands `episodes` and `score`: sets of episodes from grids, and how agents did in them."""
+"""The commands `episodes` and `score`: sets of episodes from grids, and agents' scores in them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", 
 
 
 class Goals(NamedTuple):
-    """Options that say what is to be reached."""
+    """Options of the goals."""
 
     task: str = option(
         "TASK", "point, object, room, sequence or explore.", "--task", default="point"
@@ -43,7 +43,7 @@ class Goals(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """Options that say how episodes are drawn."""
+    """Options of drawing episodes."""
 
     sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform")
     rule: list[str] | None = option(
@@ -75,7 +75,7 @@ def episodes(
         "SET", "File to write (.jsonl, .jsonl.gz or .parquet).", *OUTPUT, default=...
     ),
 ) -> None:
-    """Draw episodes on grids: starts, goals and distances; all can be solved.
+    """Draw solvable episodes on grids: starts, goals and distances.
 
     Example: navbake episodes house.grid.json -o house.jsonl --count 50 --sampler habitat
     """
@@ -118,7 +118,7 @@ def episodes(
 
 def _read_categories(path: Path) -> Any:
     """Read patterns of names by category."""
-    from msgspec import DecodeError, yaml  # --help does without it
+    from msgspec import DecodeError, yaml  # not for --help
 
     try:
         found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
@@ -128,7 +128,7 @@ def _read_categories(path: Path) -> Any:
 
 
 def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
-    """Convert a set of episodes, and say what the new file doesn't hold."""
+    """Convert a set of episodes, and print which data the new file lacks."""
     from navbake.episodes.files import read_episodes, write_episodes  # loads numpy
 
     check_output(output, inputs=[source])
@@ -186,13 +186,13 @@ def score(
 
 
 def _find(content: Path, name: str) -> Path:
-    """A grid that a set names: beside it, or in the current folder."""
+    """A set's grid by its name: beside the set, or in the current folder."""
     beside = content.parent / name
     return beside if beside.exists() else Path(name)
 
 
 def _plain(group: dict[str, Any]) -> dict[str, Any]:
-    """A group's means as JSON has them: null for what is not known."""
+    """A group's means as JSON values: null for unknown ones."""
     return {
         key: {k: None if math.isnan(v) else v for k, v in value._asdict().items()}
         if hasattr(value, "_asdict")

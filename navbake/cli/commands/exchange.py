@@ -1,4 +1,4 @@
-"""The commands that make another file of a grid: `navbake convert`, `inflate`, `map-descriptor`."""
+"""The commands that convert a grid: `navbake convert`, `inflate`, `map-descriptor`."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ from navbake.errors import ConfigError, FormatError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
 
-ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings that no grid's file has
+ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 
 # Functions import what reads grids when they run: --help stays quick.
 
-# Options of formats. A field is called as the option of the format's functions is, and None stands
-# for one that isn't given.
+# Options of formats, with the names of the format's functions; None is not given.
 
 
 class FormatOptions(NamedTuple):
@@ -198,7 +197,7 @@ def inflate(
         ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
     )
     scaling, ledges = SCALING if scaling is None else scaling, ledges or "avoid"
-    # The arguments are checked before the grid is read: a large one takes seconds.
+    # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
@@ -223,7 +222,7 @@ def inflate(
 
 
 class Squares(NamedTuple):
-    """Options that lay the descriptor's squares over a level."""
+    """Options of the descriptor's squares."""
 
     level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0)
     corner: tuple[float, float] | None = option(
@@ -258,7 +257,7 @@ def map_descriptor(
     refuse_unused(
         *((f"--{k}", v is not None, decode is None, "a GRID") for k, v in of_grids.items())
     )
-    import numpy as np  # --help does without it
+    import numpy as np  # not for --help
 
     from navbake.arena import map_descriptor as descriptor
     from navbake.arena.arena import find_obstacles, place_squares

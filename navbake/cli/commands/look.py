@@ -89,9 +89,9 @@ def report(
 ) -> None:
     """Make a page that shows grids in a browser.
 
-    It needs neither a server nor the network. It shows each level's layers, tells of the cell
-    under the pointer, and lists rooms, doors, links, settings and timings. Of two grids it shows
-    what differs, too. Of a batch's folder it shows all scenes, failures by reason, and
+    It needs neither a server nor the network. It shows each level's layers and the cell under
+    the pointer, and lists rooms, doors, links, settings and timings; of two grids, their
+    differences, too. Of a batch's folder it shows all scenes, failures by reason, and
     distributions of free areas and times.
 
     Example: navbake report before.grid.json after.grid.json -o report.html
@@ -124,7 +124,7 @@ def report(
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
-    """Write the page of a batch from its index; thumbnails that are missing are drawn."""
+    """Write the page of a batch from its index, and draw missing thumbnails."""
     from navbake.batch.page import NAME, write_page
 
     if len(folders) > 1 or not os.path.isfile(folders[0] / INDEX):
@@ -140,7 +140,7 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
 
 
 class Address(NamedTuple):
-    """Where the page is served."""
+    """Options of the page's address."""
 
     host: str = option(
         "HOST",
@@ -195,7 +195,7 @@ def view(
         ("--trajectories", trajectories is not None, is_grid, "a GRID"),
     )
     allowed = address.allow_origin or ()
-    # before the bake, which may take long
+    # before the bake, which may be slow
     with PageServer(address.host, address.port, allowed=allowed) as server:
         if is_grid:
             runs = {"episodes": episodes, "trajectories": trajectories or ()}
@@ -210,7 +210,7 @@ def view(
 
 
 def _baked(path: Path, overrides: list[str]) -> Watch:
-    """Where the exhibit of a scene or of settings comes from: it is baked."""
+    """A watch of a scene or of settings that bakes it."""
     from navbake.baker.pipeline import run_bake
     from navbake.baker.scene.scene import load_scene, open_file
     from navbake.cli.progress import progress_bars
@@ -221,7 +221,7 @@ def _baked(path: Path, overrides: list[str]) -> Watch:
     def find() -> list[Path]:
         try:
             return find_files([path, *load_config(path, overrides).inputs])
-        except NavbakeError:  # broken for now: whoever mends it writes it
+        except NavbakeError:  # broken for now; the next write is tried again
             return find_files([path])
 
     def bake() -> Exhibit:
