@@ -62,24 +62,16 @@ DIGITS = 4  # of seconds
 
 
 class Plan(NamedTuple):
-    """The options of a batch.
+    """The options of a batch."""
 
-    Attributes:
-        folder: the output folder, a Path or a URL.
-        settings: those that all scenes share, by section.
-        overrides: ``a.b=value``, which replace those of the batch and of the scene.
-        products: besides the grid, see `products.parse_products`.
-        thumbnail: whether to make a small picture for the batch's page.
-        has_table: whether the index is written as Parquet as well.
-        hosts: further hosts that lists, settings and redirects on the web may lead to.
-    """
-
-    folder: Folder
-    settings: Json
+    folder: Folder  #: The output folder, a Path or a URL.
+    settings: Json  #: Those that all scenes share, by section.
+    #: ``a.b=value``, which replace those of the batch and of the scene.
     overrides: tuple[str, ...] = ()
-    products: tuple[str, ...] = ()
-    thumbnail: bool = False
-    has_table: bool = False
+    products: tuple[str, ...] = ()  #: Besides the grid, see `products.parse_products`.
+    thumbnail: bool = False  #: Whether to make a small picture for the batch's page.
+    has_table: bool = False  #: Whether the index is written as Parquet as well.
+    #: Further hosts that lists, settings and redirects on the web may lead to.
     hosts: tuple[str, ...] = ()
 
     def place(self, job: Job) -> Folder:
@@ -96,17 +88,12 @@ class Plan(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """A scene before its bake.
+    """A scene before its bake."""
 
-    Attributes:
-        config: its settings, with paths on this machine.
-        inputs: size and digest of each input file, by its path from the output folder, or its URL.
-        key: changes when the grid or a product may change; see `open_scene`.
-    """
-
-    config: BakeConfig
+    config: BakeConfig  #: Its settings, with paths on this machine.
+    #: Size and digest of each input file, by its path from the output folder, or its URL.
     inputs: dict[str, Json]
-    key: str
+    key: str  #: Changes when the grid or a product may change; see `open_scene`.
 
 
 # ---------------------------------------------------------------- the key

@@ -212,20 +212,15 @@ def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folde
 
 
 class Kind(NamedTuple):
-    """A kind of product.
+    """A kind of product."""
 
-    Attributes:
-        make: writes it; returns its values for the scene's row.
-        check: checks the values and returns their shortest form.
-        least, most: numbers of values.
-        usage: its form, for messages.
-    """
-
+    #: Writes it; returns its values for the scene's row.
     make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], Json | None]
+    #: Checks the values and returns their shortest form.
     check: Callable[[Sequence[str], str], tuple[str, ...]]
-    least: int
-    most: int
-    usage: str
+    least: int  #: Smallest number of values.
+    most: int  #: Largest number of values.
+    usage: str  #: Its form, for messages.
 
 
 KINDS: dict[str, Kind] = {

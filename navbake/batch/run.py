@@ -54,17 +54,12 @@ there is none to bake; ``scene-begin`` with an `id`; ``retry`` with why; ``scene
 
 @dataclass
 class BatchResult:
-    """The result of a batch.
+    """The result of a batch."""
 
-    Attributes:
-        rows: of each scene, in the batch's order, as in the index.
-        skipped: number of scenes that were done already.
-        stopped: why the batch ended early, None if it didn't.
-    """
-
+    #: Of each scene, in the batch's order, as in the index.
     rows: list[Json] = field(default_factory=list)
-    skipped: int = 0
-    stopped: str | None = None
+    skipped: int = 0  #: Number of scenes that were done already.
+    stopped: str | None = None  #: Why the batch ended early, None if it didn't.
 
     def count(self, status: str) -> int:
         """Number of scenes with a status: ``ok``, ``failed`` or ``left``."""

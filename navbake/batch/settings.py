@@ -20,21 +20,13 @@ OF_EACH = ("path", "id")  # keys of `scene` that are unique
 
 
 class Job(NamedTuple):
-    """One scene of a batch.
+    """One scene of a batch."""
 
-    Attributes:
-        id: unique in the batch; the output folder, parts between slashes. Empty until known.
-        source: the path or URL of the scene, or of its settings (YAML).
-        settings: override the batch's settings for it, by section.
-        place: its place in a list, for messages.
-        list: the URL of its list; empty for local lists and sources given by the user.
-    """
-
-    id: str
-    source: str
-    settings: Json
-    place: str
-    list: str = ""
+    id: str  #: Unique in the batch; the output folder, parts between slashes. Empty until known.
+    source: str  #: The path or URL of the scene, or of its settings (YAML).
+    settings: Json  #: Override the batch's settings for it, by section.
+    place: str  #: Its place in a list, for messages.
+    list: str = ""  #: The URL of its list; empty for local lists and sources given by the user.
 
 
 def read_shared(path: str | os.PathLike[str]) -> Json:

@@ -31,35 +31,22 @@ BEGUN, AGAIN = "scene-begin", "retry"  # events besides the ends of jobs
 
 
 class JobLimits(NamedTuple):
-    """The limits of one job.
+    """The limits of one job."""
 
-    Attributes:
-        seconds: time [s]; None for no limit.
-        memory: beyond the process's own at its start [GiB]; None for no limit. On Linux only.
-        retries: of a job that crashed or exceeded a limit.
-    """
-
-    seconds: float | None = None
+    seconds: float | None = None  #: Time [s]; None for no limit.
+    #: Beyond the process's own at its start [GiB]; None for no limit. On Linux only.
     memory: float | None = None
-    retries: int = 0
+    retries: int = 0  #: Of a job that crashed or exceeded a limit.
 
 
 class Ended(NamedTuple):
-    """The end of a job, or of an attempt at it.
+    """The end of a job, or of an attempt at it."""
 
-    Attributes:
-        number: the job's place among the jobs.
-        how: ``done``, ``crashed``, ``too long`` or ``too large``.
-        value: the result of a job that is done, else the reason.
-        seconds: duration of the last attempt.
-        worker: the id of its process, 0 if unknown.
-    """
-
-    number: int
-    how: str
-    value: Any
-    seconds: float = 0.0
-    worker: int = 0
+    number: int  #: The job's place among the jobs.
+    how: str  #: ``done``, ``crashed``, ``too long`` or ``too large``.
+    value: Any  #: The result of a job that is done, else the reason.
+    seconds: float = 0.0  #: Duration of the last attempt.
+    worker: int = 0  #: The id of its process, 0 if unknown.
 
 
 OnEvent = Callable[[str, Ended], None]

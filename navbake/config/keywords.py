@@ -44,10 +44,7 @@ def merge(
 ) -> dict[str, Any]:
     """Merge settings key by key, `above` over `below`; a section without keys changes nothing.
 
-    Raises:
-        ConfigError: `above` has keys below a value of `below`, as ``rooms: none``. The message
-        names
-            the `place`.
+    Raises a ConfigError, with the `place`, for keys below a value of `below`, as ``rooms: none``.
     """
     merged = dict(below)
     for key, value in above.items():

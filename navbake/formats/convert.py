@@ -27,25 +27,15 @@ VOXELS = (".binvox", *OCTREES, ".npz")
 
 
 class Format(NamedTuple):
-    """A format of files that hold a grid or parts of one.
+    """A format of files that hold a grid or parts of one."""
 
-    Attributes:
-        name: as in ``--to`` and ``--from``.
-        endings: of its files' names, the usual one first. An ending may have several dots; the
-            longest that matches wins, then the first in the table.
-        meaning: a description in one line.
-        encode: the writer, None if it is only read.
-        read: the reader, None if it is only written.
-        write_options: names of the writer's options.
-        parts: the function that lists further files of the reader, None for a single file.
-    """
-
-    name: str
-    endings: tuple[str, ...]
-    meaning: str
-    encode: str | None
-    read: str | None = None
-    write_options: tuple[str, ...] = ()
+    name: str  #: As in ``--to`` and ``--from``.
+    endings: tuple[str, ...]  #: Of its files' names, the usual one first; the longest match wins.
+    meaning: str  #: A description in one line.
+    encode: str | None  #: The writer, None if it is only read.
+    read: str | None = None  #: The reader, None if it is only written.
+    write_options: tuple[str, ...] = ()  #: Names of the writer's options.
+    #: The function that lists further files of the reader, None for a single file.
     parts: str | None = None
 
 

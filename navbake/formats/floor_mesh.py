@@ -42,22 +42,16 @@ FACE = "f %d %d %d\nf %d %d %d\n"
 
 @dataclass(frozen=True, eq=False)
 class LevelMesh:
-    """The walkable floor of a level: quads of two triangles and four vertices each.
+    """The walkable floor of a level: quads of two triangles and four vertices each."""
 
-    Attributes:
-        name: of the level.
-        origin: the outer corner of the level's cell 0, on its ground: world x, y, z [m].
-        vertices: world x, y, z [m], shape (4 n, 3), float64; of each quad anticlockwise from above.
-        room: by quad, its number in `rooms`, shape (n,), int64, ascending; 0 for none.
-        rooms: the rooms' names by that number, each once; 0 is "no room".
-        indices: the rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
-    """
-
-    name: str
+    name: str  #: Of the level.
+    #: The outer corner of the level's cell 0, on its ground: world x, y, z [m].
     origin: tuple[float, float, float]
+    #: World x, y, z [m], shape (4 n, 3), float64; of each quad anticlockwise from above.
     vertices: Float
-    room: Int
-    rooms: list[str]
+    room: Int  #: By quad, its number in `rooms`, shape (n,), int64, ascending; 0 for none.
+    rooms: list[str]  #: The rooms' names by that number, each once; 0 is "no room".
+    #: The rooms' indices on the level by that number, see `SceneGrid2D.room_index`.
     indices: list[int]
 
     @property

@@ -65,26 +65,18 @@ def make_graph(
 
 @dataclass(frozen=True, eq=False)
 class CellGraph:
-    """The free cells of a grid as nodes, and the steps between them as edges.
+    """The free cells of a grid as nodes, and the steps between them as edges."""
 
-    Attributes:
-        matrix: ``matrix[i, j]`` is the cost of the step from node i to node j: its length [m] times
-            the weight of the cell of j. A scipy csr_array, shape (n, n), float64, columns
-            ascending. Missing entries are no step; a stored 0 is a step to a cell of weight 0.
-        level: of each node's cell, shape (n,), int64.
-        row, col: of each node's cell on its level, shape (n,), int64.
-        cell: its id on its level, ``col + row * width``, shape (n,), int64.
-        position: world x, y, z of the cell's centre on its floor [m], shape (n, 3), float64.
-        grid: the grid.
-    """
-
+    #: ``matrix[i, j]`` is the cost of the step from node i to node j: its length [m] times the
+    #: weight of the cell of j. A scipy csr_array, shape (n, n), float64, columns ascending. Missing
+    #: entries are no step; a stored 0 is a step to a cell of weight 0.
     matrix: Any
-    level: Int
-    row: Int
-    col: Int
-    cell: Int
-    position: Float
-    grid: NavGrid
+    level: Int  #: Of each node's cell, shape (n,), int64.
+    row: Int  #: Of each node's cell on its level, shape (n,), int64.
+    col: Int  #: Likewise.
+    cell: Int  #: Its id on its level, ``col + row * width``, shape (n,), int64.
+    position: Float  #: World x, y, z of the cell's centre on its floor [m], shape (n, 3), float64.
+    grid: NavGrid  #: The grid.
 
     def node_at(self, position: ArrayLike, level: int | None = None) -> int | None:
         """The node of a position's cell, see `GridBase.cell_at`; None if there is no free cell."""
@@ -186,45 +178,29 @@ def encode_cell_graph(grid: NavGrid, path: Path, *, cut_corners: bool = False) -
 
 @dataclass(frozen=True)
 class RoomWay:
-    """A connection of two rooms.
+    """A connection of two rooms."""
 
-    Attributes:
-        rooms: the ids of both, in the grid's order.
-        kind: ``door``, ``open`` (no door between) or ``link`` (a step to another level).
-        door: the door's id, None unless the kind is ``door``.
-        state: the door's current one, None unless the kind is ``door``.
-        passable: whether steps lead this way now; never to the outside, where the grid ends.
-        width: of a door, its length; of an opening, the straight distance from its first to its
-            last free cell, both included; of a link, the longer extent of the cells that it
-            starts from [m].
-        position: its middle on the floor, world x, y, z [m].
-        length: from one room's centre straight to `position`, and on to the other's [m].
-    """
-
-    rooms: tuple[str, str]
-    kind: str
-    door: str | None
-    state: str | None
-    passable: bool
+    rooms: tuple[str, str]  #: The ids of both, in the grid's order.
+    kind: str  #: ``door``, ``open`` (no door between) or ``link`` (a step to another level).
+    door: str | None  #: The door's id, None unless the kind is ``door``.
+    state: str | None  #: The door's current one, None unless the kind is ``door``.
+    passable: bool  #: Whether steps lead this way now; never to the outside, where the grid ends.
+    #: Of a door, its length; of an opening, the straight distance from its first to its last free
+    #: cell, both included; of a link, the longer extent of the cells that it starts from [m].
     width: float
-    position: Vector3
-    length: float
+    position: Vector3  #: Its middle on the floor, world x, y, z [m].
+    length: float  #: From one room's centre straight to `position`, and on to the other's [m].
 
 
 @dataclass(frozen=True, eq=False)
 class RoomGraph:
-    """Rooms and the connections between them: the topological map of a grid.
+    """Rooms and the connections between them: the topological map of a grid."""
 
-    Attributes:
-        rooms: as the grid lists them, then those without an entry in its table.
-        ways: sorted by rooms, kind and place; two rooms may have several. A door that leads out of
-            all rooms leads to ``(outside)``.
-        level_names: of the grid's levels.
-    """
-
-    rooms: list[Room]
+    rooms: list[Room]  #: As the grid lists them, then those without an entry in its table.
+    #: Sorted by rooms, kind and place; two rooms may have several. A door that leads out of all
+    #: rooms leads to ``(outside)``.
     ways: list[RoomWay]
-    level_names: list[str]
+    level_names: list[str]  #: Of the grid's levels.
 
     def to_networkx(self) -> networkx.MultiGraph[Any]:
         """Convert the graph to networkx: rooms by their id, ways as edges between them.

@@ -22,16 +22,11 @@ BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": 
 
 
 class Pixels(NamedTuple):
-    """The pixels of an image, row 0 at the top.
+    """The pixels of an image, row 0 at the top."""
 
-    Attributes:
-        light: sum of red, green and blue, shape (height, width), uint16 or uint32.
-        white: the largest value of each, 255 or 65535.
-        opacity: 0 to 255, shape (height, width), uint8; None if the image has none.
-    """
-
-    light: NDArray[Any]
-    white: int
+    light: NDArray[Any]  #: Sum of red, green and blue, shape (height, width), uint16 or uint32.
+    white: int  #: The largest value of each, 255 or 65535.
+    #: 0 to 255, shape (height, width), uint8; None if the image has none.
     opacity: NDArray[np.uint8] | None
 
 

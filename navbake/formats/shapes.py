@@ -41,33 +41,22 @@ COLUMNS = ("kind", "level", "levelName", "height", "id", "name", "area")
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A room, the walkable area of a level, or a door, from above.
+    """A room, the walkable area of a level, or a door, from above."""
 
-    Attributes:
-        kind: ``room``, ``walkable`` or ``door``.
-        level: 0 is the lowest.
-        level_name: the level's name.
-        height: world z of the level's ground [m].
-        id: of a room or door, unique among those of the grid, None for none.
-        name: of a room, None for none.
-        area: of the cells [m²]; 0 of a door.
-        parts: of a polygon: for each part its rings, the outer one first, then the holes; each of
-            shape (n, 2), float64, world x, y [m], the first corner not repeated. Outer rings run
-            anticlockwise, holes clockwise.
-        line: of a door: both ends, shape (2, 2), float64, world x, y [m]; None of others.
-        more: further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
-    """
-
-    kind: str
-    level: int
-    level_name: str
-    height: float
-    id: str | None
-    name: str | None
-    area: float
+    kind: str  #: ``room``, ``walkable`` or ``door``.
+    level: int  #: 0 is the lowest.
+    level_name: str  #: The level's name.
+    height: float  #: World z of the level's ground [m].
+    id: str | None  #: Of a room or door, unique among those of the grid, None for none.
+    name: str | None  #: Of a room, None for none.
+    area: float  #: Of the cells [m²]; 0 of a door.
+    #: Of a polygon: for each part its rings, the outer one first, then the holes; each of shape (n,
+    #: 2), float64, world x, y [m], the first corner not repeated. Outer rings run anticlockwise,
+    #: holes clockwise.
     parts: list[list[Float]]
+    #: Of a door: both ends, shape (2, 2), float64, world x, y [m]; None of others.
     line: Float | None
-    more: Json
+    more: Json  #: Further properties: ``outdoors`` of a room; ``state`` and ``rooms`` of a door.
 
     @property
     def geometry(self) -> BaseGeometry:

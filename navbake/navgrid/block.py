@@ -28,8 +28,8 @@ class Block:
     """Cells that are blocked until `free` is called, or until the end of a with statement.
 
     Attributes:
-        cells: flat ids of the cells where an agent can't stand because of the block, by level,
-            each ascending, int64; including cells that were not free before.
+        cells: flat ids of the cells where an agent can't stand because of the block, by level, each
+            ascending, int64; including cells that were not free before.
     """
 
     def __init__(self, grid: NavGrid, layers: list[Layers]) -> None:

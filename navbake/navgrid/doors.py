@@ -38,22 +38,16 @@ def from_runs(runs: Sequence[int]) -> Int:
 
 @dataclass(frozen=True)
 class Door:
-    """A door of a grid.
+    """A door of a grid."""
 
-    Attributes:
-        id: unique in the grid.
-        joint: the joint that moves it, None for none.
-        rooms: ids of the two rooms that it joins, None for the outside; () if unknown.
-        state: the current one of `STATES`.
-        cells: blocked cells by state and level, as runs of cell ids.
-        solid: likewise the cells whose squares it overlaps, with a layer ``solid``.
-    """
-
-    id: str
-    joint: str | None
+    id: str  #: Unique in the grid.
+    joint: str | None  #: The joint that moves it, None for none.
+    #: Ids of the two rooms that it joins, None for the outside; () if unknown.
     rooms: tuple[str | None, ...]
-    state: str
+    state: str  #: The current one of `STATES`.
+    #: Blocked cells by state and level, as runs of cell ids.
     cells: Mapping[str, Mapping[int, Runs]]
+    #: Likewise the cells whose squares it overlaps, with a layer ``solid``.
     solid: Mapping[str, Mapping[int, Runs]] = field(default_factory=dict)
 
     @property

@@ -36,22 +36,16 @@ Table = TypeVar("Table")
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
-    """Common base of grids of one level and of several.
+    """Common base of grids of one level and of several."""
 
-    Attributes:
-        cell_size: edge of a cell [file units], > 0.
-        unit: metres per file unit, > 0.
-        metadata: as in the file.
-        timings: as in the file; they don't count in comparisons of grids.
-        extra: fields of the file that are not the format's own; they are written back.
-        found_islands: the last result of `navbake.navgrid.islands.islands_of`, after its digest.
-    """
-
-    cell_size: float
-    unit: float = 1.0
-    metadata: Json = field(default_factory=dict, repr=False)
+    cell_size: float  #: Edge of a cell [file units], > 0.
+    unit: float = 1.0  #: Metres per file unit, > 0.
+    metadata: Json = field(default_factory=dict, repr=False)  #: As in the file.
+    #: As in the file; they don't count in comparisons of grids.
     timings: Json = field(default_factory=dict, repr=False)
+    #: Fields of the file that are not the format's own; they are written back.
     extra: Json = field(default_factory=dict, repr=False)
+    #: The last result of `navbake.navgrid.islands.islands_of`, after its digest.
     found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
@@ -238,30 +232,20 @@ class GridBase:
 
 @dataclass(eq=False, kw_only=True)
 class SceneGrid2D(GridBase):
-    """The navigation grid of one level.
+    """The navigation grid of one level."""
 
-    Attributes:
-        width: number of columns, >= 1.
-        height: number of rows, >= 1.
-        min_yup: lower corner of cell 0, file frame [file units]; Y is the level's ground.
-        bbox_yup: lower and upper corner of the level, file frame [file units], or None.
-        weights: costs of cells, shape (height, width), float32 or float64; inf where an agent
-            can't stand.
-        attributes: further layers by their names in the file (``floorHeight``, ``roomIndex``,
-            ``occupancy``, …), each of shape (height, width) and of its own dtype.
-        user_data: a file's data of single cells, by cell id (col + row * width); in a large
-            file it is read and checked on first use.
-        block_state: the blocks of its cells, None before the first.
-        cell_size, unit, metadata, timings, extra: see `GridBase`.
-    """
-
-    width: int
-    height: int
-    min_yup: Vector3
+    width: int  #: Number of columns, >= 1.
+    height: int  #: Number of rows, >= 1.
+    min_yup: Vector3  #: Lower corner of cell 0, file frame [file units]; Y is the level's ground.
+    #: Lower and upper corner of the level, file frame [file units], or None.
     bbox_yup: tuple[Vector3, Vector3] | None = None
+    #: Costs of cells, shape (height, width), float32 or float64; inf where an agent can't stand.
     weights: NDArray[Any] = field(repr=False)
+    #: Further layers by name (``floorHeight``, …), shape (height, width), own dtypes.
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    #: The file's data of single cells, by cell id; parsed on first use.
     user_data: MutableMapping[int, Json] = field(default_factory=UserData, repr=False)
+    #: The blocks of its cells, None before the first.
     block_state: BlockState | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -440,13 +424,9 @@ class MultiLevelGrid(GridBase):
 
     A level without metadata of its own takes over the parts of the whole grid's that are about it
     (see `navbake.navgrid.metadata`), so that each level is a grid by itself.
-
-    Attributes:
-        grids: the levels, lowest first, at least one.
-        cell_size, unit, metadata, timings, extra: see `GridBase`.
     """
 
-    grids: list[SceneGrid2D]
+    grids: list[SceneGrid2D]  #: The levels, lowest first, at least one.
     _handed_down: list[Json] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -45,21 +45,13 @@ def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
 
 
 class Lattice(NamedTuple):
-    """A rectangle of square cells in the world's horizontal plane.
+    """A rectangle of square cells in the world's horizontal plane."""
 
-    Attributes:
-        x_min: world x of the outer edge of column 0 [m].
-        y_max: world y of the outer edge of row 0 [m]; rows run towards smaller y.
-        cell_size: edge of a cell [m], > 0.
-        width: number of columns, >= 1.
-        height: number of rows, >= 1.
-    """
-
-    x_min: float
-    y_max: float
-    cell_size: float
-    width: int
-    height: int
+    x_min: float  #: World x of the outer edge of column 0 [m].
+    y_max: float  #: World y of the outer edge of row 0 [m]; rows run towards smaller y.
+    cell_size: float  #: Edge of a cell [m], > 0.
+    width: int  #: Number of columns, >= 1.
+    height: int  #: Number of rows, >= 1.
 
     @classmethod
     def cover(

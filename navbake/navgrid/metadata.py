@@ -59,16 +59,12 @@ class Link:
     """A step between two cells, in both directions, that their heights alone don't show.
 
     It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
-
-    Attributes:
-        level, cell: a level and the id of a cell on it (col + row * width).
-        other_level, other_cell: the other end.
     """
 
-    level: int
-    cell: int
-    other_level: int
-    other_cell: int
+    level: int  #: One end's level.
+    cell: int  #: The id of its cell on it (col + row * width).
+    other_level: int  #: The other end's level.
+    other_cell: int  #: The id of its cell.
 
 
 def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:

@@ -18,17 +18,12 @@ WHERE = "metadata.navbake.rooms"
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A room with an opening to another one.
+    """A room with an opening to another one."""
 
-    Attributes:
-        room: its id.
-        kind: ``open`` (no door between), ``door`` or ``link`` (a step to another level).
-        door: the door's id, None unless the kind is ``door``.
-    """
-
-    room: str
+    room: str  #: Its id.
+    #: ``open`` (no door between), ``door`` or ``link`` (a step to another level).
     kind: str = "open"
-    door: str | None = None
+    door: str | None = None  #: The door's id, None unless the kind is ``door``.
 
     def to_json(self) -> Json:
         return {"room": self.room, "door": self.door, "kind": self.kind}
@@ -36,29 +31,17 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Room:
-    """A room of a grid.
+    """A room of a grid."""
 
-    Attributes:
-        index: its number on its level, from 1, as in `SceneGrid2D.room_index`.
-        id: unique in the grid.
-        name: from the scene or the settings, None for none.
-        level: 0 is the lowest.
-        area: [m²].
-        centroid: mean of its cells' centres on their floors, world x, y, z [m].
-        source: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
-        neighbours: the rooms with an opening to it.
-        outdoors: whether it is the area under the open sky outside of all walls.
-    """
-
-    index: int
-    id: str
-    name: str | None
-    level: int
-    area: float
-    centroid: Vector3
-    source: str | None = None
-    neighbours: tuple[Neighbour, ...] = ()
-    outdoors: bool = False
+    index: int  #: Its number on its level, from 1, as in `SceneGrid2D.room_index`.
+    id: str  #: Unique in the grid.
+    name: str | None  #: From the scene or the settings, None for none.
+    level: int  #: 0 is the lowest.
+    area: float  #: [m²].
+    centroid: Vector3  #: Mean of its cells' centres on their floors, world x, y, z [m].
+    source: str | None = None  #: ``geoms``, ``sites``, ``polygons``, ``auto``, …; None if unknown.
+    neighbours: tuple[Neighbour, ...] = ()  #: The rooms with an opening to it.
+    outdoors: bool = False  #: Whether it is the area under the open sky outside of all walls.
 
     def to_json(self) -> Json:
         """JSON of the room; `outdoors` only if true."""

@@ -33,17 +33,11 @@ def collector_off() -> Iterator[None]:
 
 
 class Shared(NamedTuple):
-    """User data with entries shared by many cells.
+    """User data with entries shared by many cells."""
 
-    Attributes:
-        cells: cell ids, ascending, shape (n,), int64.
-        number: the entry of each cell, shape (n,), int64.
-        entries: must not be modified.
-    """
-
-    cells: Int
-    number: Int
-    entries: Sequence[Json]
+    cells: Int  #: Cell ids, ascending, shape (n,), int64.
+    number: Int  #: The entry of each cell, shape (n,), int64.
+    entries: Sequence[Json]  #: Must not be modified.
 
 
 class UserData(MutableMapping[int, Json]):

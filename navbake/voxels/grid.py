@@ -24,23 +24,16 @@ class VoxelGrid:
     """A box of cubic voxels, parallel to the world's axes.
 
     Voxel (i, j, k) is the cube of edge `res` with the lower corner ``origin + (i, j, k) * res``.
-
-    Attributes:
-        values: shape (nx, ny, nz): bool, True for occupied; or uint8, uint16 or uint32 IDs, 0 for
-            empty.
-        origin: the lower corner of voxel (0, 0, 0), world frame [m]. res: edge of a voxel [m], > 0.
-        names: of the IDs, as far as known; without 0, so ``names.get(id)`` is None for empty
-        voxels. known: shape (nx, ny, nz), bool: False where the occupancy is unknown, as in
-        octrees; None
-            if all is known.
-        notes: assumptions and warnings of the grid's maker, reader or writer, one line each.
     """
 
+    #: Shape (nx, ny, nz): bool, True for occupied; or uint8, uint16 or uint32 IDs, 0 for empty.
     values: NDArray[Any]
-    origin: Vector3
-    res: float
-    names: dict[int, str] = field(default_factory=dict)
+    origin: Vector3  #: The lower corner of voxel (0, 0, 0), world frame [m].
+    res: float  #: Edge of a voxel [m], > 0.
+    names: dict[int, str] = field(default_factory=dict)  #: Of the IDs, as far as known, without 0.
+    #: Shape (nx, ny, nz), bool, False for unknown occupancy; None if all is known.
     known: Bool | None = None
+    #: Assumptions and warnings of the grid's maker, reader or writer, one line each.
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
