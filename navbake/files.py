@@ -27,10 +27,8 @@ _swept: set[Path] = set()  # folders without leftovers since this process began
 def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> None:
     """Write a file atomically, given as bytes or pieces: under another name, then renamed.
 
-    A link's target is replaced. A device or a pipe is written to directly.
-
-    Raises:
-        OSError: the path can't be written; an existing file is unchanged.
+    A link's target is replaced. A device or a pipe is written to directly. Raises an OSError if the
+    path can't be written; an existing file is unchanged.
     """
     write_together({Path(path): data})
 
@@ -39,10 +37,7 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     """Write several files, each as `write_whole`; all or, as far as the system allows, none.
 
     All are written before the first is renamed, in the order given, so put a file that names others
-    after them.
-
-    Raises:
-        OSError: a path can't be written. No file has changed, unless a renaming failed.
+    after them. After an OSError no file has changed, unless a renaming failed.
     """
     with ExitStack() as stack:
         for commit in [stack.enter_context(_beside(data, path)) for path, data in contents.items()]:

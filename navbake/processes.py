@@ -35,11 +35,8 @@ def end_with_parent(parent: int | None = None) -> None:
 def limit_memory(gib: float | None) -> Callable[[], None]:
     """Limit the memory that this process may reserve, on Linux, and disable core dumps.
 
-    Args:
-        gib: beyond its current memory [GiB]; None, or more than a process can have, for no limit.
-
-    Returns:
-        A function that removes the limit of memory.
+    The limit is `gib` beyond its current memory [GiB]; None, or more than a process can have, is no
+    limit. Returns a function that removes it.
     """
     if resource is None:
         return lambda: None

@@ -65,8 +65,7 @@ def do_on_ray(
         witness: a file in the output folder, which all nodes must see; None for no such check.
 
     Raises:
-        MissingDependencyError: ray isn't installed.
-        NavbakeError: there is no cluster, or a node can't do the jobs.
+        NavbakeError: there is no cluster, or a node can't do the jobs; or ray isn't installed.
     """
     if not jobs:
         return

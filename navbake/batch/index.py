@@ -37,8 +37,7 @@ LOCK = ".navbake-batch.lock"
 def only_batch(folder: Path) -> Iterator[None]:
     """Hold the lock of an output folder; the system releases it when the process ends.
 
-    Raises:
-        NavbakeError: another batch holds it, or the folder can't be made or written.
+    Raises a NavbakeError if another batch holds it, or the folder can't be made or written.
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")

@@ -136,10 +136,9 @@ class LivePage:
 def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -> Json:
     """The page's data of the rows of an index.
 
-    Returns:
-        ``scenes``; ``work``: see `measure_work` [s]; ``groups``: the group of each
-        status and of each of `TEXTS`; ``edges`` of the bars of each chart; ``classes``: lower
-        edges of the episodes' classes.
+    ``scenes``; ``work``, see `measure_work` [s]; ``groups``, the group of each status and of each
+    of `TEXTS`; ``edges`` of the bars of each chart; ``classes``, lower edges of the episodes'
+    classes.
     """
     scenes: list[Json] = []
     for row in rows:

@@ -45,11 +45,8 @@ CLASSES = {measure: EDGES[measure] for measure in ("distance", "ratio", "levels"
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     """Check ``KIND`` or ``KIND:VALUE:…``; unique, sorted, numbers in their shortest form.
 
-    So equal products have equal keys in any order.
-
-    Raises:
-        ConfigError: there is no such kind, or its values are wrong.
-        MissingDependencyError: an extra is not installed.
+    So equal products have equal keys in any order. Raises a ConfigError for an unknown kind or
+    wrong values, and a MissingDependencyError without an extra.
     """
     products = set()
     for text in texts:

@@ -82,10 +82,9 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
 def check_id(name: str, place: str) -> None:
     r"""Refuse an id that may lead out of the output folder, or that some file system refuses.
 
-    Raises:
-        ConfigError: it is empty or absolute; a part of it begins with a dot, ends with a dot or a
-            space, is too long, is a name that Windows reserves, or has one of ``\:*?"<>|`` or an
-            unprintable character; or it is the name of a file that navbake writes of another scene.
+    Raises a ConfigError if it is empty or absolute, or the name of a file that navbake writes of
+    another scene; or if a part of it begins with a dot, ends with a dot or a space, is too long, is
+    a name that Windows reserves, or has one of ``\:*?"<>|`` or an unprintable character.
     """
     for part in name.split("/"):
         wanted = ""

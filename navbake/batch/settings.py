@@ -32,8 +32,7 @@ class Job(NamedTuple):
 def read_shared(path: str | os.PathLike[str]) -> Json:
     """Read the settings that all scenes share from a YAML file; its path may be a URL.
 
-    Raises:
-        ConfigError: no such file, no YAML, no mapping, or one that names a scene.
+    Raises a ConfigError for a missing file, no YAML, no mapping, or settings that select a scene.
     """
     text = plain_path(os.fspath(path))
     settings = nest(_read_mapping(text).items(), parent(text), shown(text))

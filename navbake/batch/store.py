@@ -88,8 +88,7 @@ def parent(path: str) -> Folder:
 def join(folder: Folder, name: str) -> str:
     """The path of a name in a folder; a URL or an absolute path is returned as it is.
 
-    Raises:
-        ConfigError: the name leads out of the folder's store.
+    Raises a ConfigError if the name leads out of the folder's store.
     """
     name = plain_path(name)
     if is_url(name) or os.path.isabs(name):
@@ -180,11 +179,9 @@ def read_file(path: str | Path) -> bytes:
 
 
 def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> None:
-    """Write a file, given as bytes or pieces, atomically.
+    """Write a file atomically, given as bytes or pieces.
 
-    Raises:
-        FullError: the folder has no room.
-        NavbakeError: it can't be written.
+    Raises a FullError if the folder has no room, and else a NavbakeError if it can't be written.
     """
     with _naming("write", folder):
         if isinstance(folder, Path):

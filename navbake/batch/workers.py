@@ -79,13 +79,9 @@ class Workers:
         limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
         prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Set up workers.
+        """Set up `count` workers, >= 1, for `work`, a module's function with a picklable result.
 
-        Args:
-            work: a module's function, whose result can be pickled.
-            count: number of workers, >= 1.
-            limits: of each job.
-            prepare: a module's function that each worker calls before its first job.
+        `limits` are those of each job; each worker calls `prepare`, a module's function, first.
         """
         self._work, self._count, self._limits, self._prepare = work, count, limits, prepare
         self._closing = ExitStack()
@@ -101,14 +97,11 @@ class Workers:
         self._closing.close()
 
     def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
-        """Do jobs, which can be pickled, and yield their ends in the order of completion.
+        """Do picklable jobs, and yield their ends in the order of completion.
 
-        `on_event` is called when a job begins, and when it will be tried again.
-        A job that crashed its worker, or took too much memory, is tried again at the end, in a
-        process of its own, in case an earlier job in the process was the cause.
-
-        Raises:
-            NavbakeError: no worker starts.
+        `on_event` is called when a job begins, and when it will be tried again. A job that crashed
+        its worker, or took too much memory, is tried again at the end, in a process of its own, in
+        case an earlier job in the process was the cause. Raises a NavbakeError if no worker starts.
         """
         tries, breaks, alone = [0] * len(jobs), 0, False
         left, again = deque(range(len(jobs))), deque[int]()

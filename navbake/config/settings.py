@@ -449,8 +449,7 @@ class BakeConfig(Settings):
 def find_source(path: str | PathLike[str]) -> Path:
     """The scene or settings at a path, or a sample's settings by its name if there is no such file.
 
-    Raises:
-        ConfigError: it is a grid.
+    Raises a ConfigError for a grid.
     """
     if str(path).lower().endswith((".grid.json", ".json.gz")):
         raise ConfigError(

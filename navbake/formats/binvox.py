@@ -204,13 +204,10 @@ def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> 
 def read_header(
     data: bytes, source: str, numbers: Mapping[str, tuple[int, type]]
 ) -> tuple[dict[str, list[str]], list[list[Any]], int]:
-    """Read the header lines of a binvox or OctoMap file.
+    """Read the header lines of a binvox or OctoMap file; `numbers` has some lines' number counts.
 
-    `numbers` has the number and kind of the numbers in some lines.
-
-    Returns:
-        The words of each line by its first word, comments (``#``) included; the numbers; and the
-        offset of the data.
+    Returns the words of each line by its first word, comments (``#``) included, the numbers, and
+    the offset of the data.
     """
     lines: dict[str, list[str]] = {"translate": ["0"] * 3, "scale": ["1"]}  # may be missing
     start = 0

@@ -118,13 +118,9 @@ def encode_as(
 ) -> Files:
     """Encode the files of a grid in any format that is written, without writing them.
 
-    Args:
-        path: of the file, or of the one that names the others.
-        name: of the format; by the file's ending if None.
-        options: of the format's writer, see `FORMATS`.
-
-    Raises:
-        FormatError: there is no such format, or it can't hold the grid.
+    `name` is the format's, by default that of the path's ending; `options` are those of the
+    format's writer, see `FORMATS`. Raises a FormatError for an unknown format, or a grid that it
+    can't hold.
     """
     form = find_format(path, name, writing=True)
     for option in options:

@@ -45,13 +45,8 @@ def make_graph(
 ) -> CellGraph | RoomGraph:
     """Make the graph of a grid's cells (``cells``) or rooms (``rooms``), as they are now.
 
-    Args:
-        grid: a grid of one or several levels.
-        kind: see `make_cell_graph` and `make_room_graph`.
-        cut_corners: allow diagonal steps past blocked corners; of ``cells``.
-
-    Raises:
-        QueryError: the kind is unknown, or a weight is negative.
+    See `make_cell_graph` and `make_room_graph`; `cut_corners` allows diagonal steps past blocked
+    corners. Raises a QueryError for an unknown kind or a negative weight.
     """
     if kind == "cells":
         return make_cell_graph(grid, cut_corners=cut_corners)
@@ -73,10 +68,10 @@ class CellGraph:
     matrix: Any
     level: Int  #: Of each node's cell, shape (n,), int64.
     row: Int  #: Of each node's cell on its level, shape (n,), int64.
-    col: Int  #: Likewise.
+    col: Int  #: Of each node's cell, shape (n,), int64.
     cell: Int  #: Its id on its level, ``col + row * width``, shape (n,), int64.
     position: Float  #: World x, y, z of the cell's centre on its floor [m], shape (n, 3), float64.
-    grid: NavGrid  #: The grid.
+    grid: NavGrid
 
     def node_at(self, position: ArrayLike, level: int | None = None) -> int | None:
         """The node of a position's cell, see `GridBase.cell_at`; None if there is no free cell."""

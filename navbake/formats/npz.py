@@ -237,10 +237,7 @@ def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
 
 
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
-    """Read a grid from an archive of `encode_grid_npz`, a file or its content.
-
-    Args:
-        max_cells: as of `navbake.load`.
+    """Read a grid from an archive of `encode_grid_npz`, a file or its content; see `navbake.load`.
 
     Raises:
         FormatError: the file is no such archive, broken, or needs too much memory.

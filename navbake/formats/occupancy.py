@@ -115,11 +115,7 @@ def lay_along_axes(
     A yaw of whole quarter turns only permutes the cells. Otherwise a new cell has the value of the
     map at its centre, or -1 outside of the map; but if an occupied cell of the map overlaps it, it
     is occupied. `origin` is the outer corner of the map's lower left cell, world x, y [m], and its
-    yaw, counter-clockwise [rad].
-
-    Returns:
-        The values, and world x, y of their lower left corner: that of the rotated map's bounding
-        box, or up to half a cell further out.
+    yaw, counter-clockwise [rad]. Also returns x, y of the new lower left corner [m].
     """
     x, y, yaw = origin
     height, width = values.shape

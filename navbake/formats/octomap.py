@@ -46,15 +46,10 @@ ENTRIES["ot"][UNKNOWN] = 0
 
 
 def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
-    """Encode an octree.
+    """Encode a grid on whole multiples of its edge as an octree, ``bt`` or ``ot``.
 
-    Args:
-        grid: the voxels; IDs count as occupied. It must lie on whole multiples of its edge.
-        kind: ``bt`` or ``ot``.
-        free: write known voxels that are not occupied as free, not as unknown.
-
-    Raises:
-        FormatError: the grid doesn't lie on the tree's lattice, or exceeds it.
+    IDs count as occupied. `free` writes known voxels that are not occupied as free, not as unknown.
+    Raises a FormatError for a grid off the tree's lattice, or beyond it.
     """
     if kind not in FIRST_LINES:
         raise FormatError(f"expected an octree as bt or ot, got {kind!r}")
@@ -139,19 +134,11 @@ def read_octomap(
     bounds: ArrayLike | None = None,
     max_voxels: int | None = None,
 ) -> VoxelGrid:
-    """Read an octree of class OcTree, ``.bt`` or ``.ot``.
+    """Read an octree of class OcTree, ``.bt`` or ``.ot``; see `navbake.load_voxels`.
 
-    The grid covers all known space, occupied or free; `VoxelGrid.known` marks known voxels.
-    Log-odds of 0 and more are occupied.
-
-    Args:
-        source: a path, or a file's content.
-        bounds: read only this box, (2, 3), lower and upper corner, world frame [m].
-        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
-            512 bytes for each byte of the file, with two bytes a voxel and 20 a leaf.
-
-    Raises:
-        FormatError: the file is no octree, broken, or needs too much memory.
+    The grid covers all known space, occupied or free, or the box `bounds`, (2, 3), lower and upper
+    corner, world frame [m]; `VoxelGrid.known` marks known voxels. Log-odds of 0 and more are
+    occupied. Raises a FormatError for a file that is no octree, broken, or needs too much memory.
     """
     from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
 

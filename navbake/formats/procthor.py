@@ -35,16 +35,10 @@ SLACK = 1e-6  # relative size of a matrix's entry that counts as 0
 def encode_procthor(
     grid: NavGrid, path: Path, *, level: int | None = None, radius: float | None = None
 ) -> Files:
-    """Encode the ``ProcTHORMap`` of each level.
+    """Encode the ``ProcTHORMap`` of each level; `path` ends in ``.png``.
 
-    Args:
-        path: ends in ``.png``; several levels have numbers: ``map_0.png``.
-        level: this level's map only, under the name itself.
-        radius: inflate for an agent of this radius first [m]; see `SceneGrid2D.inflate`.
-
-    Raises:
-        FormatError: there is no such level, or a level has more than 255 rooms.
-        QueryError: the radius is out of its range.
+    `level` is as of `encode_nav2`, `radius` inflates first [m], see `SceneGrid2D.inflate`. Raises a
+    FormatError for an unknown level, or one of more than 255 rooms.
     """
     if radius is not None:
         grid = grid.inflate(radius)

@@ -43,11 +43,10 @@ class Files(Protocol):
 
 
 def check_inputs(scene: Path) -> None:
-    """Refuse inputs that MuJoCo can't read: names that are not UTF-8, and pipes and devices.
+    """Raise a SceneError for inputs that MuJoCo can't read.
 
-    Raises:
-        SceneError: the scene's path is such a name, or the scene or a file that it includes refers
-            to a pipe or a device, on which MuJoCo would wait for ever.
+    These are a scene's path that is not UTF-8, and pipes and devices, on which it would wait for
+    ever.
     """
     if os.fsencode(scene).decode(errors="replace") != str(scene):
         raise SceneError(f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it")
@@ -75,14 +74,8 @@ def find_inputs(
     all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
     they are the meshes, in glTF the buffers.
 
-    Args:
-        scene: its file.
-        files: access to the other files; None for this machine.
-        looks: include textures and skins.
-        missing: list all possible places of each missing file as well.
-
-    Raises:
-        SceneError: it refers to a pipe or a device of this machine, which would block its reader.
+    `looks` includes textures and skins, `missing` all possible places of each missing file. Raises
+    a SceneError for a pipe or a device of this machine, which would block its reader.
     """
     has = _is_file if files is None else files.has
 

@@ -142,11 +142,8 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
 
     A part is cells of one label, 0 for none, that share edges. No ring has a corner twice, and
     rings of one label meet at single corners at most. So each part is a valid polygon, and all
-    parts of a label a valid multipolygon (OGC simple features), whatever the cells are.
-
-    Returns:
-        By ascending label, its parts by their first cells in reading order; of each its rings, the
-        outer one first, then the holes, as in `Shape.parts`, to a nanometre.
+    parts of a label a valid multipolygon (OGC simple features). Returns by ascending label its
+    parts by their first cells in reading order; each has rings as in `Shape.parts`, to a nanometre.
     """
     own = np.asarray(labels, dtype=np.int32)
     found: dict[int, list[list[Float]]] = {}
@@ -263,11 +260,8 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     Coordinates are world x, y in metres; a third one is ignored. The properties are ``name``
     (text), ``level`` (a number from 0, or a name; 0 if missing) and ``outdoors`` (false if
     missing). Features of ``kind`` ``walkable`` or ``door`` are left out. A MultiPolygon is one
-    room. Rings may be closed or not. Errors name the feature.
-
-    Returns:
-        ``name``, ``level``, ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and
-        further parts) of each.
+    room. Rings may be closed or not. Errors name the feature. Returns ``name``, ``level``,
+    ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and further parts) of each.
     """
     if not os.path.lexists(path):
         raise FormatError(f"no such file: {path_name(path)}")

@@ -29,13 +29,10 @@ def write_voxels(
 ) -> None:
     """Write a voxel file, and the table of its IDs' names beside it if it has any.
 
-    Args:
-        path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The table of `a.npz` is `a.npz.names.json`.
-        free: of octrees: see `encode_octomap`.
-        layout, mapping: of binvox: see `encode_binvox` and `with_mapping`.
-
-    Raises:
-        FormatError: the format can't hold the grid.
+    `path` ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``; the table of `a.npz` is
+    `a.npz.names.json`. `free` is for octrees, see `encode_octomap`; `layout` and `mapping` for
+    binvox, see `encode_binvox` and `with_mapping`. Raises a FormatError if the format can't hold
+    the grid.
     """
     suffix = _check_suffix(path)
     if suffix in OCTREES:

@@ -67,14 +67,10 @@ def color_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
 
 
 def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
-    """Find pairs of regions that are close along a row or a column.
+    """Find pairs of regions, smaller number first, that are close along a row or a column.
 
-    Args:
-        index: the region of each cell from 1, 0 for none, shape (height, width), integers.
-        reach: the largest number of cells of no region, such as a wall's, in between.
-
-    Returns:
-        Pairs of two regions, the smaller number first.
+    `index` has the region of each cell from 1, 0 for none, shape (height, width), integers; at most
+    `reach` cells of no region, such as a wall's, may be in between.
     """
     found = [np.empty((0, 2), dtype=np.int64)]
     for lines in (index, index.T):
@@ -94,16 +90,9 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
 def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:
     """Choose a colour for each region that none of its neighbours has, while there are enough.
 
-    Greedy colouring (Welsh and Powell 1967): the region with most neighbours chooses first. Of
-    the colours that fewest of its neighbours have, it takes the one that is least used so far.
-
-    Args:
-        count: number of regions; they are numbered from 1.
-        pairs: of neighbours.
-        num_colors: number of colours.
-
-    Returns:
-        Numbers of colours from 0, shape (count + 1,); that of region 0 is meaningless.
+    Greedy colouring (Welsh and Powell 1967): the region with most neighbours chooses first. Of the
+    colours that fewest of its neighbours have, it takes the one that is least used so far. Regions
+    are numbered from 1, colours from 0; the result, shape (count + 1,), has no meaning for 0.
     """
     near: list[set[int]] = [set() for _ in range(count + 1)]
     for one, other in pairs:

@@ -42,7 +42,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
 def label_islands(
     start: Int, width: Int, free: Bool, floor: NDArray[Any], limit: float, links: Int
 ) -> Int32:
-    """Number the parts by the rule of `find_islands`, of cells by flat id.
+    """Number the parts by the rule of `find_islands`; returns int32 by flat id, 0 if not free.
 
     Connected components by runs of cells along rows. Each run points at the lowest run known to be
     connected with it, at first itself. Alternately, the ends of all pairs of connected runs are
@@ -55,9 +55,6 @@ def label_islands(
         free, floor: of each cell, shape (n,).
         limit: largest difference of neighbours' floors, in the unit of `floor`.
         links: pairs of connected cells, shape (m, 2).
-
-    Returns:
-        The number of each cell's part, shape (n,), int32, 0 where it isn't free.
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)

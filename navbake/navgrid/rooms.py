@@ -68,12 +68,8 @@ def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
 def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
     """Describe the rooms of level `number` from its cells alone, sorted by index.
 
-    They have the id ``level:index``, and neither name nor neighbours.
-
-    Args:
-        index: the room of each cell, 0 for none, shape (height, width).
-        floor: world z of each cell [m], shape (height, width).
-        lattice: of the level.
+    They have the id ``level:index``, and neither name nor neighbours. `index` is the room of each
+    cell, 0 for none, `floor` its world z [m]; both of shape (height, width).
     """
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     index = index.ravel()

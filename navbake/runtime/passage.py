@@ -1,9 +1,9 @@
 """The widest agent that passes from one place to another, and the reason why there is no path.
 
-A larger radius never frees a cell, so a bisection finds the largest. It is exact, as the free cells
-change at few radii only: where a disc round a cell's centre touches a square or a centre of another
-cell, so that four times the squared radius, in cells, is a whole number; and at the baked radius,
-up to which higher floors don't count.
+A larger radius never frees a cell, so a bisection is exact over the few radii at which cells
+change: a disc round a cell's centre touches a square or a centre of another cell, so that four
+times the squared radius, in cells, is a whole number; or the baked radius, up to which higher
+floors don't count.
 """
 
 import math
