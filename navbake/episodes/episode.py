@@ -25,34 +25,26 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 
 
 class ViewPoint(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """A place from which an object is in sight.
-
-    Attributes:
-        position: world x, y and floor z [m].
-        heading: towards the object [rad].
-        iou: share of the picture that the object fills, as other programs measure it.
-    """
+    """A place on the floor from which an object is in sight, and the heading towards it [rad]."""
 
     position: Vector3
     heading: float
-    iou: float | None = None
+    iou: float | None = None  #: Share of the picture that the object fills, if it was measured.
 
 
 class Goal(
     msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
 ):
-    """What is to be reached: a position, one of several objects, a room, or a share of the floor.
+    """What is to be reached: a point, an object, a room, or a share of the free area.
 
     Attributes:
         position: world x, y, z [m]; of an object its middle, of a room its centroid.
-        radius: how near counts as reached [m]: along the floor, to the position of a point, to the
-            nearest view point of an object; of a room its own cells count.
-        name: of the object, or the room's name.
-        category: of the object.
-        room: the room's id, of a goal that is a room.
-        view_points: of an object.
-        share: of the free area that is to be seen, > 0, of a goal to explore; `radius` is then how
-            far the agent sees.
+        radius: how near counts as reached [m]: along the floor, to the point or to the nearest view
+            point of the object; how far the agent sees of what it explores.
+        name, category: of the object, or of the room.
+        room: the room's id; its cells are the goal.
+        view_points: of the object.
+        share: of the free area that is to be seen.
     """
 
     position: Vector3 | None = None
@@ -73,20 +65,18 @@ class Episode(
         id: unique in its set.
         scene: id of the scene, as a grid of the header has it.
         task: one of `TASKS`.
-        start: world x, y and floor z [m].
-        heading: at the start [rad].
+        start, heading: world x, y and floor z [m], and [rad].
         goals: any one of them is to be reached; of a ``sequence`` all, in order.
-        distance: of the shortest path over cells, seen from above, to the nearest place of a goal;
-            through all goals of a ``sequence`` [m]. None where there is no such thing or nobody
-            knows it.
+        distance: of the shortest path over cells, seen from above, to the nearest place of a goal,
+            or through all goals of a ``sequence`` [m]; None where it is unknown or has no meaning.
         straight: the same through the air [m].
         split: ``train`` or another part of the set.
         room: id of the room of the start.
         levels: of start and goal.
-        doors, rooms: ids of the doors and rooms along the path, where they were looked for.
+        doors, rooms: ids along the path, None where no path was planned.
         path: a path to follow, world x, y, z [m].
-        instruction: what the agent is told.
-        extra: what other formats hold besides.
+        instruction: in words.
+        extra: fields of other formats.
     """
 
     id: str
@@ -119,7 +109,7 @@ class Episode(
 
 
 class Agent(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """For whom the episodes are: radius and height [m], and the highest speed [m/s], if known."""
+    """For whom the episodes are: radius and height [m], and the highest speed [m/s]."""
 
     radius: Length
     height: Length
@@ -127,29 +117,17 @@ class Agent(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class GridEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A grid that episodes were drawn on.
-
-    Attributes:
-        scene: the scene's id.
-        file: name of the grid's file, None where it was in memory.
-        digest: `digest_of` the grid as the agent uses it, inflated for it if need be.
-    """
+    """A grid that episodes were drawn on: its scene's id, and the name of its file, if any."""
 
     scene: str
-    digest: str
+    digest: str  #: `digest_of` the grid, inflated for the agent if need be.
     file: str | None = None
 
 
 class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What made a set.
+    """What made a set: the agent, the grids, the sampler's rules and its seed.
 
-    Attributes:
-        format, version: of the file.
-        agent: for whom it is, None where nobody knows, as in files of other programs.
-        grids: on which its episodes were drawn; empty where nobody knows.
-        sampler: its rules, by their names.
-        seed: of the draw.
-        rejected: how often which rule refused a draw.
+    Sets of other programs don't say it. `rejected` counts the draws that each rule refused.
     """
 
     format: str = FORMAT
@@ -162,11 +140,7 @@ class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class EpisodeSet(msgspec.Struct, frozen=True):
-    """Episodes and what made them.
-
-    Raises:
-        ValueError: two episodes have one id.
-    """
+    """Episodes and what made them; raises a ValueError where two have one id."""
 
     header: Header
     episodes: tuple[Episode, ...]
@@ -183,25 +157,24 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
     def check_grid(self, grid: NavGrid) -> None:
         """Raise a QueryError unless the set was made on this grid, for this agent."""
-        scene, agent = scene_of(grid), self.header.agent
-        entries = {entry.scene: entry for entry in self.header.grids}
-        if not entries:
+        scene, agent, radius = scene_of(grid), self.header.agent, agent_radius(grid)
+        digests = {entry.scene: entry.digest for entry in self.header.grids}
+        if not digests:
             raise QueryError(
                 "the set doesn't say which grid it was made on, as sets of other programs: "
                 "--force takes its distances from the grid given"
             )
-        if scene not in entries:
-            raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, entries)}")
-        if agent is not None and not np.isclose(agent.radius, agent_radius(grid)):
+        if scene not in digests:
+            raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, digests)}")
+        if agent is not None and not np.isclose(agent.radius, radius):
             raise QueryError(
                 f"the set is for an agent of radius {agent.radius:g} m, the grid of {scene!r} for "
-                f"{agent_radius(grid):g} m: inflate the grid it was made on, or force it"
+                f"{radius:g} m: inflate the grid it was made on, or force it"
             )
-        if entries[scene].digest != digest_of(grid):
+        if digests[scene] != (given := digest_of(grid)):
             raise QueryError(
-                f"the set was made on another grid of {scene!r} (digest "
-                f"{entries[scene].digest[:12]}, this one has {digest_of(grid)[:12]}): bake it with "
-                "the settings of then, or force it"
+                f"the set was made on another grid of {scene!r} (digest {digests[scene][:12]}, "
+                f"this one has {given[:12]}): bake it with the settings of then, or force it"
             )
 
 

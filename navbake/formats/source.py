@@ -207,10 +207,10 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
         raise FormatError(f"cannot write {names}: {why}") from error
 
 
-def import_extra(name: str) -> Any:
-    """Load shapely or networkx, of the extra [convert], or say how to install it."""
+def import_extra(name: str, extra: str = "convert") -> Any:
+    """Load a library of an extra of navbake, or say how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        message = f'this needs {name}: pip install "navbake[convert]"'
+        message = f'this needs {name}: pip install "navbake[{extra}]"'
         raise MissingDependencyError(message) from error
