@@ -5,6 +5,7 @@ World x, y, z [m], z up; headings 0 along x, counted towards y [rad].
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from hashlib import sha256
 from typing import Annotated, Any
 
@@ -24,81 +25,63 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 """A length [m]."""
 
 
-class ViewPoint(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """A place on the floor from which an object is in sight, and the heading towards it [rad]."""
+def check_word(value: str, known: Collection[str], name: str) -> None:
+    """Raise a ValueError for anything but the known words."""
+    if value not in known:
+        raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}")
 
-    position: Vector3
-    heading: float
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Part of a set, as its file has it."""
+
+
+class ViewPoint(Record, frozen=True, omit_defaults=True):
+    """A place from which an object is in sight."""
+
+    position: Vector3  #: World x, y and floor z [m].
+    heading: float  #: Towards the object [rad].
     iou: float | None = None  #: Share of the picture that the object fills, if it was measured.
 
 
-class Goal(
-    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
-):
-    """What is to be reached: a point, an object, a room, or a share of the free area.
-
-    Attributes:
-        position: world x, y, z [m]; of an object its middle, of a room its centroid.
-        radius: how near counts as reached [m]: along the floor, to the point or to the nearest view
-            point of the object; how far the agent sees of what it explores.
-        name, category: of the object, or of the room.
-        room: the room's id; its cells are the goal.
-        view_points: of the object.
-        share: of the free area that is to be seen.
-    """
+class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """What is to be reached: a point, an object, a room, or a share of the free area."""
 
     position: Vector3 | None = None
+    """World x, y, z [m]; of an object its middle, of a room its centroid."""
     radius: Length = 0.0
-    name: str | None = None
-    category: str | None = None
-    room: str | None = None
-    view_points: tuple[ViewPoint, ...] = ()
-    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    """How near counts as reached [m], along the floor to the point or to the nearest view point;
+    how far the agent sees of what it explores. Of a room its own cells count."""
+    name: str | None = None  #: Of the object, or of the room.
+    category: str | None = None  #: Of the object, or type of the room.
+    room: str | None = None  #: Id of the room.
+    view_points: tuple[ViewPoint, ...] = ()  #: Of the object.
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None  #: Of the area to explore.
 
 
-class Episode(
-    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
-):
-    """One task.
+class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """One task."""
 
-    Attributes:
-        id: unique in its set.
-        scene: id of the scene, as a grid of the header has it.
-        task: one of `TASKS`.
-        start, heading: world x, y and floor z [m], and [rad].
-        goals: any one of them is to be reached; of a ``sequence`` all, in order.
-        distance: of the shortest path over cells, seen from above, to the nearest place of a goal,
-            or through all goals of a ``sequence`` [m]; None where it is unknown or has no meaning.
-        straight: the same through the air [m].
-        split: ``train`` or another part of the set.
-        room: id of the room of the start.
-        levels: of start and goal.
-        doors, rooms: ids along the path, None where no path was planned.
-        path: a path to follow, world x, y, z [m].
-        instruction: in words.
-        extra: fields of other formats.
-    """
-
-    id: str
-    scene: str
-    task: str
-    start: Vector3
-    heading: float
-    goals: tuple[Goal, ...]
+    id: str  #: Unique in its set.
+    scene: str  #: Id of the scene, as a grid of the header has it.
+    task: str  #: One of `TASKS`.
+    start: Vector3  #: World x, y and floor z [m].
+    heading: float  #: At the start [rad].
+    goals: tuple[Goal, ...]  #: Any one is to be reached; of a ``sequence`` all, in order.
     distance: Length | None = None
-    straight: Length | None = None
-    split: str | None = None
-    room: str | None = None
-    levels: tuple[int, ...] = ()
-    doors: tuple[str, ...] | None = None
-    rooms: tuple[str, ...] | None = None
-    path: tuple[Vector3, ...] = ()
-    instruction: str | None = None
-    extra: dict[str, Any] = {}
+    """Of the shortest path over cells, seen from above, to the nearest place of a goal, or through
+    all goals of a ``sequence`` [m]; None where it is unknown or has no meaning."""
+    straight: Length | None = None  #: The same through the air [m].
+    split: str | None = None  #: ``train`` or another part of the set.
+    room: str | None = None  #: Id of the room of the start.
+    levels: tuple[int, ...] = ()  #: Of start and goal.
+    doors: tuple[str, ...] | None = None  #: Ids along the path; None where none was planned.
+    rooms: tuple[str, ...] | None = None  #: The same.
+    path: tuple[Vector3, ...] = ()  #: A path to follow, world x, y, z [m].
+    instruction: str | None = None  #: In words.
+    extra: dict[str, Any] = {}  #: Fields of other formats.
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise ValueError(f"expected one of {', '.join(TASKS)} as task, got {self.task!r}")
+        check_word(self.task, TASKS, "task")
         if not self.goals:
             raise ValueError(f"episode {self.id!r} has no goal")
 
@@ -108,27 +91,24 @@ class Episode(
         return self.distance / self.straight if self.distance and self.straight else None
 
 
-class Agent(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """For whom the episodes are: radius and height [m], and the highest speed [m/s]."""
+class Agent(Record, frozen=True, kw_only=True):
+    """For whom the episodes are."""
 
     radius: Length
     height: Length
-    speed: float | None = None
+    speed: float | None = None  #: The highest [m/s].
 
 
-class GridEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A grid that episodes were drawn on: its scene's id, and the name of its file, if any."""
+class GridEntry(Record, frozen=True, kw_only=True):
+    """A grid that episodes were drawn on."""
 
-    scene: str
+    scene: str  #: The scene's id.
     digest: str  #: `digest_of` the grid, inflated for the agent if need be.
-    file: str | None = None
+    file: str | None = None  #: Name of the grid's file; None where it was in memory.
 
 
-class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What made a set: the agent, the grids, the sampler's rules and its seed.
-
-    Sets of other programs don't say it. `rejected` counts the draws that each rule refused.
-    """
+class Header(Record, frozen=True, kw_only=True):
+    """What made a set; sets of other programs don't say it."""
 
     format: str = FORMAT
     version: int = VERSION
@@ -136,7 +116,7 @@ class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     grids: tuple[GridEntry, ...] = ()
     sampler: dict[str, Any] = {}
     seed: int | None = None
-    rejected: dict[str, int] = {}
+    rejected: dict[str, int] = {}  #: How many draws each rule refused.
 
 
 class EpisodeSet(msgspec.Struct, frozen=True):
