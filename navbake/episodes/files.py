@@ -82,20 +82,20 @@ def write_episodes(
     """
     if form is not None and form not in FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, FORMATS)}")
-    known = FORMATS if form is None else {form: FORMATS[form]}
+    known = [form] if form else list(FORMATS)
     ending, packing = _endings(path)
-    fitting = {name: one for name, one in known.items() if one.ending == ending}
+    fitting = [name for name in known if FORMATS[name].ending == ending]
     if not fitting:
-        endings = ", ".join(dict.fromkeys(one.ending for one in known.values()))
+        endings = ", ".join(dict.fromkeys(FORMATS[name].ending for name in known))
         raise FormatError(f"expected a name that ends in {endings}, got {path_name(path)}")
     tasks = {e.task: e.id for e in reversed(content.episodes)}
-    chosen = next((n for n, one in fitting.items() if tasks.keys() <= {*one.tasks}), None)
+    chosen = next((name for name in fitting if tasks.keys() <= {*FORMATS[name].tasks}), None)
     if chosen is None:
-        task = next(task for task in tasks if task not in next(iter(fitting.values())).tasks)
+        task = next(task for task in tasks if task not in FORMATS[fitting[0]].tasks)
         names = " or ".join(fitting)
         raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
     written = content if chosen in OWN else _rename(content, scenes or {})
-    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written)), path)
+    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written, chosen)), path)
     if chosen in OWN:
         return []
     again = read_episodes(path, scenes)
@@ -123,7 +123,7 @@ def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
     return EpisodeSet(content.header, tuple(renamed)) if names else content
 
 
-def _encode_lines(content: EpisodeSet) -> bytes:
+def _encode_lines(content: EpisodeSet, _: str) -> bytes:
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
@@ -138,7 +138,7 @@ def _read_lines(text: bytes, name: str) -> Fields:
     return header, [decode(line, Episode, f"{name}, line {number}") for number, line in numbered]
 
 
-def _encode_parquet(content: EpisodeSet) -> bytes:
+def _encode_parquet(content: EpisodeSet, _: str) -> bytes:
     pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
     episodes = content.episodes
     columns = {name: [getattr(e, name) for e in episodes] for name in (*TEXTS, *NUMBERS)}

@@ -15,7 +15,6 @@ import math
 import re
 from collections.abc import Callable, Container, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
@@ -46,12 +45,12 @@ SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 48
 
 
 class Format(NamedTuple):
-    """A format of sets: how names of its files end, its tasks, and what writes and reads it."""
+    """A format of sets."""
 
-    ending: str
-    tasks: tuple[str, ...]
-    encode: Callable[[EpisodeSet], bytes]
-    read: Callable[[bytes, str], Fields]
+    ending: str  #: Of its files' names.
+    tasks: tuple[str, ...]  #: That it can hold.
+    encode: Callable[[EpisodeSet, str], bytes]  #: Takes the format's name, too.
+    read: Callable[[bytes, str], Fields]  #: Takes the file's name, too.
 
 
 def decode(text: bytes | str, kind: type[Record], where: str) -> Record:
@@ -143,15 +142,15 @@ class _Content(msgspec.Struct, omit_defaults=True):
     navbake: Header | None = None
 
 
-def encode_habitat(content: EpisodeSet, kind: str) -> bytes:
-    """Encode as habitat-lab's dataset of a kind: ``pointnav``, ``objectnav`` or ``vln``."""
+def encode_habitat(content: EpisodeSet, form: str) -> bytes:
+    """Encode as a dataset of habitat-lab."""
     whole, table = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
     for number, e in enumerate(content.episodes):
         rest = _rest(e, HELD)
         info = {**e.extra, "geodesic_distance": e.distance, "navbake": rest}
         written = _Episode(e.id, e.scene, _to_yup(e.start), _rotation(e.heading), [], info, e.room)
         whole.episodes.append(written)
-        if kind == "objectnav":
+        if form == "habitat-objectnav":
             written.object_category = e.goals[0].category or e.goals[0].name
             key = written.goals_key
             if table.setdefault(key, e.goals) != e.goals:
@@ -159,15 +158,15 @@ def encode_habitat(content: EpisodeSet, kind: str) -> bytes:
                     f"habitat-objectnav has one list of goals for {key!r}, episode {e.id!r} has "
                     "another one: draw objects by category, and give scenes names of their own"
                 )
-        else:
-            written.goals = [_write_goal(goal) for goal in e.goals]
-        if kind == "vln":
+            continue
+        written.goals = [_write_goal(goal) for goal in e.goals]
+        if form == "habitat-vln":
             if not e.path:
                 raise FormatError(f"habitat-vln needs paths, episode {e.id!r} has none: paths=true")
             written.reference_path = [_to_yup(p) for p in rest.pop("path")]
             written.instruction = {"instruction_text": rest.pop("instruction", "")}
             written.trajectory_id = e.extra.get("trajectory_id", number)
-    if kind == "objectnav":
+    if form == "habitat-objectnav":
         categories = sorted({str(e.object_category) for e in whole.episodes})
         whole.category_to_task_category_id = {name: k for k, name in enumerate(categories)}
         whole.category_to_scene_annotation_category_id = whole.category_to_task_category_id
@@ -175,7 +174,7 @@ def encode_habitat(content: EpisodeSet, kind: str) -> bytes:
             key: [_write_goal(goal, k) for k, goal in enumerate(goals)]
             for key, goals in table.items()
         }
-    elif kind == "vln":
+    elif form == "habitat-vln":
         texts = " ".join(e.instruction or "" for e in content.episodes)
         whole.instruction_vocab = {"word_list": sorted(set(re.findall(r"\w+", texts.lower())))}
     return msgspec.json.encode(whole)
@@ -238,7 +237,7 @@ def read_habitat(text: bytes, name: str) -> Fields:
 # ---------------------------------------------------------------- MINOS
 
 
-def encode_minos(content: EpisodeSet) -> bytes:
+def encode_minos(content: EpisodeSet, _: str) -> bytes:
     """Encode as MINOS's table of episode states, a row an episode."""
     file = io.StringIO()
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
@@ -321,7 +320,7 @@ class _Spec(msgspec.Struct, omit_defaults=True):
     navbake: dict[str, Any] = {}
 
 
-def encode_molmospaces(content: EpisodeSet) -> bytes:
+def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
     """Encode as a list of EpisodeSpec; scenes are called ``DATASET/INDEX`` there."""
     specs = []
     for e in content.episodes:
@@ -364,13 +363,9 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
 
 
 FOREIGN = {
-    "habitat-pointnav": Format(
-        ".json", ("point",), partial(encode_habitat, kind="pointnav"), read_habitat
-    ),
-    "habitat-objectnav": Format(
-        ".json", ("object",), partial(encode_habitat, kind="objectnav"), read_habitat
-    ),
-    "habitat-vln": Format(".json", ("point",), partial(encode_habitat, kind="vln"), read_habitat),
+    "habitat-pointnav": Format(".json", ("point",), encode_habitat, read_habitat),
+    "habitat-objectnav": Format(".json", ("object",), encode_habitat, read_habitat),
+    "habitat-vln": Format(".json", ("point",), encode_habitat, read_habitat),
     "molmospaces": Format(".json", ("object",), encode_molmospaces, read_molmospaces),
     "minos": Format(".csv", ("point", "object", "room"), encode_minos, read_minos),
 }

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -29,7 +29,6 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import Shared, UserData, names_in
 from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths import Path
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -139,26 +138,25 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     return np.unique(cells[cells >= 0])
 
 
-def paths_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> list[Path]:
-    """The paths from a start through stops, to the nearest place of each; up to an unreachable."""
-    here, found = np.array(start), []
+def path_through(
+    finder: PathFinder, start: Sequence[float], stops: Sequence[Float]
+) -> dict[str, tuple[Any, ...]]:
+    """The ``path`` from a start through stops, and the ``rooms`` and ``doors`` along it.
+
+    It goes to the nearest place of each stop, by points at most `SPACING` apart; empty for none.
+    """
+    here = np.array(start)
+    points, rooms, doors = list[list[float]](), list[str](), list[str]()
     for places in stops:
         path = finder.find_path(here, places)
         if path is None:
-            break
-        found.append(path)
+            return {}
+        steps = np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
+        points += [path.at(distance).tolist() for distance in steps]
+        rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
+        doors += path.doors
         here = path.positions[-1]
-    return found
-
-
-def points_along(paths: Sequence[Path]) -> Float:
-    """Points on paths in a row, at most `SPACING` apart, world [m], shape (n, 3)."""
-    points = [
-        path.at(distance)
-        for path in paths
-        for distance in np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
-    ]
-    return np.array(points).reshape(-1, 3)
+    return {"path": tuple(map(tuple, points)), "rooms": tuple(rooms), "doors": tuple(doors)}
 
 
 # ---------------------------------------------------------------- objects and rooms

@@ -31,8 +31,7 @@ from navbake.episodes.goals import (
     Task,
     find_target,
     fit_grid,
-    paths_through,
-    points_along,
+    path_through,
 )
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
@@ -301,12 +300,15 @@ class _Draw:
                 headings = np.arctan2(ahead[:, 1], ahead[:, 0])
         levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
         refused = self._refuse(cells, levels, starts - goals, distance, straight, chance)
+        # the first rule that refuses each start
+        reasons, masks = [*refused, None], [*refused.values(), np.ones(len(starts), dtype=np.bool_)]
+        first = np.argmax(np.stack(masks), axis=0).tolist()
         found = []
         for row in np.arange(len(starts)).reshape(count, rules.tries):
             if not any(self.missing):
                 break
             for k in row.tolist():
-                if why := next((reason for reason, mask in refused.items() if mask[k]), None):
+                if why := reasons[first[k]]:
                     self.rejected[why] += 1
                     continue
                 room = rooms.id_of(int(rooms.number[cells[k]]))
@@ -319,7 +321,8 @@ class _Draw:
                     levels=tuple(levels[k].tolist()),
                 )  # fmt: skip
                 if rules.paths or rules.strata in ("doors", "rooms"):
-                    episode = self._with_path(episode, target)
+                    along = path_through(self.finder, episode.start, target.stops)
+                    episode = msgspec.structs.replace(episode, **along)
                 if self._fits_strata(episode):
                     found.append(episode)
                     break
@@ -348,17 +351,6 @@ class _Draw:
             "too steep": np.abs(apart[:, 2]) > steepest,
             "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
         }
-
-    def _with_path(self, episode: Episode, target: Target) -> Episode:
-        """The episode with its path, and the doors and rooms along it."""
-        paths = paths_through(self.finder, episode.start, target.stops)
-        rooms: list[str] = []
-        for path in paths:
-            rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
-        return msgspec.structs.replace(
-            episode, doors=tuple(door for path in paths for door in path.doors),
-            rooms=tuple(rooms), path=tuple(map(tuple, points_along(paths).tolist())),
-        )  # fmt: skip
 
     def _fits_strata(self, episode: Episode) -> bool:
         """Whether its class still misses episodes; then it is counted."""
