@@ -44,9 +44,6 @@ REQUIRED = ("episode", "start", "positions")  # arrays of trajectories
 GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
 
 
-# ---------------------------------------------------------------- functions of arrays
-
-
 def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
     """1.0 where the agent stopped within the radius, else 0.0; a NaN distance is no success."""
     one, none = xp.ones_like(distance), xp.zeros_like(distance)
@@ -139,9 +136,6 @@ def bootstrap(
     return Interval(float(known.mean()), float(low), float(high), len(known))
 
 
-# ---------------------------------------------------------------- one episode
-
-
 class Measures:
     """Follows one episode step by step, from the episode's start.
 
@@ -186,7 +180,7 @@ class Measures:
         p = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         self._distances += self._measure(p, "position")
         self._positions += list(p)
-        self._times += [float(t) for t in times or ()]
+        self._times += [] if times is None else [float(t) for t in times]
 
     def _measure(self, p: Float, what: str) -> list[float]:
         """The distance at each position; goes on to the next goal where one is reached."""
@@ -202,8 +196,7 @@ class Measures:
         fields, rest = self._target.fields, self._target.rest
         if not fields:
             return [math.nan] * len(p)
-        aside = np.zeros(len(p))
-        blocked = np.flatnonzero(~flat.free[cells])
+        aside, blocked = np.zeros(len(p)), np.flatnonzero(~flat.free[cells])
         if len(blocked):
             near = self.finder.many.snap(p[blocked], max_distance=SNAP)
             found = ~np.isnan(near[:, 0])
@@ -270,9 +263,6 @@ class Measures:
         near = (search.field(cells, weighted=False) <= self.radius) & (number == home)
         size = flat.layout.cell_size[flat.level_of(np.flatnonzero(near))]
         return float((size**2).sum() / search.islands.areas[home])
-
-
-# ---------------------------------------------------------------- a set
 
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

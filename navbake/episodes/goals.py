@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -34,10 +34,9 @@ from navbake.types import Float, Int
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 
-SNAP = 0.5  # how far a goal of another program may be from where an agent can stand [m]
+SNAP = 0.5  # from a position in no free cell to the nearest one, at most [m]
 SPACING = 0.25  # between view points, and between points of a path [m]
-COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # what tells chair_1 from chair_2
-HEADROOM = 1e-9  # metres by which an agent may be higher than the grid's
+COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # the number that ends a name as chair_1
 
 
 class Task(Record, frozen=True, kw_only=True):
@@ -78,7 +77,7 @@ def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = 
     Raises:
         QueryError: the agent is higher than the grid's.
     """
-    if height is not None and height > grid.agent_height + HEADROOM:
+    if height is not None and height > grid.agent_height + 1e-9:
         raise QueryError(
             f"the grid of {scene_of(grid)!r} is for agents up to {grid.agent_height:g} m, got "
             f"{height:g} m: bake it with agent.height={height:g}"
@@ -89,8 +88,7 @@ def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = 
     return fitted
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
+class Target(NamedTuple):
     """Where the goals of an episode are reached, and how far that is."""
 
     goals: tuple[Goal, ...]
@@ -157,9 +155,6 @@ def path_through(
         doors += path.doors
         here = path.positions[-1]
     return {"path": tuple(map(tuple, points)), "rooms": tuple(rooms), "doors": tuple(doors)}
-
-
-# ---------------------------------------------------------------- objects and rooms
 
 
 @dataclass(eq=False)

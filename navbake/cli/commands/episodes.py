@@ -79,13 +79,20 @@ def episodes(
     if drawn.total is not None and drawn.per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
     check_output(output, *SETS, inputs=grids)
+    from msgspec import DecodeError, yaml  # --help does without it
+
     from navbake import episodes as sets  # loads numpy
 
     given = goals._asdict()
     given |= {"name": given.pop("task"), "radius": given.pop("reach")}
     given |= {"objects": goals.objects or (), "rooms": goals.rooms or ()}
     if (path := given.pop("categories")) is not None:
-        given["rooms" if "room" in (goals.task, goals.of) else "objects"] = _read_categories(path)
+        try:
+            found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
+        except (OSError, DecodeError) as error:
+            raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
+        kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
+        given[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
     rules: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
     if "edges" in rules:
         rules["edges"] = rules["edges"].split(",")
@@ -108,17 +115,6 @@ def episodes(
         say_unless_quiet(f"  {number:>8} {reason}")
     if len(content) < count:
         say(f"only {len(content)} of {count}: the rules refuse the rest")
-
-
-def _read_categories(path: Path) -> dict[str, list[str]]:
-    """Read patterns of names by category."""
-    from msgspec import DecodeError, yaml  # --help does without it
-
-    try:
-        found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
-    except (OSError, DecodeError) as error:
-        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-    return {category: [v] if isinstance(v, str) else v for category, v in found.items()}
 
 
 def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
