@@ -23,7 +23,7 @@ from navbake.episodes.episode import Episode, EpisodeSet, Goal, Header, ViewPoin
 from navbake.errors import FormatError
 from navbake.types import Vector3
 
-Record = TypeVar("Record")
+Kind = TypeVar("Kind")
 Fields: TypeAlias = tuple[Header, list[Any]]
 """A header, and the fields of each episode, still to be checked."""
 Rotation = tuple[float, float, float, float]
@@ -53,7 +53,7 @@ class Format(NamedTuple):
     read: Callable[[bytes, str], Fields]  #: Takes the file's name, too.
 
 
-def decode(text: bytes | str, kind: type[Record], where: str) -> Record:
+def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
     """Decode JSON of a known structure; a FormatError names the field and where it stands."""
     try:
         return msgspec.json.decode(text, type=kind)

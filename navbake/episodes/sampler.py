@@ -229,8 +229,7 @@ class _Draw:
         self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
-        self.rejected = Counter[str]()
-        self.radii = _island_radii(self.finder)
+        self.rejected, self.radii = Counter[str](), _island_radii(self.finder)
         self.edges = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
 
     def run(self, count: int) -> list[Episode]:
@@ -252,7 +251,7 @@ class _Draw:
         """Draw goals; None, counted as rejected, where no episode can have them."""
         task, rng, finder = self.task, self.rng, self.finder
         if task.name == "explore":
-            return find_target(finder, [Goal(share=task.share, radius=task.reach)])
+            return Target((Goal(share=task.share, radius=task.reach),))
         in_order = task.name == "sequence"
         stages = task.length if in_order else 1
         if task.kind == "point":
@@ -300,15 +299,12 @@ class _Draw:
                 headings = np.arctan2(ahead[:, 1], ahead[:, 0])
         levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
         refused = self._refuse(cells, levels, starts - goals, distance, straight, chance)
-        # the first rule that refuses each start
-        reasons, masks = [*refused, None], [*refused.values(), np.ones(len(starts), dtype=np.bool_)]
-        first = np.argmax(np.stack(masks), axis=0).tolist()
         found = []
         for row in np.arange(len(starts)).reshape(count, rules.tries):
             if not any(self.missing):
                 break
             for k in row.tolist():
-                if why := reasons[first[k]]:
+                if why := next((reason for reason, mask in refused.items() if mask[k]), None):
                     self.rejected[why] += 1
                     continue
                 room = rooms.id_of(int(rooms.number[cells[k]]))
