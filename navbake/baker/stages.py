@@ -32,6 +32,7 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
+from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
@@ -72,6 +73,7 @@ def take_first_look(
     opened: OpenScene | None = None,
 ) -> Stages:
     """Load a scene, if it isn't `opened`; the stages that take every candidate for a door."""
+    ensure_compiled()
     with clock.stage("scene"):
         scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)

@@ -18,6 +18,7 @@ from navbake.baker.scene.pose import data_of_qpos, pose_model
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
+from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
@@ -175,6 +176,7 @@ class Voxelizer:
         Raises:
             ConfigError: `segments` is wrong, or the grid needs more memory than there is.
         """
+        ensure_compiled("baker.kernels.voxels.", "baker.kernels.rays.")
         labels = self._label(segments)
         dtype = dtype_of(max(labels.names, default=1))
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
