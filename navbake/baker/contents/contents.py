@@ -50,6 +50,9 @@ from navbake.types import Bool, Float, Int
 # Lists get so many times the room that they are expected to need, and where some are replaced, as
 # what was there before stays in them
 SPARE, ROOM = 1.1, 2
+# How far above its floors the last storey ends [m]: not at the scene's top, which things that move
+# anywhere may change
+OPEN_ABOVE = 100.0
 
 
 @dataclass(frozen=True)
@@ -214,9 +217,8 @@ class CellFinder:
     def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
         """Look at some cells, ascending; see `_put_lists` for `share`."""
         floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
-        # each storey ends at the next one's ground, the last one at the scene's top [m]
-        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-        tops = [*(level.ground for level in floors.levels[1:]), highest]
+        # each storey ends at the next one's ground, or else high above its floors [m]
+        tops = [*(level.ground for level in floors.levels[1:]), np.inf]
         listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
         if self._extents is not None:
             probed = wall_candidates(scene, self._extents)
@@ -227,7 +229,8 @@ class CellFinder:
             if self._extents is not None:
                 num, band = len(here), (WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH)
                 first, carrier = np.empty((2, num), dtype=np.int32)
-                ceiling = np.maximum(top, heights + self._agent.height) - TOUCH
+                ceiling = np.minimum(top, heights + OPEN_ABOVE)
+                ceiling = np.maximum(ceiling, heights + self._agent.height) - TOUCH
                 min_up = agent_limits(self._agent).min_up
                 listing = Listing(ceiling, first, carrier, np.empty(num), probed, *band, min_up)
             found = look_at_cells(columns, tiled, self._footprint, here, heights, listing)
