@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from numba import types
 
 import navbake
+from navbake.baker.rooms.walls import find_windows
 from navbake.cli.main import main as run_command
 from navbake.compiled import KERNELS, LIST
 from navbake.files import scratch_folder
@@ -35,6 +37,20 @@ SAMPLES: dict[str, dict[str, Any]] = {
     "clutter": {"scene": {"meshes": "shell"}},
 }
 GROWTH = 1.7  # larger functions take more time a byte: a power of the size that fits the times
+# A grid as other tools write it: with a hole in its floor that no geom is in
+LAYER = {"type": "array", "length": 64}
+FOREIGN = {
+    "type": "SceneGrid2D",
+    "metadata": {"sceneId": "foreign", "agentHeight": 1.14, "agentRadius": 0.05},
+    "width": 8,
+    "height": 8,
+    "cellSize": 0.1,
+    "min": [0, 0, 0],
+    "tileAttributes": {
+        "occupancy": {**LAYER, "datatype": "uint8", "data": [0] * 64},
+        "floorHeight": {**LAYER, "datatype": "float32", "data": [None, *[0.0] * 63]},
+    },
+}
 
 
 def main() -> None:
@@ -124,6 +140,15 @@ def use_all() -> None:
             grid.to_mesh()
             grid.to_geojson()
             grid.to_mjcf(folder / f"{name}.walls.xml", flat=True)
+        foreign = folder / "foreign.json"
+        foreign.write_text(json.dumps(FOREIGN), encoding="utf-8")
+        navbake.load(foreign).inflate(0.3)
+        table = trimesh.creation.box((2.0, 2.0, 1.0))
+        navbake.bake(trimesh.Trimesh(table.vertices, table.faces[:-1]))  # it is not closed
+        sill = np.zeros((40, 40), dtype=np.bool_)
+        sill[20, 15:25] = True  # no sample has one
+        wall = (np.arange(40) == 20)[:, None] & ~sill
+        find_windows(sill, wall, 0.1)
         for scene in ("room", "bridge"):
             sweep(scene, moves=12)
         _use_voxels(navbake.Voxelizer(navbake.samples.path("apartment")), folder)

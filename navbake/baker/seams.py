@@ -14,7 +14,7 @@ from navbake.baker.connect import ranges
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX
 from navbake.baker.kernels.hits import RIM
-from navbake.baker.kernels.tiles import tile_of
+from navbake.baker.listing import tile_of
 from navbake.types import Bool, Float, Int, Int32
 
 BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]

@@ -284,7 +284,7 @@ def cast_lines(
         heights: a `Band` below and above everything [m].
         crossings: in the first call all but `start` are empty, and ``start[cell + 1]``
             receives the number of hits; in the second, the running sums stand there, and
-            the others receive the crossings, and after a column's last what `close_up` removes.
+            the others receive the crossings, and after a column's last what is DROPPED.
         dropped: by band, int64; receives the number of hits that are no crossings.
     """
     start, writing = crossings.start, crossings.z.shape[0] > 0
