@@ -106,7 +106,7 @@ class FollowedScene:
         if mask.any():
             chosen = was.choices, was.parts, np.flatnonzero(mask).tolist(), was.meshes
             after = collect_shapes(model, data, *chosen).shapes
-            shapes = _with(was.shapes, after, mask)
+            shapes = was.shapes.replaced(after, mask)
             bounds = shapes.bounds
         scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)
         return Moved(scene, mask, moved, digest)
@@ -170,22 +170,6 @@ class FollowedScene:
 
 def _poses_of(data: Any) -> Float:
     return np.hstack([data.geom_xpos, data.geom_xmat])
-
-
-def _with(shapes: Shapes, new: Shapes, changed: Bool) -> Shapes:
-    """The shapes with new ones in place of those of the geoms that are marked."""
-
-    def put(old: Items, now: Items) -> Items:
-        at = np.flatnonzero(changed[old.geom])
-        if not len(at):
-            return old
-        arrays: list[NDArray[Any]] = [array.copy() for array in old]
-        for array, values in zip(arrays, now, strict=True):
-            array[at] = values
-        return type(old)._make(arrays)
-
-    solids, planes = put(shapes.solids, new.solids), put(shapes.planes, new.planes)
-    return Shapes(solids, planes, put(shapes.triangles, new.triangles), shapes.endless)
 
 
 def boxes_of(shapes: Shapes) -> Float:
