@@ -84,7 +84,7 @@ class ColumnBlocks:
         if self._kept is not None:
             return self._kept
         if self._some is None or not np.isin(cells, self._some[0]).all():
-            asked = np.unique(cells).astype(np.int64)
+            asked = list_once(self.lattice, cells)
             with self._clock.part("columns"):
                 self._some = asked, cast_at(self._tiled, self._agent, self._crack, asked)
         return self._some[1]
@@ -131,7 +131,7 @@ class WindowColumns(NamedTuple):
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        asked = np.unique(cells).astype(np.int64)
+        asked = list_once(self.lattice, cells)
         whole = self.outer(asked)
         return place_columns(
             self.lattice, asked, take_columns(self.source.at(whole).crossings, whole)
@@ -143,6 +143,13 @@ class WindowColumns(NamedTuple):
         rows, cols = self.window
         found: Int = (row + rows.start) * self.source.lattice.width + col + cols.start
         return found
+
+
+def list_once(lattice: Lattice, cells: Int | Int32) -> Int:
+    """The ids of some cells, ascending, each once."""
+    mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+    mask[cells] = True
+    return np.flatnonzero(mask)
 
 
 def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) -> Columns:

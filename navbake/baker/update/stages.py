@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
 from navbake.baker.blocks import Blocks
-from navbake.baker.column_blocks import cast_at, place_columns
+from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
 from navbake.baker.doors.doors import Placing, place_doors
@@ -33,6 +33,8 @@ from navbake.types import Bool, Float, Int, Int32
 MOST_CELLS = 0.5
 # So many cells are worth a call on another thread
 LEAST_CELLS = 4096
+# Of so large a share of the cells, columns are copied once for all who ask
+MANY = 1 / 8
 # The store of columns has so many times the room that it needs at first
 ROOM = 1.25
 
@@ -47,6 +49,7 @@ class KeptColumns:
     def __init__(self, columns: Columns) -> None:
         self.lattice = columns.lattice
         self._cells = np.arange(self.lattice.width * self.lattice.height)
+        self._all: Columns | None = None  # of all cells, as they are now
         self._hold(columns.crossings)
 
     def _hold(self, crossings: Crossings) -> None:
@@ -65,11 +68,15 @@ class KeptColumns:
 
     def blocks(self) -> Iterator[Columns]:
         """All columns, in one block."""
-        yield Columns(self.lattice, self.take(self._cells))
+        if self._all is None:
+            self._all = Columns(self.lattice, self.take(self._cells))
+        yield self._all
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        asked = np.unique(cells).astype(np.int64)
+        if len(cells) > MANY * len(self._cells):  # likely so for several sheets
+            return next(self.blocks())
+        asked = list_once(self.lattice, cells)
         return place_columns(self.lattice, asked, self.take(asked))
 
     def take(self, cells: Int) -> Crossings:
@@ -78,7 +85,7 @@ class KeptColumns:
 
     def put(self, cells: Int, crossings: Crossings) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        end = self._used + len(crossings.z)
+        self._all, end = None, self._used + len(crossings.z)
         if end > len(self._arrays[0]):
             self._make_room(len(crossings.z))
             end = self._used + len(crossings.z)
