@@ -76,23 +76,21 @@ class Contents:
     warnings: list[str]
     taken: Int
 
-    def wall_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a wall stands in and blocks, on the whole lattice."""
-        return self._mark(level)[0]
-
-    def low_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a building's mesh blocks only below `WALL_BAND`."""
-        return self._mark(level)[1]
-
     def have_same_walls(self, other: Contents, cells: Int) -> bool:
         """Whether the same cells are marked in contents that differ in some cells at most."""
         same_kinds = np.array_equal(self.kinds, other.kinds)
         asked = cells if same_kinds else None
         levels = range(len(self.levels))
-        return all(np.array_equal(self._mark(k, asked), other._mark(k, asked)) for k in levels)
+        return all(
+            np.array_equal(self.mark_walls(k, asked), other.mark_walls(k, asked)) for k in levels
+        )
 
-    def _mark(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
-        """The wall cells and the low ones, on the whole lattice or of some cells."""
+    def mark_walls(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
+        """Mark the cells with a floor that walls are in, on the whole lattice or of some cells.
+
+        Returns those that a wall stands in and blocks, and those that a building's mesh blocks only
+        below `WALL_BAND`.
+        """
         listed = self.levels[level]
         asked = np.arange(len(listed.first)) if cells is None else cells
         shape = listed.lattice.shape if cells is None else cells.shape
