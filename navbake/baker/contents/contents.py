@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
 from navbake.baker.contents.structure import (
+    COVERING,
+    THING_HEIGHT,
     Carriers,
     find_carriers,
     find_ceilings,
@@ -34,7 +36,7 @@ from navbake.baker.contents.walls import (
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import contents as kernels
-from navbake.baker.kernels.constants import BUILDING, OBJECT, STRUCTURE, TOUCH, WALL
+from navbake.baker.kernels.constants import BUILDING, OBJECT, SLACK, STRUCTURE, TOUCH, WALL
 from navbake.baker.kernels.contents import LevelContents
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS, Listing
 from navbake.baker.lattice import Window
@@ -50,6 +52,9 @@ from navbake.types import Bool, Float, Int
 # Lists get so many times the room that they are expected to need, and where some are replaced, as
 # what was there before stays in them
 SPARE, ROOM = 1.1, 2
+# How far above its floors the last storey ends [m]: not at the scene's top, which things that move
+# anywhere may change
+OPEN_ABOVE = 100.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Contents:
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
-        taken: how many cells each body with a free joint takes, see `kernels.count_taken`; shape
+        taken: how many cells each body with a free joint takes, see `count_taken`; shape
             (nbody,), int64.
     """
 
@@ -71,23 +76,21 @@ class Contents:
     warnings: list[str]
     taken: Int
 
-    def wall_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a wall stands in and blocks, on the whole lattice."""
-        return self._mark(level)[0]
-
-    def low_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a building's mesh blocks only below `WALL_BAND`."""
-        return self._mark(level)[1]
-
     def have_same_walls(self, other: Contents, cells: Int) -> bool:
         """Whether the same cells are marked in contents that differ in some cells at most."""
         same_kinds = np.array_equal(self.kinds, other.kinds)
         asked = cells if same_kinds else None
         levels = range(len(self.levels))
-        return all(np.array_equal(self._mark(k, asked), other._mark(k, asked)) for k in levels)
+        return all(
+            np.array_equal(self.mark_walls(k, asked), other.mark_walls(k, asked)) for k in levels
+        )
 
-    def _mark(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
-        """The wall cells and the low ones, on the whole lattice or of some cells."""
+    def mark_walls(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
+        """Mark the cells with a floor that walls are in, on the whole lattice or of some cells.
+
+        Returns those that a wall stands in and blocks, and those that a building's mesh blocks only
+        below `WALL_BAND`.
+        """
         listed = self.levels[level]
         asked = np.arange(len(listed.first)) if cells is None else cells
         shape = listed.lattice.shape if cells is None else cells.shape
@@ -112,7 +115,7 @@ class Contents:
 
     def _name_cells(self, level: int, window: Window) -> Shared:
         listed = self.levels[level]
-        cell, geom, flags = kernels.take_entries(listed)
+        cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
         kind, carrier = self.kinds[geom], listed.carrier
         stands, is_upper = (flags & STANDS) > 0, (flags & PROBED) > 0
         is_wall = (kind == WALL) | ((kind == BUILDING) & is_upper)
@@ -214,9 +217,8 @@ class CellFinder:
     def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
         """Look at some cells, ascending; see `_put_lists` for `share`."""
         floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
-        # each storey ends at the next one's ground, the last one at the scene's top [m]
-        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-        tops = [*(level.ground for level in floors.levels[1:]), highest]
+        # each storey ends at the next one's ground, or else high above its floors [m]
+        tops = [*(level.ground for level in floors.levels[1:]), np.inf]
         listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
         if self._extents is not None:
             probed = wall_candidates(scene, self._extents)
@@ -227,7 +229,8 @@ class CellFinder:
             if self._extents is not None:
                 num, band = len(here), (WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH)
                 first, carrier = np.empty((2, num), dtype=np.int32)
-                ceiling = np.maximum(top, heights + self._agent.height) - TOUCH
+                ceiling = np.minimum(top, heights + OPEN_ABOVE)
+                ceiling = np.maximum(ceiling, heights + self._agent.height) - TOUCH
                 min_up = agent_limits(self._agent).min_up
                 listing = Listing(ceiling, first, carrier, np.empty(num), probed, *band, min_up)
             found = look_at_cells(columns, tiled, self._footprint, here, heights, listing)
@@ -262,7 +265,7 @@ class CellFinder:
         first = np.zeros(len(cells), dtype=np.int32)
         carrier[has_floor], gap[has_floor] = listing.carrier, listing.gap
         if share is None:
-            self._count_taken(listed, cells, -1)
+            count_taken(listed, cells, self._free_body, self._taken, -1)
             if not np.array_equal(listed.carrier[cells], carrier):
                 self._steps = None
             listed = listed._replace(first=listed.first.copy(), carrier=listed.carrier.copy())
@@ -279,23 +282,19 @@ class CellFinder:
         first[has_floor] = listing.first + np.int32(used)
         listed.first[cells], listed.carrier[cells], listed.gap[cells] = first, carrier, gap
         self._listed[k], self._used[k] = listed, used + num
-        self._count_taken(listed, cells, 1)
-
-    def _count_taken(self, listed: LevelContents, cells: Int, by: int) -> None:
-        if (self._free_body >= 0).any():
-            kernels.count_taken(listed, cells, self._free_body, self._taken, by)
+        count_taken(listed, cells, self._free_body, self._taken, 1)
 
     def found(self, settings: NameSettings) -> Contents | None:
         """What stands in all cells, and what each geom is; None where that is not asked for."""
         extents, floors, scene, agent = self._extents, self._floors, self._scene, self._agent
         if extents is None:
             return None
-        over_floors = self._measure_over_floors(extents)
+        over_floors, counts, stood_on = self._measure_levels(extents)
         if self._steps is None:
             carrier = np.stack([level.carrier for level in self._listed])
             self._steps = find_steps(floors, carrier, self._listed[0].lattice)
-        step = agent.traversable_floor_height
-        carriers = find_carriers(floors, self._listed, extents, step, self._steps)
+        cell_size, step = self._listed[0].lattice.cell_size, agent.traversable_floor_height
+        carriers = find_carriers(counts, stood_on, cell_size, step, self._steps)
         # geoms are classified again only where something that decides this has changed: that is not
         # how deep one reaches under a floor, as all that begins so low may be a wall
         static = is_static(scene)
@@ -312,19 +311,41 @@ class CellFinder:
         levels, taken = list(self._listed), self._taken.copy()
         return Contents(levels, self._kinds, self._names, self._warnings, taken)
 
-    def _measure_over_floors(self, extents: Extents) -> GeomsOverFloors:
-        num = len(extents.low)
-        over = np.full(num, np.inf), np.full(num, -np.inf)
-        cells = np.empty((len(self._listed), 2, num), dtype=np.int64)
-        for listed, level, counts in zip(self._listed, self._floors.levels, cells, strict=True):
-            kernels.measure_over_floors(listed, level.floor.ravel(), extents, over, *counts)
-        area = cells.max(axis=0) * self._listed[0].lattice.cell_size ** 2
-        return GeomsOverFloors(*over, *area)
+    def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
+        """How geoms stand over floors; and how they carry them, see `find_carriers`."""
+        num, heights = len(extents.low), (extents.low, extents.high)
+        over, stood_on = (np.full(num, np.inf), np.full(num, -np.inf)), np.zeros(num, np.bool_)
+        on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
+        limits = on_floor, COVERING + SLACK
+        counts = np.zeros((len(self._listed), 5, num), dtype=np.int64)
+        for listed, level, own in zip(self._listed, self._floors.levels, counts, strict=True):
+            layers = level.floor.ravel(), level.standable.ravel()
+            kernels.measure_level(listed, *layers, heights, limits, over, own, stood_on)
+        area = counts[:, :2].max(axis=0) * self._listed[0].lattice.cell_size ** 2
+        return GeomsOverFloors(*over, *area), counts[:, 2:].sum(axis=0), stood_on
+
+
+def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:
+    """Add `by` to what each body has in `taken` for each of some cells that it takes.
+
+    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
+    joint, `body_of` each geom, -1 for none. So a cup on a table takes none.
+    """
+    if not (body_of >= 0).any():
+        return
+    cell, geom, flags = kernels.take_entries(listed, cells)
+    blocks = (flags & BLOCKS) > 0
+    cell, body = cell[blocks], body_of[geom[blocks]]
+    is_fixed = np.zeros(len(cells), dtype=np.bool_)
+    is_fixed[cell[body < 0]] = True
+    free = ~is_fixed[cell]
+    pairs = np.unique(cell[free] * len(taken) + body[free])
+    taken += by * np.bincount(pairs % len(taken), minlength=len(taken))
 
 
 def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     """Contents without the lists of no cell, and how long all others are."""
-    cell, geom, flags = kernels.take_entries(listed)
+    cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
     is_first = np.diff(cell, prepend=-1) > 0
     # an end before each list but the first, which begins at 1
     place = np.arange(len(cell)) + np.cumsum(is_first)

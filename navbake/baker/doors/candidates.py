@@ -49,7 +49,7 @@ class DoorCandidate:
 
     def only(self, shapes: Shapes) -> Shapes:
         """The candidate's own part of some geometry."""
-        return shapes.only(_mark_geoms(len(shapes.endless), [self]))
+        return shapes.only(mark_geoms(len(shapes.endless), [self]))
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
@@ -125,12 +125,12 @@ def without_doors(scene: Scene, doors: Sequence[DoorCandidate]) -> Scene:
     """The scene without the geometry of some bodies."""
     if not doors:
         return scene
-    return replace(scene, shapes=scene.shapes.only(~_mark_geoms(scene.model.ngeom, doors)))
+    return replace(scene, shapes=scene.shapes.only(~mark_geoms(scene.model.ngeom, doors)))
 
 
 def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
     """The geometry of all doors in one state; doors without that state stay as modelled."""
-    mask = _mark_geoms(scene.model.ngeom, doors)
+    mask = mark_geoms(scene.model.ngeom, doors)
     moved = {
         door.joint_id: float(position)
         for door in doors
@@ -150,7 +150,8 @@ def largest_side(extents: Extents, geoms: Int) -> int:
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 
-def _mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
+def mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
+    """Mark the geoms of some bodies, shape (num_geoms,)."""
     mask = np.zeros(num_geoms, dtype=np.bool_)
     for door in doors:
         mask[door.geoms] = True

@@ -100,7 +100,7 @@ def read_flags(
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if contents is not None:
-            wall, low = contents.wall_cells(number), contents.low_cells(number)
+            wall, low = contents.mark_walls(number)
         marked = of_columns.bits[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)

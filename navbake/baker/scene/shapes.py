@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,21 @@ class Shapes:
 
         kept = marked(self.solids), marked(self.planes), marked(self.triangles)
         return Shapes(*kept, self.endless & geoms)
+
+    def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
+        """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
+
+        def put(old: Items, now: Items) -> Items:
+            at = np.flatnonzero(geoms[old.geom])
+            if not len(at):
+                return old
+            arrays: list[NDArray[Any]] = [array.copy() for array in old]
+            for array, values in zip(arrays, now, strict=True):
+                array[at] = values
+            return type(old)._make(arrays)
+
+        solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
+        return Shapes(solids, planes, put(self.triangles, new.triangles), self.endless)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
