@@ -218,6 +218,7 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
     """
     (rows,), (level, number), num = columns, placed, 0
     first, length, z = surfaces.first, surfaces.length, surfaces.z
+    far = math.inf if by_slopes else step + SLACK
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -226,8 +227,13 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
                 for way, other in enumerate(_around(lattice, cell)[:2]):
                     if other < 0:
                         continue
+                    low, last = first[other], first[other] + length[other]
                     for a in range(first[cell], first[cell] + length[cell]):
-                        for b in range(first[other], first[other] + length[other]):
+                        while low < last and z[low] < z[a] - far:
+                            low += 1
+                        for b in range(low, last):
+                            if z[b] > z[a] + far:
+                                break
                             if level[a] < 0 or level[b] < 0:
                                 continue
                             one, two = number[level[a]], number[level[b]]
