@@ -30,8 +30,11 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
-# A level of its own takes in what lies so little below its ground on the same sheet [m]
-FLAT = 1e-4
+# A level of its own takes in what lies so little below its ground on the same sheet: rounding, and
+# the noise of meshes [m]
+FLAT = 0.005
+# A storey rarely begins higher over another one [m]
+HIGH_STOREY = 8.0
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
@@ -202,27 +205,30 @@ class Storeys:
         Looks through windows of heights one step high, half a step apart, from the lowest up.
         """
         test = area_test(self._sheets.lattice, self._settings)
-        every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK)
-        windows, where = np.unique(every[:, 0], return_inverse=True)
-        counts = dict(zip(windows.tolist(), np.bincount(where, every[:, 3]).tolist(), strict=True))
-        for window in sorted({k for n in counts for k in (n - 1, n) if k >= windows[0]}):
-            if counts.get(window, 0) + counts.get(window + 1, 0) < test.needed:
-                continue
-            rows, low = self._list_heights(kept, ground, window, test)
-            if rows[:, 3].sum() >= test.needed:
-                if not len(rows):
-                    chosen = np.isin(every[:, 0], [window, window + 1])
-                    rows, low = every[chosen], all_low[chosen]
-                # the cells that shrinking leaves decide, not stairs or thresholds at the edge
-                return _common_height(rows, low)
+        for top in (np.inf,) if ground == -np.inf else (ground + HIGH_STOREY, np.inf):
+            every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK, top)
+            windows, where = np.unique(every[:, 0], return_inverse=True)
+            count = np.bincount(where, every[:, 3])
+            counts = dict(zip(windows.tolist(), count.tolist(), strict=True))
+            for window in sorted({k for n in counts for k in (n - 1, n) if k >= windows[0]}):
+                end = (window + 2) * self._half
+                if counts.get(window, 0) + counts.get(window + 1, 0) < test.needed or end > top:
+                    continue
+                rows, low = self._list_heights(kept, ground, window, test, end)
+                if rows[:, 3].sum() >= test.needed:
+                    if not len(rows):
+                        chosen = np.isin(every[:, 0], [window, window + 1])
+                        rows, low = every[chosen], all_low[chosen]
+                    # the cells that shrinking leaves decide, not stairs or thresholds at the edge
+                    return _common_height(rows, low)
         return None
 
     def _list_heights(
-        self, kept: Kept, ground: float, window: int, test: AreaTest
+        self, kept: Kept, ground: float, window: int, test: AreaTest, top: float = np.inf
     ) -> tuple[Int, Float]:
         """Rows of the heights in a window, and the lowest of each row, see `list_heights`."""
-        sheets, heights = self._sheets, (ground, window, self._half)
-        name = "heights", ground, window, test.reach
+        sheets, heights = self._sheets, (ground, window, self._half, top)
+        name = "heights", ground, window, test.reach, top
         table, stale = self._recall(name, self._table, test.reach)
         asked = sheets.lattice, sheets.surfaces, kept, heights, test
         table.fill(kernels.list_heights, np.flatnonzero(stale), *asked)
@@ -279,7 +285,7 @@ class Storeys:
         return lowest, of_level, np.bincount(part[is_floor], minlength=num) > 0, links
 
     def _place(
-        self, kept: Kept, grounds: list[float], tolerance: float
+        self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
     ) -> tuple[Int32, BlockTable]:
         """Give each surface its level, see `place_blocks`.
 
@@ -287,12 +293,12 @@ class Storeys:
             The levels, and a table of the part of a sheet and the level that surfaces have.
         """
         sheets, surfaces = self._sheets, self._sheets.surfaces
-        name = "places", tolerance, *grounds
+        name = "places", leave_floors, tolerance, *grounds
         (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))
         level, chosen = fit(level, len(surfaces.z)), np.flatnonzero(stale)
         self._known[name] = self._now, (level, table)
-        asked = sheets.lattice, surfaces, kept, np.array(grounds), tolerance, level, chosen
-        run_in_bands(kernels.place_blocks, len(chosen), *asked)
+        asked = sheets.lattice, surfaces, kept, np.array(grounds), tolerance, leave_floors
+        run_in_bands(kernels.place_blocks, len(chosen), *asked, level, chosen)
         part = sheets.labels.part
         table.fill(tally, chosen, sheets.lattice, surfaces, part, part, level)
         return level, table
@@ -305,9 +311,10 @@ class Storeys:
         A surface belongs to the highest ground at or below it (the lowest ones to the first). Where
         two of a column would be on one level, its surfaces are placed on the levels in their order,
         treads and landings of stairs moved rather than floors (see `place_blocks`). Where columns
-        have more surfaces than there are levels, those that found no place are left out if nobody
-        needs them, see `_are_spare`. Else a level of its own is opened at the lowest of them, or at
-        what lies up to 0.1 mm below it on its sheet, so that rounding divides no flat floor.
+        have more surfaces than there are levels, treads find no place, or the floors under them,
+        and are left out if nobody needs them, see `_are_spare`. Else a level of its own is opened
+        at the lowest tread that found none, or at what lies a little below it on its sheet, so that
+        a floor that is not quite flat stays whole.
 
         Args:
             names: the levels' names, None for those without; empty if none has one.
@@ -316,23 +323,28 @@ class Storeys:
         sheets, named = self._sheets, dict(zip(grounds, names, strict=False))
         while True:
             grounds = sorted(grounds)
-            level, table = self._place(kept, grounds, tolerance)
-            block, (rows, low) = table.take()
-            part, _, on, count = rows.T
-            lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
-            members = [sheets.members(sheet) for sheet in lost]
-            if self._are_spare(kept, level, members):
+            for leave_floors in (False, True, False):
+                name = leave_floors, tolerance, *grounds
+                level, table = self._place(kept, grounds, tolerance, leave_floors)
+                block, (rows, low) = table.take()
+                part, _, on, count = rows.T
+                lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
+                members = [sheets.members(sheet) for sheet in lost]
+                if are_spare := self._are_spare(kept, level, members, name):
+                    break
+            if are_spare:
                 break
             own = float(low[on == LOST].min(initial=np.inf))
             z = np.concatenate([one.z[kept.key[one.place] >= 0] for one in members])
-            own = float(z[(z >= own - FLAT) & (z <= own)].min(initial=own))
+            lowest = max([own - FLAT, *(ground + SLACK for ground in grounds if ground <= own)])
+            own = float(z[(z >= lowest) & (z <= own)].min(initial=own))
             # where all are grounds, their columns are taken on every level: open one above all
             ground = max(grounds) + 1.0 if own == np.inf else round(own, DECIMALS)
             grounds = [*grounds, ground]
         block, part, on, count = (column[on >= 0] for column in (block, part, on, count))
         used = np.bincount(on, minlength=len(grounds)) > 0
         number = np.cumsum(used, dtype=np.int64) - 1
-        is_new = ("places", tolerance, *grounds) not in self._kept
+        is_new = ("places", *name) not in self._kept
         grounds = [ground for ground, is_used in zip(grounds, used, strict=True) if is_used]
         labels = _label([named.get(ground) for ground in grounds])
         counts = np.stack([sheets.sheet_at(block, part), number[on], count], axis=1)
@@ -341,32 +353,40 @@ class Storeys:
         patches = [describe_members(sheets.lattice, one) for one in spare]
         return Placed(grounds, labels, level, number, counts, changed, patches)
 
-    def _are_spare(self, kept: Kept, level: Int32, members: list[Members]) -> bool:
+    def _are_spare(self, kept: Kept, level: Int32, members: list[Members], name: Any) -> bool:
         """Whether surfaces that found no place are left out, as no storey is opened for them.
 
-        So it is where they are rims of floors, nowhere wider than floors are shrunk by, and no walk
-        is cut: without them, steps join the others to no more parts.
+        So it is where they make up no floor that would count by itself, and no walk is cut: without
+        them, steps join the others to no more parts that are large enough for floors.
 
         Args:
             level: of each surface.
             members: of the sheets of those that found no place.
+            name: of the places.
         """
-        lattice, size = self._sheets.lattice, self._sheets.lattice.cell_size
-        rim = {"min_area": size**2, "shrink": self._settings.shrink / 2}
-        settings = self._settings.model_copy(update=rim)
+        lattice = self._sheets.lattice
         for one in members:
             marked = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
             marked[one.cell[level[one.place] <= LOST]] = True
-            if is_large(lattice, settings, marked):
+            if is_large(lattice, self._settings, marked):
                 return False
         without = np.where(level <= LOST, np.int32(-1), kept.key)
-        return not members or self._count_walks(without) <= self._count_walks(kept.key)
+        return not members or self._count_walks(without, members, name) <= self._count_walks(
+            kept.key, members, "all"
+        )
 
-    def _count_walks(self, key: Int32) -> int:
-        """Count the parts that steps join, of the surfaces with a key."""
-        labels = Labels(self._sheets.blocks, self._sheets.joining)
-        labels.update(self._sheets.surfaces, self._sheets.blocks.all(), key)
-        return int(labels.merge()[0].max(initial=-1)) + 1
+    def _count_walks(self, key: Int32, members: list[Members], name: Any) -> int:
+        """Count the large parts that steps join, of the members with a key."""
+        sheets, num = self._sheets, 0
+        labels, stale = self._recall(("walks", name), lambda: Labels(sheets.blocks, sheets.joining))
+        labels.update(sheets.surfaces, stale, key)
+        whole, _ = labels.merge()
+        for one in members:
+            kept = labels.part[one.place] >= 0
+            block, part = sheets.blocks.of(one.cell[kept]), labels.part[one.place[kept]]
+            size = np.bincount(whole[labels.offset[block] + part])
+            num += int((size >= area_test(sheets.lattice, self._settings).needed).sum())
+        return num
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:
