@@ -21,7 +21,7 @@ from navbake.baker.floors.reach import (
     find_voids,
     largest_of_lowest,
 )
-from navbake.baker.floors.rejected import find_rejected
+from navbake.baker.floors.rejected import are_told, find_rejected
 from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
 from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
@@ -32,10 +32,6 @@ from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int
-
-# A dropped roof is told of when it is this many times as large as the largest floor that is left:
-# walls and eaves alone make it larger than the floor under it, but not by a third
-LARGE_ROOF = 4 / 3
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ class Floors:
             each step between two levels, and each pair of neighbours, on one level or two, that
             their slopes join but no step does.
         tops: large tops and shelves that are no floors, the largest first.
-        roofs: roofs that are clearly larger than every floor that is left, the largest first.
+        roofs: roofs that a user may miss, the largest first.
         small_starts: what `floors.from` names, though it is too small for a floor.
         unreached: what no step leads to, by level, lowest first.
         left_out: floors that `floors.reach: steps` leaves out, the largest first.
@@ -187,12 +183,11 @@ class FloorFinder:
             fill = settings.fill / self._lattice.cell_size**2
             levels.append(fill_holes(level, fill, is_occupied) if fill else level)
         held = self._find_enclosed(stale)
-        is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
             levels,
             self._growth.links,
             tops=facts.describe((tops | shelves) & ~starts),
-            roofs=facts.describe(roofs & ~starts & is_told),
+            roofs=facts.describe(are_told(site, roofs & ~starts, counts)),
             small_starts=facts.describe(starts & ~is_large),
             unreached=unreached,
             left_out=left_out,
