@@ -36,7 +36,14 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     lattice = columns.lattice
     tiles = tiles_of_rows(lattice, columns.known_rows) if cells is None else tile_of(lattice, cells)
     tiles = np.unique(np.asarray(tiles, dtype=np.int64))
-    boxes, corners = _boxes(tiled, tiles), _upright(tiled, tiles)
+    solids, facets, over = tiled.shapes.solids, tiled.facets, tiled.tiles
+    # boxes that stand along the axes, and triangles that stand upright along one
+    is_over = _items(over.solid_start, over.solid_item, tiles, len(solids.geom))
+    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
+    boxes = solids.bounds[is_over & (solids.kind == BOX) & (turned < RIM)]
+    is_over = _items(over.triangle_start, over.triangle_item, tiles, len(facets.bounds))
+    is_flat = (facets.bounds[:, 3:5] - facets.bounds[:, :2] <= RIM).any(axis=1)
+    corners = facets.corners[is_over & is_flat]
     known = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
     known[slice(*columns.known_rows.cells(lattice)) if cells is None else cells] = True
     seams = [_find_seams(tiled, axis, boxes, corners, known) for axis in (0, 1)]
@@ -49,23 +56,6 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     start = columns.crossings.start
     found = cast_points(tiled, asked, points)
     return splice_columns(columns, asked, start[asked], start[asked + 1], found)
-
-
-def _boxes(tiled: TiledShapes, tiles: Int) -> Float:
-    """The bounds of the boxes over some tiles that stand along the axes, shape (n, 6) [m]."""
-    solids = tiled.shapes.solids
-    over = _items(tiled.tiles.solid_start, tiled.tiles.solid_item, tiles, len(solids.geom))
-    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
-    bounds: Float = solids.bounds[over & (solids.kind == BOX) & (turned < RIM)]
-    return bounds
-
-
-def _upright(tiled: TiledShapes, tiles: Int) -> Float:
-    """The corners of the triangles over some tiles that stand along an axis, (n, 3, 3) [m]."""
-    bounds = tiled.facets.bounds
-    over = _items(tiled.tiles.triangle_start, tiled.tiles.triangle_item, tiles, len(bounds))
-    flat = (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
-    return tiled.facets.corners[over & flat]
 
 
 def _items(start: Int, item: Int32, tiles: Int, num: int) -> Bool:

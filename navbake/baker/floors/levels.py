@@ -249,7 +249,7 @@ class FloorFinder:
                 is_given = bool(starts.any())
                 reached, voids = find_voids(site, placed.counts, reached, is_given)
         for number, span in enumerate(self._spans):
-            if not (counted & sheets.between(*span)).any():
+            if not sheets.between(counted, *span).any():
                 raise SceneError(_no_floor_on(given or (), number, site.columns))
         kept = counted & reached if by_steps else counted & ~voids
         if given is not None or placed is None or not np.array_equal(kept, counted):

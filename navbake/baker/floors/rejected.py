@@ -73,7 +73,7 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Boo
     if not is_floor.any():
         roofs = none
     for low, high in spans:
-        on_level = is_large & sheets.between(low, high)
+        on_level = sheets.between(is_large, low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
     return tops & ~roofs, shelves & ~roofs, roofs

@@ -21,7 +21,6 @@ from navbake.baker.floors.kernels.members import (
     east_rim,
     fill_members,
     find_large,
-    mark_between,
     near_offsets,
 )
 from navbake.baker.floors.kernels.surfaces import Surfaces
@@ -195,10 +194,12 @@ class Sheets:
         fill_members(self.labelled(chosen), tuple(self.box[sheet].tolist()), members)
         return members
 
-    def between(self, low: float, high: float) -> Bool:
-        """Which sheets have a surface from a height up to below another one [m]."""
-        found = np.zeros(len(self.key), dtype=np.bool_)
-        mark_between(self.labelled(np.ones_like(found)), low, high, found)
+    def between(self, chosen: Bool, low: float, high: float) -> Bool:
+        """Which of the chosen sheets have a surface from a height up to below another one [m]."""
+        found = np.zeros_like(chosen)
+        for sheet in np.flatnonzero(chosen).tolist():
+            z = self.members(sheet).z
+            found[sheet] = ((low <= z) & (z < high)).any()
         return found
 
     def left(self, chosen: Bool, settings: FloorSettings) -> Bool:

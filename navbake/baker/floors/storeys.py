@@ -242,14 +242,29 @@ class Storeys:
         nothing but the level of that ground, belongs up there: few floors are quite flat. A stair's
         upper treads are no such part.
         """
+        sheets, joining = self._sheets, Joining(self._step, self._step)
         for _ in grounds[1:]:
-            low, level, has_floor, links = self._list_parts(kept, grounds)
+            on, _ = self._place(kept, grounds, SLACK)
+            (labels, table), stale = self._recall(
+                ("parts", *grounds), lambda: (Labels(sheets.blocks, joining), self._table())
+            )
+            labels.update(sheets.surfaces, stale, on)
+            asked = sheets.lattice, sheets.surfaces, labels.part, kept.plateau, on
+            table.fill(tally, np.flatnonzero(stale), *asked)
+            block, (rows, heights) = table.take()
+            whole, links = labels.merge()
+            part, num = whole[labels.offset[block] + rows[:, 0]], int(whole.max(initial=-1)) + 1
+            low, level = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
+            np.minimum.at(low, part, heights)
+            level[part] = rows[:, 2]
+            is_floor = ~kept.is_stair[kept.offset[block] + rows[:, 1]]
+            has_floor = np.bincount(part[is_floor], minlength=num) > 0
             here, there = np.concatenate([links, links[::-1]], axis=1)
             lowered = list(grounds)
             for k in range(1, len(grounds)):
                 on_below, is_above = level[here] == k - 1, level[there] == k
                 to_above, to_others = (
-                    np.bincount(here[on_below & on_other], minlength=len(low)) > 0
+                    np.bincount(here[on_below & on_other], minlength=num) > 0
                     for on_other in (is_above, ~is_above)
                 )
                 joins = has_floor & to_above & ~to_others & (low >= grounds[k] - self._step - SLACK)
@@ -259,30 +274,6 @@ class Storeys:
                 break
             grounds = lowered
         return grounds
-
-    def _list_parts(self, kept: Kept, grounds: list[float]) -> tuple[Float, Int, Bool, Int]:
-        """The connected parts of the levels of some grounds.
-
-        Returns:
-            The lowest height of each [m], its level, and whether any of it is no stair; and pairs
-            of parts on different levels that are a step apart, shape (2, n).
-        """
-        sheets, (level, _) = self._sheets, self._place(kept, grounds, SLACK)
-        joining = Joining(self._step, self._step)
-        (labels, table), stale = self._recall(
-            ("parts", *grounds), lambda: (Labels(sheets.blocks, joining), self._table())
-        )
-        labels.update(sheets.surfaces, stale, level)
-        asked = sheets.lattice, sheets.surfaces, labels.part, kept.plateau, level
-        table.fill(tally, np.flatnonzero(stale), *asked)
-        block, (rows, low) = table.take()
-        whole, links = labels.merge()
-        part, num = whole[labels.offset[block] + rows[:, 0]], int(whole.max(initial=-1)) + 1
-        lowest, of_level = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
-        np.minimum.at(lowest, part, low)
-        of_level[part] = rows[:, 2]
-        is_floor = ~kept.is_stair[kept.offset[block] + rows[:, 1]]
-        return lowest, of_level, np.bincount(part[is_floor], minlength=num) > 0, links
 
     def _place(
         self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
@@ -364,29 +355,24 @@ class Storeys:
             members: of the sheets of those that found no place.
             name: of the places.
         """
-        lattice = self._sheets.lattice
+        sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
         for one in members:
-            marked = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+            marked = np.zeros(sheets.lattice.width * sheets.lattice.height, dtype=np.bool_)
             marked[one.cell[level[one.place] <= LOST]] = True
-            if is_large(lattice, self._settings, marked):
+            if is_large(sheets.lattice, self._settings, marked):
                 return False
-        without = np.where(level <= LOST, np.int32(-1), kept.key)
-        return not members or self._count_walks(without, members, name) <= self._count_walks(
-            kept.key, members, "all"
-        )
-
-    def _count_walks(self, key: Int32, members: list[Members], name: Any) -> int:
-        """Count the large parts that steps join, of the members with a key."""
-        sheets, num = self._sheets, 0
-        labels, stale = self._recall(("walks", name), lambda: Labels(sheets.blocks, sheets.joining))
-        labels.update(sheets.surfaces, stale, key)
-        whole, _ = labels.merge()
-        for one in members:
-            kept = labels.part[one.place] >= 0
-            block, part = sheets.blocks.of(one.cell[kept]), labels.part[one.place[kept]]
-            size = np.bincount(whole[labels.offset[block] + part])
-            num += int((size >= area_test(sheets.lattice, self._settings).needed).sum())
-        return num
+        num_walks, without = [0, 0], np.where(level <= LOST, np.int32(-1), kept.key)
+        for n, key in enumerate((kept.key, without) if members else ()):
+            labels, stale = self._recall(
+                ("walks", name if n else "all"), lambda: Labels(sheets.blocks, sheets.joining)
+            )
+            labels.update(sheets.surfaces, stale, key)
+            whole, _ = labels.merge()
+            for one in members:
+                one = one.only(labels.part[one.place] >= 0)
+                part = labels.offset[sheets.blocks.of(one.cell)] + labels.part[one.place]
+                num_walks[n] += int((np.bincount(whole[part]) >= test.needed).sum())
+        return num_walks[1] <= num_walks[0]
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:

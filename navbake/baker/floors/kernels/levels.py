@@ -95,56 +95,6 @@ def _window_of(surfaces, kept, block, j, heights, is_lowest):
     return number if is_asked and not _is_stair(kept, block, j) else NO_WINDOW
 
 
-@part(**UNCOUNTED)
-def _mark_window(lattice, surfaces, kept, heights, reach, block, mask):
-    """Mark the cells of a block, with a margin, that have floors in a window of heights."""
-    row0, row1, col0, col1 = block_window(lattice, block)
-    (ground, _, _, top), z = heights, surfaces.z
-    for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
-        for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
-            cell, own, is_lowest = row * lattice.width + col, block_of(lattice, row, col), True
-            for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                if z[j] >= top:
-                    break
-                if kept.key[j] < 0 or z[j] < ground - SLACK:
-                    continue
-                if _window_of(surfaces, kept, own, j, heights, is_lowest) != NO_WINDOW:
-                    mask[row - row0 + reach, col - col0 + reach] = True
-                is_lowest = False
-
-
-@part(**UNCOUNTED)
-def _list_left(lattice, surfaces, kept, heights, test, block, mask, columns, num):
-    """See `list_heights`; of one block. Returns how many rows there are then, -1 for no room."""
-    (rows, low), before, reach, (ground, _, _, top) = columns, num, test.reach, heights
-    row0, row1, col0, col1 = block_window(lattice, block)
-    for row in range(row0, row1):
-        follows = False
-        for col in range(col0, col1):
-            if reach > 0:
-                r, c = row - row0 + reach, col - col0 + reach
-                follows = mask[r, c] and is_left(mask, r, c, test.rim if follows else test.disc)
-                if not follows:
-                    continue
-            cell, is_lowest = row * lattice.width + col, True
-            for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                z = surfaces.z[j]
-                if z >= top:
-                    break
-                if kept.key[j] < 0 or z < ground - SLACK:
-                    continue
-                number = _window_of(surfaces, kept, block, j, heights, is_lowest)
-                is_lowest = False
-                if number == NO_WINDOW:
-                    continue
-                at = note_row(rows, before, num, number, bin_of(z), 0)
-                if at < 0:
-                    return at
-                low[at] = min(low[at], z) if at < num else z
-                num = max(num, at + 1)
-    return num
-
-
 @kernel(nogil=True)
 def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
@@ -159,36 +109,47 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     The rows, see `navbake.baker.blocks.list_rows`: the window, the multiple of PLATEAU that heights
     round to, 0, and how many there are; with the lowest of these heights [m].
     """
-    size, num = SIZE + 2 * test.reach, np.int64(0)
+    (rows, low), (ground, _, _, top), reach = columns, heights, test.reach
+    size, num = SIZE + 2 * reach, np.int64(0)
     for k in range(begin, end):
-        mask = np.zeros((size, size), np.bool_)
-        if test.reach > 0:
-            _mark_window(lattice, surfaces, kept, heights, test.reach, blocks[k], mask)
-        after = _list_left(lattice, surfaces, kept, heights, test, blocks[k], mask, columns, num)
-        if after < 0:
-            return k
-        counts[k], num = after - num, after
-    return end
-
-
-@part(**UNCOUNTED)
-def _place_bases(surfaces, kept, grounds, tolerance, cell, end, level):
-    """Give the kept surfaces of cells their bases; returns a cell where two share one, or `end`."""
-    while cell < end:
-        in_order, before, base = True, -1, 0
-        for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-            level[j] = -1
-            if kept.key[j] < 0:
+        before, mask = num, np.zeros((size, size), np.bool_)
+        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+        # the cells of the window are marked, with a margin, before those that are left are counted
+        for marks in (True, False):
+            if marks and reach == 0:
                 continue
-            while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= surfaces.z[j]:
-                base += 1
-            level[j] = base
-            in_order = in_order and base != before
-            before = base
-        if not in_order:
-            return cell
-        cell += 1
-    return cell
+            margin = reach if marks else 0
+            for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
+                follows = False
+                for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
+                    r, c = row - row0 + reach, col - col0 + reach
+                    if reach > 0 and not marks:
+                        disc = test.rim if follows else test.disc
+                        follows = mask[r, c] and is_left(mask, r, c, disc)
+                        if not follows:
+                            continue
+                    own, is_lowest = block_of(lattice, row, col), True
+                    first = surfaces.first[row * lattice.width + col]
+                    for j in range(first, first + surfaces.length[row * lattice.width + col]):
+                        z = surfaces.z[j]
+                        if z >= top:
+                            break
+                        if kept.key[j] < 0 or z < ground - SLACK:
+                            continue
+                        number = _window_of(surfaces, kept, own, j, heights, is_lowest)
+                        is_lowest = False
+                        if number == NO_WINDOW:
+                            continue
+                        if marks:
+                            mask[r, c] = True
+                            continue
+                        at = note_row(rows, before, num, number, bin_of(z), 0)
+                        if at < 0:
+                            return k
+                        low[at] = min(low[at], z) if at < num else z
+                        num = max(num, at + 1)
+        counts[k] = num - before
+    return end
 
 
 @kernel(nogil=True)
@@ -213,34 +174,39 @@ def place_blocks(
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            cell, last = row * lattice.width + col0, row * lattice.width + col1
-            while cell < last:
-                cell = _place_bases(surfaces, kept, grounds, tolerance, cell, last, level)
-                if cell < last:
-                    _place_column(surfaces, kept, blocks[k], grounds, leave_floors, cell, level)
-                cell += 1
+            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+                count, base, is_shared = 0, 0, False
+                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+                    level[j] = -1
+                    if kept.key[j] < 0:
+                        continue
+                    before = base if count > 0 else -1
+                    reached = surfaces.z[j] + tolerance
+                    while base + 1 < grounds.shape[0] and grounds[base + 1] <= reached:
+                        base += 1
+                    level[j], count = base, count + 1
+                    is_shared = is_shared or base == before
+                if is_shared:
+                    _place_column(
+                        surfaces, kept, blocks[k], grounds, leave_floors, cell, level, count
+                    )
 
 
 @part
-def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level):
+def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level, count):
     """Place the kept surfaces of a cell, whose levels are their bases."""
-    num_levels, num, count = grounds.shape[0], surfaces.length[cell], 0
-    places, base, is_stair = (
-        np.empty(num, np.int64),
-        np.empty(num, np.int64),
-        np.empty(num, np.bool_),
-    )
-    for j in range(surfaces.first[cell], surfaces.first[cell] + num):
-        if kept.key[j] >= 0:
-            places[count], base[count] = j, level[j]
-            is_stair[count] = _is_stair(kept, block, j)
-            count += 1
-    base, found, cost = base[:count], np.empty(count, np.int64), np.empty((2, count), np.int64)
+    num_levels, num = grounds.shape[0], 0
+    places, base = np.empty(count, np.int64), np.empty(count, np.int64)
+    found, cost = np.empty(count, np.int64), np.empty((2, count), np.int64)
     leave_floors = leave_floors and count > num_levels
-    for n in range(count):
-        cost[0, n] = MOVE_STAIR if is_stair[n] or leave_floors else MOVE_FLOOR
-        cost[1, n] = SKIP_STAIR if is_stair[n] != leave_floors else SKIP_FLOOR
-        cost[1, n] += n if leave_floors else 0
+    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+        if kept.key[j] >= 0:
+            is_stair = _is_stair(kept, block, j)
+            places[num], base[num] = j, level[j]
+            cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
+            cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR
+            cost[1, num] += num if leave_floors else 0
+            num += 1
     _align(base, cost, num_levels, found)
     taken = np.zeros(num_levels, np.bool_)
     for n in range(count):
