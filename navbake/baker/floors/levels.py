@@ -90,10 +90,9 @@ class Floors:
 class FloorFinder:
     """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
 
-    All standable surfaces → the sheets that are large enough → those of them that count, without
-    tops, shelves and roofs → their levels (of the configuration, if they are given) → those that
-    are reached → floors, level by level. What is local is found block by block, and again where
-    something changed; what is global is merged.
+    All standable surfaces → the sheets that are large enough → without tops, shelves and roofs →
+    their levels → those that are reached → floors, level by level. What is local is found block by
+    block, and again where something changed; what is global is merged.
     """
 
     def __init__(
@@ -230,8 +229,7 @@ class FloorFinder:
     ) -> tuple[Placed, list[Patch], list[Patch], list[Unreached]]:
         """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
-        What is reached is decided before levels are given, from the lowest level that there is and
-        that is no void: a level that no step reaches, in which nobody can stand upright.
+        What is reached is decided before levels are given, from the lowest level that is no void.
 
         Returns:
             The surfaces on their levels, the sheets that are left out because no step leads to
@@ -317,10 +315,9 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
-    """Cut a window out of the floors of a whole scene.
+    """Cut a window out of the floors of a whole scene, and what is told of it.
 
-    Levels without a standable surface in the window are left out. What is said of the others,
-    such as which roofs were dropped, stays as far as a part of it lies in the window.
+    Levels without a standable surface in the window are left out.
 
     Raises:
         SceneError: no floor lies in the window.

@@ -85,17 +85,13 @@ def _find_tops(site: Site) -> Bool:
     A sheet that no step reaches is such a top when
 
     - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
-      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls. Holes
-      in a sheet belong to its outline only where they drop;
-    - it has at most 6 m², or is nowhere wider than 3 m, as the walls of a labyrinth are, or the
-      largest floor that it drops to is larger than itself, where sizes that differ by less than a
-      tenth are equal: what is larger than all that lies lower is the ground, and what lies lower a
-      pool, a ditch, a track bed or a yard in front of a dock. A floor that winds through the sheet
-      makes it a block with corridors nevertheless, whatever their sizes: what drops to that floor,
-      the rims of holes in the sheet and what stands in them, is longer than its outer outline,
-      which a pit's rim is not;
-    - there is no room for an agent under most of it, from the height of that floor up: so a
-      mezzanine is none, because one can stand below.
+      (see `Site.endings`). Holes in a sheet belong to its outline only where they drop;
+    - it has at most 6 m², or is nowhere wider than 3 m, or drops to a floor that is larger, where
+      sizes that differ by less than a tenth are equal: else it is the ground, and what lies lower a
+      pool, a ditch or a track bed. Or a floor winds through it: what drops to that floor, the rims
+      of holes in the sheet and what stands in them, is longer than its outline;
+    - there is no room for an agent under most of it, from the height of that floor up, as there is
+      under a mezzanine.
     """
     sheets, result = site.sheets, np.zeros_like(site.is_large)
     block, rows = site.edges
@@ -110,15 +106,13 @@ def _find_tops(site: Site) -> Bool:
     large, into = np.zeros_like(result), Counter[int]()
     for _, drops_to, _ in found:
         into.update(drops_to)
-    for sheet, (in_holes, drops_to, outline) in zip(
-        np.flatnonzero(may_drop).tolist(), found, strict=True
-    ):
+    asked = np.flatnonzero(may_drop).tolist()
+    for sheet, (in_holes, drops_to, outline) in zip(asked, found, strict=True):
         if drops_to:
             size, others = sheets.size[sheet], np.searchsorted(sheets.key, list(drops_to))
             lies = size * area <= LARGE_TOP or sheets.size[others].max() > EQUAL * size
-            winds = any(
-                num + into[floor] - drops_to[floor] > outline for floor, num in in_holes.items()
-            )
+            around = (num + into[to] - drops_to[to] for to, num in in_holes.items())
+            winds = max(around, default=0) > outline
             result[sheet], large[sheet] = lies or winds, not lies and not winds
     return result | (large & ~_are_wide(site, large, WIDE_TOP))
 
@@ -127,9 +121,7 @@ def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
     """Which sheets are somewhere wider than a width [m]."""
     wide = {"min_area": site.sheets.lattice.cell_size**2, "shrink": width / 2}
     settings = site.settings.model_copy(update=wide)
-    return site.facts.mask(
-        f"wider than {width}", asked, lambda some: site.sheets.left(some, settings)
-    )
+    return site.facts.mask(f"wider than {width}", asked, lambda s: site.sheets.left(s, settings))
 
 
 def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int], int]]:
@@ -188,28 +180,19 @@ def _count_over_room(site: Site, sheet: int, floor: float) -> int:
 def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
-    A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
-    along more than half of its outline, and is none. Its walls may stand a little inside of its
-    slab's rim, even where they are too thin to part its floor. Parapets are too low, and a lower
-    roof beside a higher part of the house has a wall on one side only. What is closed below, or
-    open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
-    upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
-    there. Most of a roof lies over a floor; or two thirds over a floor, the walls around it, and
-    what is at most 1.5 m from these, and a tenth over the floor at least. No step reaches a roof:
-    the sheet of one that stairs
-    lead to includes the floors below, which are not open to the sky.
+    A storey that was drawn without its ceiling is none: it has walls as high as an agent, and at
+    least 1.5 m, along more than half of its outline, or a little inside of it. Parapets are too
+    low, and a lower roof beside a higher part of the house has a wall on one side only. Most of a
+    roof lies over a floor, or the top of what stands there; or two thirds over a floor, the walls
+    around it, and what is at most 1.5 m from these, and a tenth over the floor at least.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
     """
-    half_over = candidates & (over < HALF)
-    over_walls = site.facts.mask(
-        "over walls", half_over, lambda asked: _lie_over_walls(site, asked), site.near
-    )
+    half_over, facts = candidates & (over < HALF), site.facts
+    over_walls = facts.mask("over walls", half_over, lambda s: _lie_over_walls(site, s), site.near)
     candidates = candidates & (~half_over | over_walls)
-    return site.facts.mask(
-        "no walls", candidates, lambda asked: _have_no_walls(site, asked), site.at_edges
-    )
+    return facts.mask("no walls", candidates, lambda s: _have_no_walls(site, s), site.at_edges)
 
 
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
@@ -247,10 +230,8 @@ def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
 def _find_shelves(site: Site, candidates: Bool) -> Bool:
     """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
 
-    A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
-    drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
-    deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
-    left to stand in of an attic. What is open to the sky is left to `_find_roofs`.
+    A shelf lies over a floor, is nowhere deeper than 2.5 m, as a mezzanine is, and more than half
+    of its outline drops to a floor beside it, unlike that of a gallery from wall to wall.
     """
     candidates = candidates & ~_are_wide(site, candidates, SHELF_DEPTH)
 
@@ -309,4 +290,7 @@ def are_told(site: Site, roofs: Bool, floors: Bool) -> Bool:
         return result
 
     is_larger = roofs & (size > LARGE_ROOF * size[floors].max())
-    return is_larger | site.facts.mask("stands free", large & ~is_larger, stand_free, site.near)
+    told: Bool = is_larger | site.facts.mask(
+        "stands free", large & ~is_larger, stand_free, site.near
+    )
+    return told

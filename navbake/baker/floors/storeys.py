@@ -78,10 +78,7 @@ class Placed(NamedTuple):
 
 
 class Storeys:
-    """Places surfaces on levels, block by block.
-
-    What was found out in the last update is brought up to date where something changed.
-    """
+    """Places surfaces on levels, block by block, again where something changed."""
 
     def __init__(self, sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> None:
         self._sheets, self._agent, self._settings = sheets, agent, settings
@@ -121,10 +118,8 @@ class Storeys:
     def _recall(self, name: Any, make: Callable[[], Any], reach: int = 0) -> tuple[Any, Bool]:
         """What is known under a name, and the blocks where it is to be found again.
 
-        What was not asked for in an update is forgotten.
-
         Args:
-            make: makes it where nothing is known.
+            make: makes it where nothing is known, as it was not asked for in the last update.
             reach: how far it rests on what is around it [cells].
         """
         tick, known = self._known.get(name) or self._kept.get(name) or (-1, make())
@@ -138,19 +133,21 @@ class Storeys:
         """The surfaces that are kept, and which are parts of stairs and ramps.
 
         A tread, a landing or a piece of a ramp is a part of a stair when by going only up from it
-        one gets to a floor more than four times as large, and so by going only down. So a mezzanine
-        is none, because its stair only leads down; nor is a cellar, nor the floor of a tower on its
-        way up, which is as large as the others. How large a floor is counts everything of its sheet
-        at about its height, within half a step, since walls and thresholds divide floors.
-
-        None is a stair where no two surfaces lie over each other, because there it makes no
-        difference.
+        one gets to a floor more than four times as large, and so by going only down; a mezzanine,
+        a cellar and the floors of a tower are none. How large a floor is counts everything of its
+        sheet within half a step of its height, since walls and thresholds divide floors. None is a
+        stair where no two surfaces lie over each other: there it makes no difference.
         """
         sheets = self._sheets
         if not self._stacked.any():
             self._recall("flat", lambda: self._last.fill(self._now))
             return Kept(self._key, NO_KEY, NO_ROWS[:, 0], np.empty(0, dtype=np.bool_))
-        (labels, table, seen), stale = self._recall("stairs", self._begin_stairs)
+        blocks, joining = sheets.blocks, Joining(min(self._step, PLATEAU), self._step)
+        if "stairs" not in self._kept:
+            self._last[:] = self._now
+        (labels, table, seen), stale = self._recall(
+            "stairs", lambda: (Labels(blocks, joining), self._table(), Seen(blocks.num))
+        )
         labels.update(sheets.surfaces, stale, self._key)
         # neighbours at about one height are a plateau; each lies in one part of a sheet
         asked = sheets.lattice, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
@@ -173,19 +170,12 @@ class Storeys:
         self._last[seen.differ(labels.count, is_stair)] = self._now
         return Kept(self._key, labels.part, labels.offset, is_stair)
 
-    def _begin_stairs(self) -> tuple[Labels, BlockTable, Seen]:
-        blocks, step = self._sheets.blocks, self._step
-        self._last[:] = self._now
-        return Labels(blocks, Joining(min(step, PLATEAU), step)), self._table(), Seen(blocks.num)
-
     def _find_grounds(self, kept: Kept) -> list[float]:
         """Find the ground heights of the storeys, lowest first.
 
         The lowest storey's ground is the lowest floor that is large enough (as sheets are, after
         shrinking). A new storey begins where floors that are large enough lie over floors of the
-        storey below; so a hill, a half-storey beside another, or a platform with nothing under it
-        opens none, nor do stairs with their landings. What is too small for that gets its place in
-        `_assign`.
+        storey below: a hill, a half-storey, a stair or a platform with nothing under it opens none.
         """
         ground = self._lowest_plateau(kept, -np.inf)
         if ground is None:
@@ -236,11 +226,9 @@ class Storeys:
         return rows, low
 
     def _lower_grounds(self, kept: Kept, grounds: list[float]) -> list[float]:
-        """Lower each ground to what lies a little below it and is connected to nothing else.
+        """Lower each ground to what lies within a step below it, as few floors are quite flat.
 
-        A part of the level below that lies within a step under a ground, and that steps join to
-        nothing but the level of that ground, belongs up there: few floors are quite flat. A stair's
-        upper treads are no such part.
+        Such are parts of the level below, but no stairs, that steps join to nothing else.
         """
         sheets, joining = self._sheets, Joining(self._step, self._step)
         for _ in grounds[1:]:

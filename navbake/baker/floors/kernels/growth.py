@@ -141,19 +141,17 @@ def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
 
     Args:
         region: by block, bool; floors and rings of the cells outside are not written to.
-        cells: those of the region where the floor may go on.
-        start, height: the heights at which it may in each, ragged [m].
+        cells, start, height: those of the region where the floor may go on, and the heights at
+            which it may in each, ragged [m].
         floor, ring: see `Growing`.
         local: (all cells,) int32, -1 everywhere, and so again afterwards.
-        room: (3, cells) int64: cells at the region's edge, of a ring, and of the next one;
-            (cells,) bool, all False: whether a cell is in one of the last two; and (cells,)
-            float64: the answers of a ring.
+        room: scratch: (3, cells) int64; (cells,) bool, all False; (cells,) float64.
     """
     num, width, everywhere = cells.shape[0], lattice.width, region.all()
     for n in range(num):
         local[cells[n]] = n
-    rings, queued, answer = room
-    edge, queue, following = rings[0], rings[1], rings[2]
+    # cells at the region's edge, of a ring, and of the next one; which are in these; the answers
+    (edge, queue, following), queued, answer = room
     num_edge, num_queue = 0, 0
     # beyond the last of the rings around, only what is new can bring more
     last = 0

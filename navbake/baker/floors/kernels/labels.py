@@ -1,8 +1,7 @@
 """Connected parts of surfaces, block by block, the pairs of parts that meet, and their sizes.
 
 Union-find inside of each block; parts that meet over a border are pairs, which the caller unites.
-What is counted becomes rows of three numbers that tell what it is, and how often it was met; rows
-may repeat. See `navbake.baker.blocks.list_rows` for how kernels list them.
+Rows count how often three numbers were met; they may repeat. See `navbake.baker.blocks.list_rows`.
 """
 
 import math
@@ -28,9 +27,8 @@ class Joining(NamedTuple):
     """What joins surfaces of neighbouring cells, and what only links them.
 
     Attributes:
-        step: surfaces of one group at most so far apart hang together [m].
-        reach: parts that do not, and have surfaces at most so far apart, are linked [m]; none are
-            where it is less than 0.
+        step: surfaces of one group at most so far apart are of one part [m].
+        reach: parts that have surfaces at most so far apart are linked, none if less than 0 [m].
         by_slopes: whether slopes join surfaces, too.
     """
 
@@ -86,12 +84,9 @@ def _far(joining):
 def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``.
 
-    Surfaces of one group in neighbouring cells are connected if they are at most a step apart, or
-    if slopes join them.
-
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
-            that one can stand on are one group.
+            that one can stand on are one group. Only surfaces of one group are connected.
         part: receives the part of each surface, numbered by the parts' first members in the order
             of cells, -1 for surfaces of no group, (n,) int32.
         count: receives the number of parts of each block.
@@ -144,9 +139,7 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
 def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
     """List the pairs of parts that meet, inside of blocks and over their east and south borders.
 
-    Parts of one group JOIN over a border where surfaces are at most a step apart, or slopes join
-    them. Parts LINK that do not join and have surfaces at most a reach apart, everywhere; none do
-    where it is less than 0: see `Joining`.
+    Parts JOIN over a border as surfaces do inside, and LINK everywhere, see `Joining`.
 
     The rows: the part in the block; the other one, in the same block, or in the one east or south
     of it; and three times the kind, more by 1 for the east and by 2 for the south.

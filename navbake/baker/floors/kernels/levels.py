@@ -261,8 +261,7 @@ def climb(lower, upper, area, by_lower, by_upper):
     Args:
         lower, upper: the parts that each step joins, (steps,) int64.
         area: of the floor that each part belongs to, (parts,) int64.
-        by_lower: the steps in the order of the heights of their lower parts, (steps,) int64.
-        by_upper: likewise of their upper parts.
+        by_lower, by_upper: the steps in the order of the heights of these parts, (steps,) int64.
 
     Returns:
         The largest area above each part, and below it, 0 for none, (parts,) int64.
