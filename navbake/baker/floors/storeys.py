@@ -33,8 +33,8 @@ GIVEN_TOLERANCE = 0.02
 # A level of its own takes in what lies so little below its ground on the same sheet: rounding, and
 # the noise of meshes [m]
 FLAT = 0.005
-# A storey rarely begins higher over another one [m]
-HIGH_STOREY = 8.0
+# A storey rarely begins higher over another one [m]; what has more storeys is a tower
+HIGH_STOREY, FEW = 8.0, 4
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
@@ -183,19 +183,24 @@ class Storeys:
             ground = _common_height(rows, low)
         grounds = [ground]
         while self._stacked.any():
-            ground = self._lowest_plateau(kept, grounds[-1])
+            # of a tower, not all that is above is listed for each storey
+            tops = (grounds[-1] + HIGH_STOREY, np.inf) if len(grounds) > FEW else (np.inf,)
+            ground = self._lowest_plateau(kept, grounds[-1], tops)
             if ground is None:
                 break
             grounds.append(ground)
         return [round(ground, DECIMALS) for ground in grounds]
 
-    def _lowest_plateau(self, kept: Kept, ground: float) -> float | None:
+    def _lowest_plateau(
+        self, kept: Kept, ground: float, tops: Sequence[float] = (np.inf,)
+    ) -> float | None:
         """The ground of the lowest large floor over another ground, or None.
 
-        Looks through windows of heights one step high, half a step apart, from the lowest up.
+        Looks through windows of heights one step high, half a step apart, from the lowest up, below
+        each of some heights.
         """
         test = area_test(self._sheets.lattice, self._settings)
-        for top in (np.inf,) if ground == -np.inf else (ground + HIGH_STOREY, np.inf):
+        for top in tops:
             every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK, top)
             windows, where = np.unique(every[:, 0], return_inverse=True)
             count = np.bincount(where, every[:, 3])

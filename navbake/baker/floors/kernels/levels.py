@@ -95,6 +95,48 @@ def _window_of(surfaces, kept, block, j, heights, is_lowest):
     return number if is_asked and not _is_stair(kept, block, j) else NO_WINDOW
 
 
+@part(**UNCOUNTED)
+def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, num):
+    """See `list_heights`; of one block. Returns how many rows there are then, -1 for no room."""
+    (rows, low), (ground, _, _, top), reach, before = columns, heights, test.reach, num
+    row0, row1, col0, col1 = block_window(lattice, block)
+    # the cells of the window are marked, with a margin, before those that are left are counted
+    for marks in (True, False):
+        if marks and reach == 0:
+            continue
+        margin = reach if marks else 0
+        for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
+            follows = False
+            for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
+                r, c = row - row0 + reach, col - col0 + reach
+                if reach > 0 and not marks:
+                    disc = test.rim if follows else test.disc
+                    follows = mask[r, c] and is_left(mask, r, c, disc)
+                    if not follows:
+                        continue
+                own, is_lowest = block_of(lattice, row, col) if marks else block, True
+                first = surfaces.first[row * lattice.width + col]
+                for j in range(first, first + surfaces.length[row * lattice.width + col]):
+                    z = surfaces.z[j]
+                    if z >= top:
+                        break
+                    if kept.key[j] < 0 or z < ground - SLACK:
+                        continue
+                    number = _window_of(surfaces, kept, own, j, heights, is_lowest)
+                    is_lowest = False
+                    if number == NO_WINDOW:
+                        continue
+                    if marks:
+                        mask[r, c] = True
+                        continue
+                    at = note_row(rows, before, num, number, bin_of(z), 0)
+                    if at < 0:
+                        return at
+                    low[at] = min(low[at], z) if at < num else z
+                    num = max(num, at + 1)
+    return num
+
+
 @kernel(nogil=True)
 def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
@@ -109,47 +151,30 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     The rows, see `navbake.baker.blocks.list_rows`: the window, the multiple of PLATEAU that heights
     round to, 0, and how many there are; with the lowest of these heights [m].
     """
-    (rows, low), (ground, _, _, top), reach = columns, heights, test.reach
-    size, num = SIZE + 2 * reach, np.int64(0)
+    size, num = SIZE + 2 * test.reach, np.int64(0)
     for k in range(begin, end):
-        before, mask = num, np.zeros((size, size), np.bool_)
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        # the cells of the window are marked, with a margin, before those that are left are counted
-        for marks in (True, False):
-            if marks and reach == 0:
-                continue
-            margin = reach if marks else 0
-            for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
-                follows = False
-                for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
-                    r, c = row - row0 + reach, col - col0 + reach
-                    if reach > 0 and not marks:
-                        disc = test.rim if follows else test.disc
-                        follows = mask[r, c] and is_left(mask, r, c, disc)
-                        if not follows:
-                            continue
-                    own, is_lowest = block_of(lattice, row, col), True
-                    first = surfaces.first[row * lattice.width + col]
-                    for j in range(first, first + surfaces.length[row * lattice.width + col]):
-                        z = surfaces.z[j]
-                        if z >= top:
-                            break
-                        if kept.key[j] < 0 or z < ground - SLACK:
-                            continue
-                        number = _window_of(surfaces, kept, own, j, heights, is_lowest)
-                        is_lowest = False
-                        if number == NO_WINDOW:
-                            continue
-                        if marks:
-                            mask[r, c] = True
-                            continue
-                        at = note_row(rows, before, num, number, bin_of(z), 0)
-                        if at < 0:
-                            return k
-                        low[at] = min(low[at], z) if at < num else z
-                        num = max(num, at + 1)
-        counts[k] = num - before
+        mask = np.zeros((size, size), np.bool_)
+        after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], mask, columns, num)
+        if after < 0:
+            return k
+        counts[k], num = after - num, after
     return end
+
+
+@part(**UNCOUNTED)
+def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
+    """Give the kept surfaces of a cell their bases; returns how many they are if two share one."""
+    count, base, is_shared = 0, 0, False
+    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+        level[j] = -1
+        if kept.key[j] < 0:
+            continue
+        before, z = base if count > 0 else -1, surfaces.z[j]
+        while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= z:
+            base += 1
+        level[j], count = base, count + 1
+        is_shared = is_shared or base == before
+    return count if is_shared else 0
 
 
 @kernel(nogil=True)
@@ -175,18 +200,8 @@ def place_blocks(
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                count, base, is_shared = 0, 0, False
-                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                    level[j] = -1
-                    if kept.key[j] < 0:
-                        continue
-                    before = base if count > 0 else -1
-                    reached = surfaces.z[j] + tolerance
-                    while base + 1 < grounds.shape[0] and grounds[base + 1] <= reached:
-                        base += 1
-                    level[j], count = base, count + 1
-                    is_shared = is_shared or base == before
-                if is_shared:
+                count = _place_bases(surfaces, kept, grounds, tolerance, cell, level)
+                if count > 0:
                     _place_column(
                         surfaces, kept, blocks[k], grounds, leave_floors, cell, level, count
                     )
