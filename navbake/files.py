@@ -98,6 +98,11 @@ def check_writable(path: str | PathLike[str]) -> None:
             pass
 
 
+def readable_stem(path: str | PathLike[str]) -> str:
+    """The stem of a file's name as UTF-8 can hold it; bytes that are not UTF-8 become U+FFFD."""
+    return os.fsencode(Path(path).stem).decode(errors="replace")
+
+
 def check_regular(path: str | PathLike[str]) -> None:
     """Raise an OSError for a pipe or a device, which may keep whoever reads it for ever.
 

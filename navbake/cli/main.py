@@ -89,7 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    logging.getLogger("navbake.compiled").handlers[:] = [_LogPrinter()]
+    for name in ("navbake.compiled", "navbake.formats"):
+        logging.getLogger(name).handlers[:] = [_LogPrinter()]
     try:
         try:
             app(None if arguments is None else list(arguments), prog_name="navbake")
@@ -112,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class _LogPrinter(logging.Handler):
-    """Prints what is told of compiling, one line on stderr each."""
+    """Prints what is logged of compiling and of files, one line on stderr each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())

@@ -45,7 +45,7 @@ from navbake.config.field_types import (
 )
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular
+from navbake.files import check_regular, readable_stem
 from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
@@ -66,7 +66,7 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 def stem_of(path: str | PathLike[str]) -> str:
     """The stem of a scene file's name, or the name of a scene in memory."""
-    return str(path)[1:-1] if is_memory_path(path) else Path(path).stem
+    return str(path)[1:-1] if is_memory_path(path) else readable_stem(path)
 
 
 ScenePath = Annotated[

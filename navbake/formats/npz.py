@@ -44,6 +44,7 @@ from navbake.formats.navgrid import (
     read_level,
     read_levels,
     read_metadata,
+    warned_of_newer,
 )
 from navbake.formats.source import Files, parse_json, read_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -125,7 +126,10 @@ def read_npy(source: Content) -> NDArray[Any]:
 
 
 @contextmanager
-def _opened(source: Content, expected: str, keyword: str, most: int | None) -> Iterator[_Archive]:
+def open_archive(
+    source: Content, expected: str, keyword: str = "", most: int | None = None
+) -> Iterator[_Archive]:
+    """Open an archive whose arrays are read within an allowance; broken ones are FormatErrors."""
     data, name = read_bytes(source, begins=ZIP, expected=expected)
     with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
         yield _Archive(packed, Allowance(len(data), keyword, most), JsonPath(name))
@@ -158,7 +162,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
     """Read what `encode_npz` made; `max_voxels` is that of `navbake.load_voxels`."""
-    with _opened(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
+    with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
         if GRID in archive and "values" not in archive:
             raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
@@ -243,7 +247,7 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
     expected = "a .npz of a grid"
-    with _opened(source, expected, "max_cells", max_cells) as archive:
+    with open_archive(source, expected, "max_cells", max_cells) as archive:
         top, allowance = archive.top, archive.allowance
         if GRID not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"
@@ -251,20 +255,20 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
             raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
         document = json_object(parse_json(archive.text(GRID, top), top), top)
         version = whole_number(document.get("version", MISSING), top["version"], 1)
-        if version > VERSION:
-            top["version"].refuse(f"{VERSION} at most: a newer navbake wrote it", version)
         stated, kind = document.get("levels", MISSING), document.get("type", MISSING)
         if not isinstance(stated, list) or not stated:
             top["levels"].refuse("a list of levels", stated)
         levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
         if kind == "MultiLevelGrid":
             whole = _with_extra(document, MultiLevelGrid, top)
-            return read_levels({**whole, "grids": levels}, top, allowance, "levels")
+            house = read_levels({**whole, "grids": levels}, top, allowance, "levels")
+            return warned_of_newer(house, top, version > VERSION)
         if kind != "SceneGrid2D" or len(stated) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
         _ = _with_extra(document, SceneGrid2D, top)
         whole = {"metadata": read_metadata(document, top)}
-        return checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
+        level = checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
+        return warned_of_newer(level, top, version > VERSION)
 
 
 def _content(archive: _Archive, k: int, value: object) -> Json:

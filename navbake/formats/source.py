@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import importlib
 import io
 import logging
 import os
-import stat
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -26,9 +26,13 @@ Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
 """Files to be written, in this order: content, or pieces of it, by path."""
 
 LOG = logging.getLogger("navbake")
-CHUNK = 1 << 20  # of a stream whose length is unknown [bytes]
+CHUNK = 1 << 20  # that is read first [bytes]
 BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
 GZIP = b"\x1f\x8b"
+PACKED: dict[bytes, tuple[str, Any]] = {
+    GZIP: ("gzip", gzip.open),
+    b"BZ": ("bzip2", bz2.open),
+}
 NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
@@ -88,39 +92,44 @@ def read_bytes(
     """Read a file whole: its content, and its name for messages.
 
     `begins` is how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
-    begin so and has no length: it may be a device that never ends.
+    begin so: it may be a device that never ends.
     """
     with _opened(source) as (stream, name):
-        left = 0
-        if isinstance(stream, io.BufferedReader):
-            try:
-                status = os.fstat(stream.fileno())
-                is_plain = stat.S_ISREG(status.st_mode)
-                left = max(0, status.st_size - stream.tell()) if is_plain else 0
-            except OSError:  # a stream over no file, or one that can't tell where it is
-                pass
-        too_large = f"more than {MAX_BYTES >> 20} MiB of data"
-        if left > MAX_BYTES:
-            JsonPath(name).fail(too_large)
-        data = stream.read(max(left, CHUNK))
+        data = stream.read(CHUNK)
         if not isinstance(data, bytes):
             got = "text" if isinstance(data, str) else shown_type(data)
             JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
         if not data.startswith(begins):
             JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
         pieces, size = [data], len(data)
-        while piece := stream.read(CHUNK):
+        while piece := stream.read(16 * CHUNK):
             pieces.append(piece)
             size += len(piece)
             if size > MAX_BYTES:
-                JsonPath(name).fail(too_large)
-        return data if len(pieces) == 1 else b"".join(pieces), name
+                JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
+        return b"".join(pieces), name
 
 
 def _beginning(text: bytes) -> str:
     """How a text begins, as an error shows it."""
     begin = text[:CHUNK].removeprefix(BOM).lstrip(b" \t\r\n")[:8]
     return f"{shown(begin)[1:]}…" if begin else "nothing"
+
+
+def unpack(data: bytes, name: str) -> bytes:
+    """Unpack gzip or bzip2, which the content tells; what is neither stays as it is."""
+    kind, opened = PACKED.get(data[:2], ("", None))
+    if opened is None:
+        return data
+    allowance, pieces = Allowance(len(data), "max_cells"), []
+    try:
+        with opened(io.BytesIO(data)) as unpacked:
+            while piece := unpacked.read(16 * CHUNK):
+                allowance.take_text(len(piece), JsonPath(name))
+                pieces.append(piece)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"broken {kind} data in {name}: {_os_message(error)}") from error
+    return b"".join(pieces)
 
 
 def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
@@ -131,17 +140,7 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
     num_bytes, top = len(text), JsonPath(name)
-    if text.startswith(GZIP):
-        allowance, pieces = Allowance(num_bytes, "max_cells"), []
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(text)) as unpacked:
-                while piece := unpacked.read(16 * CHUNK):
-                    allowance.take_text(len(piece), top)
-                    pieces.append(piece)
-        except (EOFError, OSError, zlib.error) as error:
-            raise FormatError(f"broken gzip data in {name}: {_os_message(error)}") from error
-        text = b"".join(pieces)
-    text = text.removeprefix(BOM)
+    text = unpack(text, name).removeprefix(BOM)
     if _beginning(text)[1:2] != "{":
         top.fail(f"expected {NAVGRID}, got {_beginning(text)}", NAVGRID_REMEDY)
     return text, num_bytes, top
@@ -167,6 +166,12 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
     except orjson.JSONDecodeError as error:
         message = f"expected {expected}, {path_name(name)} can't be read: {error}"
         raise FormatError(message) from error
+
+
+def check_named(path: Path) -> None:
+    """Refuse a file that another file is to name in UTF-8, and can't."""
+    if path.name != os.fsencode(path.name).decode(errors="replace"):
+        raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
 
 
 def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:

@@ -18,11 +18,15 @@ from scipy.sparse import csgraph
 import navbake
 from benchmarks.measure import Job, Row, Sample, beside, here
 from benchmarks.scenes import APARTMENT, CELL, Scenes
+from navbake.episodes import make_episodes
 
 RADIUS = 0.3  # [m]
 MILLION = 1_000_000
 AGENTS, POINTS = 4096, 187  # a batch of environments, and the height scan that walkers use
+EPISODES, COMPARED = 10_000, 2_000  # of a set, and of these with scipy's distances
 CAST = 32  # agents whose rays are cast; all others are taken to cost as much
+SCALAR = {"is_navigable": 12, "snap": 39, "clearance": 98, "try_step": 75, "find_path": 414}
+"""What one answer may take [µs]."""
 SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
 
@@ -50,9 +54,12 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "path": path_row,
         "field": field_row,
         "thousand": thousand_row,
+        **{f"scalar-{name}": partial(scalar_row, name=name) for name in SCALAR},
         "block": block_row,
         "spawn": spawn_row,
         "max_radius": max_radius_row,
+        "episodes": partial(episodes_row, sampler="uniform", limit=10.0),
+        "episodes-habitat": partial(episodes_row, sampler="habitat", limit=20.0),
         "tensors": tensors_row,
         "tensor-heights": lambda house: heights_row(house, scenes.main),
     }
@@ -105,10 +112,10 @@ def navigable_row(house: House) -> Row:
     """One million positions all over the house, at heights below a storey's."""
     finder, level = navbake.PathFinder(house.grid), house.grid.levels[0]
     positions = random_positions(level)
-    if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
-        raise SystemExit("are_navigable and plain numpy differ")
+    if not np.array_equal(plain_navigable(level, positions), finder.is_navigable(positions)):
+        raise SystemExit("is_navigable and plain numpy differ")
     return Row(
-        here("a million answers of are_navigable", lambda: finder.are_navigable(positions)),
+        here("a million answers of is_navigable", lambda: finder.is_navigable(positions)),
         [here("plain numpy, for one level", lambda: plain_navigable(level, positions))],
         limit=0.03,
     )
@@ -180,6 +187,19 @@ def thousand_row(house: House) -> Row:
     return Row(job, limit=1.0)
 
 
+def scalar_row(house: House, name: str) -> Row:
+    """A thousand answers in the apartment, one a call; some places to snap are in something."""
+    finder, rng = navbake.PathFinder(navbake.bake(str(APARTMENT))), np.random.default_rng(0)
+    starts = finder.random_point(rng, 1000, island=1)
+    ends = starts[::-1] if name == "find_path" else starts + np.array([0.3, 0.1, 0.0])
+    asked = [(p,) for p in (ends if name == "snap" else starts)]
+    if name in ("try_step", "find_path"):
+        asked = list(zip(starts, ends, strict=True))
+    ask = getattr(finder, name)
+    job = here(f"1,000 × {name}, apartment", lambda: [ask(*given) for given in asked])
+    return Row(job, limit=SCALAR[name] / 1000)
+
+
 def block_row(house: House) -> Row:
     """Something of 0.3 m comes and goes, with paths right after each."""
     finder = navbake.PathFinder(house.grid)
@@ -236,6 +256,22 @@ def max_radius_row(house: House) -> Row:
     return Row(job, [here("bisection over inflate, to 1 mm", bisect)], ratio=1.0)
 
 
+def episodes_row(house: House, sampler: str, limit: float) -> Row:
+    """Ten thousand point episodes, and some of their distances by scipy."""
+    content = make_episodes(house.grid, "point", sampler, count=EPISODES)
+    if len(content) < EPISODES:
+        raise SystemExit(f"only {len(content)} episodes")
+    graph = house.grid.to_graph()
+    few = content.episodes[:: EPISODES // COMPARED]
+    goals = {e.goals[0].position: graph.node_at(e.goals[0].position) for e in few}
+    costs = dict(zip(goals, csgraph.dijkstra(graph.matrix, indices=[*goals.values()]), strict=True))
+    theirs = [costs[e.goals[0].position][graph.node_at(e.start)] for e in few]
+    if not np.allclose(theirs, [e.distance for e in few], rtol=1e-6, atol=0.0):
+        raise SystemExit("episodes' distances and scipy differ")
+    draw = partial(make_episodes, house.grid, "point", sampler, count=EPISODES)
+    return Row(here(f"{EPISODES:,} episodes, {sampler}", draw), limit=limit)
+
+
 def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:
     """Pairs of places that a path joins, on the largest island."""
     points = finder.random_point(np.random.default_rng(0), 2 * count, island=1)
@@ -273,7 +309,7 @@ def tensors_row(house: House) -> Row:
     """A million `is_navigable`, as arrays of each library that is installed."""
     exact = random_positions(house.grid.levels[0])
     finder = navbake.PathFinder(house.grid)
-    peer = here("PathFinder.are_navigable", lambda: finder.are_navigable(exact))
+    peer = here("PathFinder.is_navigable", lambda: finder.is_navigable(exact))
     ask, given = navbake.tensors.is_navigable, [exact.astype(np.float32)]
     return _of_libraries(house, "a million is_navigable", ask, given, peer, limit=0.02)
 
