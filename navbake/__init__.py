@@ -106,11 +106,16 @@ _MODULES = (
 )  # of navbake, loaded when they are first asked for
 
 
+# first guesses
+_MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}
+
+
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return importlib.import_module(f"navbake.{name}")
     if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        meant = f": write navbake.{_MEANT[name]}" if name in _MEANT else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{meant}")
     value = resolve(_LAZY[name])
     globals()[name] = value
     return value

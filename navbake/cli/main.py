@@ -81,7 +81,9 @@ app = Typer(
     rich_markup_mode=None,
 )
 for command in (command for group in COMMANDS.values() for command in group):
-    app.command(cls=Command)(prepared(command))
+    # a place may begin with a minus
+    settings = {"ignore_unknown_options": command is why}
+    app.command(cls=Command, context_settings=settings)(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

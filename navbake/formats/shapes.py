@@ -6,8 +6,6 @@ x, y in metres, not the longitude and latitude that RFC 7946 is about.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
+from navbake.files import encode_csv
 from navbake.formats.allowance import shown
 from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
@@ -269,26 +268,11 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     GeoJSON of the grid have. Raises a MissingDependencyError without shapely.
     """
     shapely = import_extra("shapely")
-    text = io.StringIO()
-    # lines end as RFC 4180 has it; with other ends, csv leaves a name with such an end unquoted
-    table = csv.writer(text, lineterminator="\r\n")
-    table.writerow(["WKT", *COLUMNS])
+    rows: list[list[Any]] = [["WKT", *COLUMNS]]
     for shape in find_shapes(grid):
         wkt = shapely.to_wkt(shape.geometry, rounding_precision=DECIMALS)
-        properties = shape.properties
-        table.writerow([wkt, *(_plain_cell(properties[column]) for column in COLUMNS)])
-    return {path: text.getvalue().encode()}
-
-
-def _plain_cell(value: Any) -> Any:
-    """A value as a cell that no spreadsheet takes for a formula, without control characters.
-
-    Source: OWASP, "CSV Injection": an apostrophe goes before what begins a formula.
-    """
-    if not isinstance(value, str):
-        return value
-    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+        rows.append([wkt, *(shape.properties[column] for column in COLUMNS)])
+    return {path: encode_csv(rows)}
 
 
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:

@@ -201,10 +201,10 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
         raise FormatError(f"cannot write {names}: {why}") from error
 
 
-def import_extra(name: str) -> Any:
-    """Load shapely or networkx, of the extra [convert], or say how to install it."""
+def import_extra(name: str, extra: str = "convert", what: str = "this") -> Any:
+    """Load a library of an extra, or say `what` needs it and how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        message = f'this needs {name}: pip install "navbake[convert]"'
+        message = f'{what} needs {name.partition(".")[0]}: pip install "navbake[{extra}]"'
         raise MissingDependencyError(message) from error
