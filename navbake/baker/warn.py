@@ -29,8 +29,8 @@ DROPPED = {
     ),
     "roofs": (
         0.0,
-        "not a level, because it is open to the sky and has no walls around, though no floor "
-        "is as large: the roof {what}; {keep}, `floors.roofs: true` keeps all",
+        "not a level, because it is open to the sky and has no walls around: the roof {what}; "
+        "{keep}, `floors.roofs: true` keeps all",
     ),
     "small_starts": (
         0.0,
