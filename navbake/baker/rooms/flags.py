@@ -118,7 +118,7 @@ def read_flags(
     has_ground = len(scene.shapes.planes.geom) > 0
     is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
     if contents is not None:
-        is_wall = (contents.kinds == WALL) | (contents.kinds == BUILDING)
+        is_wall = np.isin(contents.partitions, (WALL, BUILDING))
     marks = mark_rooms(scene, columns, floors.levels, settings, agent)
     walls = scene.shapes.only(is_wall)
     return RoomFlags(lattice, levels, empty, ends, walls, has_ground, floors.links, marks)

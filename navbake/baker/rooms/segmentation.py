@@ -75,8 +75,7 @@ def segment_by_gaps(
     # with the walls round it: their directions count, the edge of the grid is none
     window = bounding_window(level.open)
     row, col = (max(part.start - 1, 0) for part in window)
-    ends = (min(part.stop + 1, num) for part, num in zip(window, rooms.shape, strict=True))
-    around = slice(row, next(ends)), slice(col, next(ends))
+    around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
     floor, edge = level.floor[around], level.edge[around]
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
     found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)

@@ -112,7 +112,7 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
         near = left & (off <= 2.5 * BIN)
         explained = _on_walls(foot[:, near], chosen, LINE_WALL / cell_size)
         if explained.sum() >= least:
-            walls = np.zeros(open_cells.shape, dtype=np.bool_)
+            walls: Bool = np.zeros(open_cells.shape, dtype=np.bool_)
             row, col = np.rint(foot[:, near][:, explained]).astype(np.int64) - PADDING
             inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
             walls[row[inside], col[inside]] = True

@@ -222,7 +222,7 @@ class LiveStages:
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
             # widths of gaps are measured up to walls
-            holds &= not np.isin(now.contents.kinds[own], (WALL, BUILDING)).any()
+            holds &= not np.isin(now.contents.partitions[own], (WALL, BUILDING)).any()
         return touched, holds
 
 

@@ -274,7 +274,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                 near, far = col + lean, col - lean
                 most = max(whole_width, width + opened) if is_last else np.int64(cols)
                 if step > REACH * most or not 0 <= near < cols:
-                    last = -1
+                    last = np.int64(-1)
                     break
                 row = near_row + down + shift[near] - shift[start]
                 if not 0 <= row < rows or not is_open[row, near]:
@@ -289,7 +289,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                     continue
                 if here > 0 and here != own:
                     met.append((k, here))
-                    last = -1
+                    last = np.int64(-1)
                     break
                 if 0 <= col < cols and 0 <= far < cols:
                     on = shift[col] - shift[start]
