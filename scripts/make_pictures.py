@@ -20,6 +20,7 @@ import navbake
 from make_house import make_house
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_picture
+from sweep_scans import make_scan
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -72,6 +73,15 @@ def draw_rooms() -> bytes:
     return render_picture(grid, layers=("rooms",))
 
 
+def draw_scan(is_scan: bool) -> bytes:
+    """A tilted scan with holes, levelled; and what `scene.scan` makes of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scan.ply"
+        make_scan(4).mesh.export(path)
+        grid = navbake.bake(path, scene={"up": "level", "scan": is_scan})
+    return render_picture(grid, layers=("occupancy", "floor"))
+
+
 def draw_voxels() -> bytes:
     """Two layers of voxels, each thing in a colour of its own."""
     voxelizer = navbake.Voxelizer(ROOT / "configs" / "apartment.yaml")
@@ -106,6 +116,8 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "inflated": draw_inflated,
     "path": draw_path,
     "rooms": draw_rooms,
+    "scan": partial(draw_scan, True),
+    "scan_holes": partial(draw_scan, False),
     "voxels": draw_voxels,
     "viewer": partial(draw_page, "take_viewer"),
     "report": partial(draw_page, "take_report"),

@@ -262,7 +262,7 @@ class Stages:
             is_occupied = self.occupancy_test(self.judged_columns)
             level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
         part, _ = label_parts(np.asarray(level.unseen))
-        areas: Float = np.bincount(part.ravel())[1:] * cell_area
+        areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
         return areas
 
     @property

@@ -19,6 +19,7 @@ SPARSE = 64  # a first look at floors reads one row of so many
 # How far below a ground that was given the floor lies that was meant, at most: the thickness of a
 # slab with what is laid on it, so that the top of one is not taken for another storey's [m]
 NEAR_GROUND = 0.5
+LEAST_HOLE = 0.05  # of the holes of a mesh that a warning names [m²]
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 # What is said of large surfaces that are floors or not, from which size on [m²]
 DROPPED = {
@@ -199,7 +200,7 @@ def _warn_unreached(stages: Stages) -> Iterator[str]:
 
 def _warn_holes(stages: Stages) -> Iterator[str]:
     """Warn of holes in the floor of a mesh, which nobody saw, or which are none."""
-    area = stages.holes
+    area = stages.holes[stages.holes >= LEAST_HOLE]
     if len(area):
         holes = "a hole" if len(area) == 1 else f"{len(area)} holes"
         text = "closed and marked in the layer `unseen`"
