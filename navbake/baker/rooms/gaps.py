@@ -41,6 +41,8 @@ LONG, WIDER = 3.0, 1.5
 # A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
 # are so large [m²]
 CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
+# Where so many cells could decide, widths are measured on the walls' geometry
+WAVERING = 2.0
 # A gap that is wider than the widest by so little is none the wider: rounding [m]
 ROUNDING = 1e-9
 
@@ -140,13 +142,6 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
     return Gaps(col[a], col[b], tops, bottoms, above[a], below[a], is_doorway)
 
 
-def _end_cells(scan: Scan, gaps: Gaps) -> Int:
-    """The first and the last cell of each gap, halfway through it, as lines' ends, (n, 2)."""
-    rows = (gaps.top + gaps.bottom) // 2
-    cells: Int = rows * scan.label.shape[1] + np.stack([gaps.first, gaps.last], axis=1)
-    return cells
-
-
 class Spaces:
     """The spaces between gaps, and the one, `whole`, that each is part of now.
 
@@ -169,14 +164,15 @@ class Spaces:
         self.whole = np.arange(len(cells), dtype=np.int32)
         # of each gap, those of all directions together
         self._start = np.cumsum([0, *(len(gaps.first) for *_, gaps in found)])
-        # from the centre of a gap's first cell, and of its last one, to the wall [columns]
-        beside = [self._beyond(k, _end_cells(s, gaps)) for k, (_, s, gaps) in enumerate(found)]
-        spans = [
-            (gaps.last - gaps.first + rest.sum(axis=1)) * d.stretch
-            for (d, _, gaps), rest in zip(found, beside, strict=True)
-        ]
-        self._beside = np.concatenate([np.empty((0, 2)), *beside])
+        spans = [(gaps.last - gaps.first + 1) * d.stretch for d, _, gaps in found]
         self._width = np.concatenate([np.empty(0), *spans])  # [cells]
+        # from the centre of a gap's first cell, and of its last one, to the wall [columns]
+        self._beside = np.full((len(self._width), 2), 0.5)
+        self._is_measured = np.zeros(len(self._width), dtype=np.bool_)
+        off = np.abs(self._width - (door_width or WIDEST) / cell_size)
+        for number in range(len(found)):
+            own = np.arange(self._start[number], self._start[number + 1])
+            self._measure_widths(number, own[off[own] <= WAVERING])
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
         pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
@@ -270,14 +266,26 @@ class Spaces:
             shares = (through / length)[..., 0].min(axis=2)
             off = np.min([np.abs(shares - share) for share in (BOTH, NARROWER, 1 / WIDER)], axis=0)
             # others are decided wherever in the last cells the walls begin
-            close = np.flatnonzero((off * length[..., 0].min(axis=2) <= 2.0).any(axis=1))
+            close = np.flatnonzero((off * length[..., 0].min(axis=2) <= WAVERING).any(axis=1))
             if len(close) and self._rays is not None:
+                self._measure_widths(number, chosen[close])
                 beside = np.where(passed[close] > 0, 0.5, self._beside[chosen[close], None, None])
                 parts = through[close, ..., 0] - 1 + beside.sum(axis=3)
                 beyond = self._beyond(number, ends[close]).sum(axis=3)
                 exact = parts / (length[close, ..., 0] - 1 + beyond)
                 shares[close] = np.minimum(exact.min(axis=2), 1.0)
             self._shares[chosen] = shares
+
+    def _measure_widths(self, number: int, gaps: Int) -> None:
+        """Measure how far some gaps of a direction reach beyond their first and last cells."""
+        direction, scan, listed = self._found[number]
+        new = gaps[~self._is_measured[gaps]]
+        k = new - self._start[number]
+        rows, cols = (listed.top[k] + listed.bottom[k]) // 2, [listed.first[k], listed.last[k]]
+        cells = rows * scan.label.shape[1] + np.stack(cols, axis=1)
+        self._beside[new] = self._beyond(number, cells)
+        self._width[new] = (cols[1] - cols[0] + self._beside[new].sum(axis=1)) * direction.stretch
+        self._is_measured[new] = True
 
     def _beyond(self, number: int, cells: Int) -> Float:
         """How far lines' ends are from the walls beyond them, shape (…, 2) [columns].
