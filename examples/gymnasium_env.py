@@ -1,4 +1,4 @@
-"""A Gymnasium environment in a baked apartment: drive to the kitchen, round the furniture.
+"""A Gymnasium environment over a set of episodes: drive to the goal, round the furniture.
 
 python examples/gymnasium_env.py
 """
@@ -7,44 +7,44 @@ import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
-import navbake
-from navbake import tensors
+from navbake import PathFinder, bake, episodes, samples, scores, tensors
+
+GRID = bake(samples.path("apartment")).inflate(0.2)
+FINDER, T = PathFinder(GRID), GRID.tensors()
+SET = episodes.make_episodes(GRID, "point", "habitat", count=50)
 
 
-class DriveToKitchen(gymnasium.Env):
-    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)  # ahead, turn
-    observation_space = gymnasium.spaces.Box(0, 1, (16, 16), np.uint8)  # free around it
-
-    def __init__(self):
-        grid = navbake.bake(navbake.samples.path("apartment")).inflate(0.2)
-        finder, rng = navbake.PathFinder(grid), np.random.default_rng(0)
-        self.kitchen = finder.random_point(rng, room="kitchen")
-        self.t = grid.tensors(goals=[self.kitchen])
+class Navigate(gymnasium.Env):
+    action_space = gymnasium.spaces.Box(-1, 1, (3,))  # ahead, turn, stop if > 0.9
+    near = gymnasium.spaces.Box(0, 1, (16, 16), np.uint8)  # what is free around it
+    goal = gymnasium.spaces.Box(-50, 50, (2,))  # ahead of it, and left [m]
+    observation_space = gymnasium.spaces.Dict(near=near, goal=goal)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        u = self.np_random.random(1)  # one number: the centre of a cell
-        self.position = tensors.sample(self.t, u, reachable_from=self.kitchen)
-        self.yaw = self.np_random.uniform(-np.pi, np.pi)
-        return self.observe(), {}
+        chosen = self.np_random.integers(len(SET))
+        self.episode = SET.episodes[(options or {}).get("episode", chosen)]
+        self.measures = scores.Measures(FINDER, self.episode)
+        self.position, self.yaw = np.array(self.episode.start), self.episode.heading
+        return self.observe(), {"episode": self.episode.id}
 
     def step(self, action):
-        before = tensors.distance_to_goal(self.t, self.position)
+        before, stopped = self.measures.distance, bool(action[2] > 0.9)
         self.yaw += 0.5 * float(action[1])
-        ahead = np.array([np.cos(self.yaw), np.sin(self.yaw), 0.0])
-        moved = self.position + 0.1 * action[0] * ahead
-        if tensors.is_navigable(self.t, moved):  # else it stops there
-            self.position = moved
-        left = tensors.distance_to_goal(self.t, self.position)
-        return self.observe(), float(before - left), bool(left < 0.2), False, {}
+        move = 0.1 * action[0] * np.array([np.cos(self.yaw), np.sin(self.yaw), 0.0])
+        self.position = FINDER.try_step(self.position, self.position + move)
+        progress = before - self.measures.step(self.position)  # along the shortest path [m]
+        found = self.measures.scores(stopped=True) if stopped else {}
+        return self.observe(), progress, stopped, False, found
 
     def observe(self):
-        free = tensors.patch(self.t, self.position, np.array(self.yaw), (16, 16), 0.1, "free")
-        return free.astype(np.uint8)
+        cos, sin, way = np.cos(self.yaw), np.sin(self.yaw), self.episode.goals[0].position
+        goal = np.array([[cos, sin], [-sin, cos]]) @ (way - self.position)[:2]
+        near = tensors.patch(T, self.position, np.array(self.yaw), (16, 16), 0.1, "free")
+        return {"near": near.astype(np.uint8), "goal": goal.astype(np.float32)}
 
 
-env = DriveToKitchen()
-check_env(env, skip_render_check=True)
-env.reset(seed=3)
-print(f"{tensors.distance_to_goal(env.t, env.position):.1f} m to the kitchen")
-print(f"a step ahead is worth {env.step((1.0, 0.0))[1]:+.2f} m")
+check_env(Navigate(), skip_render_check=True)
+envs = gymnasium.vector.SyncVectorEnv([Navigate] * 4)
+print(f"{len(SET)} episodes, four at a time: {', '.join(envs.reset(seed=3)[1]['episode'])}")
+print(f"a step ahead is worth {envs.step(np.eye(4, 3))[1][0]:+.2f} m")

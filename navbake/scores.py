@@ -11,10 +11,8 @@ one can, and the way to it. Success and SPL use the same distances.
 
 from __future__ import annotations
 
-import io
 import math
 import os
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -24,18 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.episodes.episode import Episode, EpisodeSet, scene_of
-from navbake.episodes.files import decode, read_text
-from navbake.episodes.goals import SNAP, cells_of, fit_grid
+from navbake.episodes.formats import decode
+from navbake.episodes.goals import SNAP, find_target, fit_grid, paths_through, points_along
 from navbake.episodes.sampler import EDGES
-from navbake.errors import FormatError, QueryError
-from navbake.formats.source import read_bytes
+from navbake.errors import QueryError
+from navbake.formats.npz import open_archive
+from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
-from navbake.runtime.paths import run_of
 from navbake.types import Float, Json
 
 THRESHOLD = 3.0  # of nDTW, as VLN-CE has it [m]
-SPACING = 0.25  # of the points of a path that nDTW compares with, where the episode has none [m]
 SAMPLES = 1000  # of a bootstrap
 ARRIVED = 1e-6  # metres by which a step may miss its end
 MEANS = (
@@ -43,7 +40,7 @@ MEANS = (
     "time", "coverage",
 )  # fmt: skip
 """The measures of an episode of which a table has means."""
-GROUPS = ("all", "distance", "room", "scene", "split")
+GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
 
 
 # ---------------------------------------------------------------- functions of arrays
@@ -80,8 +77,8 @@ def soft_spl(distance: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
     whole = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
-    progress = 1.0 - xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
-    progress = xp.where(progress < 0, xp.zeros_like(progress), progress)
+    share = xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
+    progress = xp.where(share > 1, xp.zeros_like(share), 1.0 - share)
     return progress * _efficiency(shortest, length, xp)
 
 
@@ -89,8 +86,7 @@ def _efficiency(shortest: Any, length: Any, xp: Any) -> Any:
     """L / max(l, p), 1 where l is 0, NaN where l is not finite."""
     is_known = xp.isfinite(shortest)
     least = xp.where(is_known & (shortest > 0), shortest, xp.ones_like(shortest))
-    ratio = least / xp.where(length > least, length, least)
-    ratio = xp.where(shortest > 0, ratio, xp.ones_like(ratio))
+    ratio = least / xp.where((length > least) & (shortest > 0), length, least)
     return xp.where(is_known, ratio, xp.full_like(ratio, math.nan))
 
 
@@ -100,7 +96,7 @@ def path_length(positions: ArrayLike) -> float:
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum()) if len(p) > 1 else 0.0
 
 
-def ndtw(path: ArrayLike, reference: ArrayLike, threshold: float = THRESHOLD) -> float:
+def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = np) -> Any:
     """exp(-DTW / (n threshold)) of a path and a reference of n points, shapes (m, 3) and (n, 3).
 
     DTW sums the distances of points in the best order-keeping match; NaN where one has no points.
@@ -108,19 +104,21 @@ def ndtw(path: ArrayLike, reference: ArrayLike, threshold: float = THRESHOLD) ->
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).
     """
-    p, q = (np.asarray(v, dtype=np.float64) for v in (path, reference))
+    p, q = xp.asarray(path), xp.asarray(reference)
     if not len(p) or not len(q):
         return math.nan
-    apart = np.linalg.norm(p[:, None] - q, axis=-1)
-    total = np.full((len(p) + 1, len(q) + 1), np.inf)
-    total[0, 0] = 0.0
-    # cells of one anti-diagonal depend on the two before it alone
-    for diagonal in range(2, len(p) + len(q) + 1):
-        i = np.arange(max(1, diagonal - len(q)), min(len(p), diagonal - 1) + 1)
+    few, many = (p, q) if len(p) < len(q) else (q, p)
+    apart = xp.sqrt(((few[:, None] - many) ** 2).sum(-1))
+    i, n = xp.arange(len(few)), len(many)
+    before = last = xp.full_like(apart[:, 0], math.inf)
+    # cells of one anti-diagonal, by their row, depend on the two before it alone
+    for diagonal in range(len(few) + n - 1):
         j = diagonal - i
-        best = np.minimum(np.minimum(total[i - 1, j], total[i, j - 1]), total[i - 1, j - 1])
-        total[i, j] = apart[i - 1, j - 1] + best
-    return float(math.exp(-total[-1, -1] / (len(q) * threshold)))
+        above = xp.minimum(xp.minimum(last, last[i - 1]), before[i - 1])
+        best = xp.where(i > 0, above, last) if diagonal else xp.zeros_like(last)
+        cost = xp.where((j >= 0) & (j < n), apart[i, xp.clip(j, 0, n - 1)], math.inf)
+        before, last = last, cost + best
+    return xp.exp(-last[-1] / (len(q) * threshold))
 
 
 class Interval(NamedTuple):
@@ -168,24 +166,18 @@ class Measures:
         self, finder: PathFinder, episode: Episode, *, threshold: float = THRESHOLD
     ) -> None:
         self.finder, self.episode, self.threshold = finder, episode, threshold
-        self.explores = episode.goals[0].share is not None
-        self.radius = episode.goals[0].radius
-        in_order = [[g] for g in episode.goals] if episode.task == "sequence" else [episode.goals]
-        cells = [] if self.explores else [
-            np.unique(np.concatenate([cells_of(finder, goal) for goal in goals]))
-            for goals in in_order
-        ]  # fmt: skip
-        if any(not len(each) for each in cells):
+        self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
+        goals, in_order = episode.goals, episode.task == "sequence"
+        # many episodes of a set have the goals of the last one
+        target = finder.search.keep(
+            "target", (goals, in_order), lambda: find_target(finder, goals, in_order=in_order)
+        )
+        if target is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
-        self._places = [finder.search.flat.positions(each) for each in cells]
-        self._fields = [finder.search.field(each, weighted=False) for each in cells]
-        legs = [f[c].min() for f, c in zip(self._fields[1:], cells, strict=False)]
-        # what is left after each goal
-        self._rest = np.append(np.cumsum(legs[::-1])[::-1], 0.0) if cells else np.zeros(1)
-        self._passed = 0
-        self._positions, self._distances = [np.array(episode.start)], [math.nan]
-        self._times: list[float] = []
-        self.shortest = self._distances[0] = self._look(self._positions[0][None], "start")[0]
+        self._target, self._passed = target, 0
+        self._positions, self._times = [np.array(episode.start)], list[float]()
+        self._distances = self._look(self._positions[0][None], "start")
+        self.shortest = self._distances[0]
 
     @property
     def distance(self) -> float:
@@ -215,7 +207,8 @@ class Measures:
             k = int(np.argmax(cells < 0))
             where = ", ".join(f"{v:g}" for v in p[k])
             raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
-        if self.explores:
+        fields, rest = self._target.fields, self._target.rest
+        if not fields:
             return [math.nan] * len(p)
         aside = np.zeros(len(p))
         blocked = np.flatnonzero(~flat.free[cells])
@@ -226,45 +219,43 @@ class Measures:
             aside[blocked] = np.linalg.norm(near - p[blocked], axis=1)  # NaN where there is none
         distances = []
         for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
-            left = float(self._fields[self._passed][cell]) + more
-            while left <= self.radius and self._passed < len(self._fields) - 1:
+            left = float(fields[self._passed][cell]) + more
+            while left <= self.radius and self._passed < len(fields) - 1:
                 self._passed += 1
-                left = float(self._fields[self._passed][cell]) + more
-            distances.append(left + float(self._rest[self._passed]))
+                left = float(fields[self._passed][cell]) + more
+            distances.append(left + rest[self._passed])
         return [math.inf if math.isnan(d) else d for d in distances]
 
     def scores(self, *, stopped: bool) -> Json:
         """All measures up to now; NaN where one has no meaning for the task."""
-        way, ends = np.array(self._positions), self.distance
-        best = float(np.min(self._distances))
-        if self.episode.extra.get("success") == "planar":
-            to_goal = [np.hypot(*(self._places[-1] - p)[:, :2].T).min() for p in way]
-            ends_at, best_at = float(to_goal[-1]), float(min(to_goal))
+        way, stops, times = np.array(self._positions), self._target.stops, self._times
+        length, distance, shortest = (
+            np.array(v) for v in (path_length(way), self.distance, self.shortest)
+        )
+        coverage = math.nan if self.share is None else self._coverage(way)
+        if self.share is not None:
+            ends_at = best_at = 0.0 if coverage >= self.share else math.inf
+        elif self.episode.extra.get("success") == "planar":
+            goals = np.array([g.position for g in self.episode.goals if g.position is not None])
+            on_map = np.linalg.norm((way[:, None] - goals)[..., :2], axis=-1).min(axis=1)
+            ends_at, best_at = on_map[-1], on_map.min()
         else:
-            ends_at, best_at = ends, best
-        coverage, length = math.nan, path_length(way)
-        if self.explores:
-            coverage = self._coverage(way)
-            is_done = stopped and coverage >= (self.episode.goals[0].share or 0.0)
-            reached, oracle = float(is_done), float(coverage >= (self.episode.goals[0].share or 0))
-        else:
-            reached = float(success(np.array(ends_at), self.radius, np.array(stopped)))
-            oracle = float(success(np.array(best_at), self.radius, np.array(True)))
-        times = self._times
-        shortest = np.array(math.nan if self.explores else self.shortest)
-        return {
+            ends_at, best_at = self.distance, np.min(self._distances)
+        reached = success(np.array(ends_at), self.radius, stopped)
+        found = {
             "success": reached,
-            "spl": math.nan if self.explores else float(spl(np.array(reached), shortest, length)),
-            "soft_spl": float(soft_spl(np.array(ends), shortest, np.array(length))),
-            "distance": ends,
-            "oracle_success": oracle,
-            "ndtw": math.nan if self.explores else ndtw(way, self._reference(), self.threshold),
+            "spl": spl(reached, shortest, length) if stops else math.nan,
+            "soft_spl": soft_spl(distance, shortest, length),
+            "distance": distance,
+            "oracle_success": success(np.array(best_at), self.radius, True),
+            "ndtw": ndtw(way, self._reference(), self.threshold) if stops else math.nan,
             "length": length,
-            "collisions": float(self._collisions(way)),
+            "collisions": self._collisions(way),
             "time": times[-1] - times[0] if times else math.nan,
             "coverage": coverage,
-            "shortest": float(shortest),
+            "shortest": shortest,
         }
+        return {key: float(value) for key, value in found.items()}
 
     def _collisions(self, way: Float) -> int:
         """Moves that no agent can make straight, as they meet a cell that isn't free."""
@@ -289,19 +280,12 @@ class Measures:
         return float((size**2).sum() / search.islands.areas[home])
 
     def _reference(self) -> Float:
-        """The path to compare with: the episode's, or the shortest, in points `SPACING` apart."""
+        """The path to compare with: the episode's, or the shortest."""
         if self.episode.path:
             return np.array(self.episode.path)
-        here, points = np.array(self.episode.start), [np.array([self.episode.start])]
-        for places in self._places:
-            path = self.finder.find_path(here, places)
-            if path is None:
-                return np.empty((0, 3))
-            run = run_of(path.positions)
-            at = np.linspace(0.0, run[-1], max(1, math.ceil(run[-1] / SPACING)) + 1)[1:]
-            points.append(np.stack([np.interp(at, run, v) for v in path.positions.T], axis=1))
-            here = path.positions[-1]
-        return np.concatenate(points)
+        stops = self._target.stops
+        paths = paths_through(self.finder, self.episode.start, stops)
+        return points_along(paths) if len(paths) == len(stops) else np.empty((0, 3))
 
 
 # ---------------------------------------------------------------- a set
@@ -335,8 +319,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     """
     if os.fspath(path).lower().endswith(".npz"):
         return _read_npz(path)
-    text, name = read_text(path)
-    lines = [line for line in text.splitlines() if line.strip()]
+    packed, name = read_bytes(path)
+    lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
     return [
         decode(line, Trajectory, f"{name}, line {number}")
         for number, line in enumerate(lines, start=1)
@@ -344,27 +328,26 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
 
 
 def _read_npz(path: str | os.PathLike[str]) -> list[Trajectory]:
-    data, name = read_bytes(path)
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = dict(file)
-        ids, start, points = (arrays[key] for key in ("episode", "start", "positions"))
-        stop = arrays.get("stop", np.ones(len(ids), dtype=np.bool_))
-        times = arrays.get("times")
+    wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
+    with open_archive(os.fspath(path), wanted) as archive:
+        found = {key: archive.read(key, archive.top) for key in ("episode", "start", "positions")}
+        ids, start, points = found.values()
+        stop, times = (
+            archive.read(key, archive.top) if key in archive else None for key in ("stop", "times")
+        )
         fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
-        fits &= len(stop) == len(ids) and (times is None or len(times) == len(points))
+        fits &= stop is None or stop.shape == ids.shape
+        fits &= times is None or times.shape == points.shape[:1]
         if not fits or start[0] != 0 or start[-1] != len(points) or (np.diff(start) < 0).any():
             raise ValueError("arrays of other shapes")
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
-        raise FormatError(f"expected {wanted} in {name}, got {error}") from error
-    return [
-        Trajectory(
-            episode=str(ids[k]), positions=points[a:b].tolist(), stop=bool(stop[k]),
-            times=None if times is None else times[a:b].tolist(),
-        )
-        for k, (a, b) in enumerate(pairwise(start.tolist()))
-    ]  # fmt: skip
+        return [
+            Trajectory(
+                episode=str(ids[k]), positions=points[a:b].astype(np.float64).tolist(),
+                stop=stop is None or bool(stop[k]),
+                times=None if times is None else times[a:b].astype(np.float64).tolist(),
+            )
+            for k, (a, b) in enumerate(pairwise(start.tolist()))
+        ]  # fmt: skip
 
 
 def score_set(
@@ -434,19 +417,27 @@ def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int =
     """Means with their intervals, of all rows or of classes of them: `Interval` by measure.
 
     Each has the name of its class as ``group``, and the number of its ``episodes``. ``distance``
-    makes classes of the shortest path's length. Infinite distances are left out.
+    makes classes of the shortest path's length, ``ratio`` of it over the straight line's. Infinite
+    distances are left out.
 
     Raises:
         QueryError: there are no such classes.
     """
     if by not in GROUPS:
         raise QueryError(f"expected one of {', '.join(GROUPS)} to group by, got {by!r}")
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for row in sorted(rows, key=lambda row: row["shortest"]) if by == "distance" else rows:
-        name = by if by == "all" else str(row.get(by))
-        if by == "distance":
-            name = _class_of(row["shortest"])
+    groups: dict[Any, list[Mapping[str, Any]]] = {}
+    edges = {"distance": (0.0, *EDGES["distance"]), "ratio": EDGES["ratio"]}.get(by)
+    for row in rows:
+        name: Any = by if by == "all" else row["shortest" if by == "distance" else by]
+        if edges:
+            is_known = name is not None and not math.isnan(name)
+            name = int(np.searchsorted(edges, name, side="right")) if is_known else 0
         groups.setdefault(name, []).append(row)
+    if edges:
+        unit = " m" if by == "distance" else ""
+        ends = [f"to {edge:g}" for edge in edges[1:]] + ["and more"]
+        names = ["-", *(f"{edge:g} {end}{unit}" for edge, end in zip(edges, ends, strict=True))]
+        groups = {names[number]: groups[number] for number in sorted(groups)}
     found = []
     for name, members in groups.items():
         columns = {key: np.array([row[key] for row in members], dtype=float) for key in MEANS}
@@ -454,15 +445,5 @@ def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int =
             key: bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
             for key, values in columns.items()
         }
-        found.append({"group": name, "episodes": len(members), **means})
+        found.append({"group": str(name), "episodes": len(members), **means})
     return found
-
-
-def _class_of(distance: float) -> str:
-    """The class of a path's length, as a table names it."""
-    edges = [0.0, *EDGES["distance"]]
-    if math.isnan(distance):
-        return "-"
-    number = int(np.searchsorted(edges, distance, side="right"))
-    above = f" to {edges[number]:g}" if number < len(edges) else " and more"
-    return f"{edges[number - 1]:g}{above} m"

@@ -34,6 +34,7 @@ STRAIGHT = np.cos(np.radians(1.0))  # it brakes where a path turns by more
 MASS = 20.0  # [kg]
 FREQUENCY = 60.0  # [rad/s] of the servos
 UNDERSIDE = 0.005  # [m] of its lower edge that may touch floor
+LOOK = 0.1  # [s] between the places that are kept
 THICKNESS = 1e-4  # [m] of a triangle that something may run into
 
 
@@ -207,8 +208,8 @@ def drive(config: BakeConfig, num_paths: int, radius: float, seed: int) -> Drive
 
 def drive_line(
     model: Any, data: Any, pose: np.ndarray, positions: np.ndarray, result: Drive, max_slope: float
-) -> None:
-    """Drive along a line from its start, and add what came of it."""
+) -> np.ndarray:
+    """Drive along a line from its start, and add what came of it; where the agent was, (n, 3)."""
     course, velocity = schedule(positions)
     level = np.cos(np.radians(max_slope))
     heading = find_heading(velocity)
@@ -217,6 +218,7 @@ def drive_line(
     mujoco.mj_resetData(model, data)
     own = slice(len(pose), len(pose) + 4)
     data.qpos[own] = course[0]
+    places = [course[0, :3]]
     for place, rate in zip(course, velocity, strict=True):
         data.qpos[: len(pose)], data.qvel[:-4] = pose, 0.0  # as it was baked
         data.ctrl[-4:] = place + rate * (2 / FREQUENCY)  # so that its speed is the course's too
@@ -224,6 +226,8 @@ def drive_line(
         result.num_steps += 1
         result.off = max(result.off, float(np.abs(data.qpos[own] - place)[:3].max()))
         count_contacts(model, data, result, level)
+        places.append(data.qpos[own][:3].copy())
+    return np.array([*places[:: round(LOOK / TIME_STEP)], places[-1]])
 
 
 def count_contacts(model: Any, data: Any, result: Drive, level: float) -> None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import copy
 import gzip
+import io
 import json
 import resource
 import signal
@@ -39,6 +40,7 @@ from navbake.arena import map_descriptor
 from navbake.baker.scene.mesh_scene import read_mesh_parts
 from navbake.batch.scenes import list_jobs
 from navbake.config.settings import load_config
+from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.nav2 import encode_nav2
@@ -50,6 +52,7 @@ from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import read_voxels
 from navbake.navgrid.grid import NavGrid
+from navbake.scores import read_trajectories
 from navbake.views.describe import describe
 from navbake.views.report.report import read_verification
 from navbake.voxels.grid import VoxelGrid
@@ -110,6 +113,30 @@ MJCF = (
 )
 
 
+EPISODES = (
+    b'{"format":"navbake-episodes","version":1,"agent":{"radius":0.2,"height":1.2,"speed":null},'
+    b'"grids":[{"scene":"a","digest":"00","file":null}],"sampler":{"task":{}},"seed":1,'
+    b'"rejected":{"too near":2}}\n'
+    b'{"id":"0","scene":"a","task":"point","start":[0,0,0],"heading":0.5,"goals":[{"position":'
+    b'[1,2,0],"radius":0.2}],"distance":2.5,"straight":2.0,"levels":[0,0],"rooms":["0:1"]}\n'
+)
+HABITAT = {
+    "episodes": [{"episode_id": "0", "scene_id": "b/a.glb", "start_position": [0, 0, 0],
+                  "start_rotation": [0, 0, 0, 1], "goals": [], "object_category": "cup",
+                  "info": {"geodesic_distance": 1.5, "navbake": {"levels": [0, 0]}},
+                  "reference_path": [[0, 0, 0]], "instruction": {"instruction_text": "go"}}],
+    "goals_by_category": {"a.glb_cup": [{"position": [1, 0, 0], "object_id": 3, "view_points": [
+        {"agent_state": {"position": [1, 0, 1], "rotation": [0, 0, 0, 1]}, "iou": None}]}]},
+    "category_to_task_category_id": {"cup": 0},
+}  # fmt: skip
+EPISODE_SPEC = {
+    "house_index": 5, "scene_dataset": "b", "language": {"task_description": "find the cup"},
+    "task": {"task_cls": "NavToObjTask", "robot_base_pose": [1, 2, 0, 1, 0, 0, 0],
+             "pickup_obj_name": "cup", "pickup_obj_candidates": ["mug"],
+             "pickup_obj_start_pose": [3, 4, 0.5, 1, 0, 0, 0], "succ_pos_threshold": 1.5},
+}  # fmt: skip
+
+
 @cache
 def _grid() -> NavGrid:
     return navbake.load(json.dumps(GRID).encode())
@@ -136,6 +163,22 @@ def _meshes(kind: str) -> list[bytes]:
     whole = scene if kind in ("glb", "obj") else scene.to_geometry()
     data = whole.export(file_type=kind)
     return [data.encode() if isinstance(data, str) else bytes(data)]
+
+
+def _packed_set(name: str) -> bytes:
+    """A set as a file of this name."""
+    with tempfile.TemporaryDirectory() as folder:
+        lines, path = Path(folder, "a.jsonl"), Path(folder, f"b{name}")
+        lines.write_bytes(EPISODES)
+        write_episodes(read_episodes(lines), path)
+        return path.read_bytes()
+
+
+def _trajectories() -> bytes:
+    file = io.BytesIO()
+    start, positions = np.array([0, 2, 3]), np.zeros((3, 3))
+    np.savez(file, episode=np.array(["0", "1"]), start=start, positions=positions)
+    return file.getvalue()
 
 
 def _array() -> bytes:
@@ -251,6 +294,17 @@ READERS = {
     "manifest": Reader(lambda p: list_jobs([str(p)]),
                        lambda: [{"scene": "a.xml", "id": "hall", "agent.radius": 0.2}], ".jsonl"),
     "verification": Reader(read_verification, lambda: [VERIFICATION], ".json"),
+    "episodes": Reader(read_episodes, lambda: [EPISODES], ".jsonl"),
+    "episodes-gz": Reader(read_episodes, lambda: [_packed_set("a.jsonl.gz")], ".jsonl.gz"),
+    "parquet": Reader(read_episodes, lambda: [_packed_set("a.parquet")], ".parquet"),
+    "habitat": Reader(read_episodes, lambda: [HABITAT], ".json"),
+    "molmospaces": Reader(read_episodes, lambda: [[EPISODE_SPEC]], ".json"),
+    "minos": Reader(read_episodes, lambda: [_packed_set("a.csv")], ".csv"),
+    "minos-bz2": Reader(read_episodes, lambda: [_packed_set("a.csv.bz2")], ".csv.bz2"),
+    "trajectories": Reader(read_trajectories,
+                           lambda: [{"episode": "0", "positions": [[0, 0, 0]], "times": [0.5]}],
+                           ".jsonl"),
+    "trajectories-npz": Reader(read_trajectories, lambda: [_trajectories()], ".npz"),
     "inputs": Reader(find_inputs, lambda: [MJCF], ".xml"),
 }  # fmt: skip
 

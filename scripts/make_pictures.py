@@ -17,7 +17,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import navbake
+from baselines import WALKERS
 from make_house import make_house
+from navbake.episodes import make_episodes, make_rules
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_picture
 from sweep_scans import make_scan
@@ -82,6 +84,27 @@ def draw_scan(is_scan: bool) -> bytes:
     return render_picture(grid, layers=("occupancy", "floor"))
 
 
+def draw_baselines() -> bytes:
+    """An episode, and how three baselines go."""
+    grid = bake("apartment").inflate(0.18)
+    finder, (level,) = navbake.PathFinder(grid), grid.levels
+    content = make_episodes(grid, "point", make_rules("habitat", min_distance=7.0), count=20)
+    episode = max(content.episodes, key=lambda e: e.ratio or 1.0)
+    figure = Figure(figsize=(7.0, 4.5), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    x0, y0, x1, y1 = level.lattice.bounds
+    axes.imshow(level.free, extent=(x0, x1, y0, y1), cmap="gray", vmin=-1.0, vmax=1.0)
+    for name, walk in reversed(WALKERS.items()):
+        line = walk(finder, episode, np.random.default_rng(0))
+        axes.plot(*line[:, :2].T, label=name, linewidth=1.0 if name == "random" else 2.0)
+    axes.plot(*episode.start[:2], "ko", label="start")
+    axes.plot(*episode.goals[0].position[:2], "k*", markersize=12, label="goal")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
 def draw_voxels() -> bytes:
     """Two layers of voxels, each thing in a colour of its own."""
     voxelizer = navbake.Voxelizer(ROOT / "configs" / "apartment.yaml")
@@ -119,6 +142,7 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "scan": partial(draw_scan, True),
     "scan_holes": partial(draw_scan, False),
     "voxels": draw_voxels,
+    "baselines": draw_baselines,
     "viewer": partial(draw_page, "take_viewer"),
     "report": partial(draw_page, "take_report"),
 }

@@ -9,7 +9,7 @@ missing=$(python - <<'EOF'
 from importlib.util import find_spec
 from shutil import which
 
-packages = ("dm_control", "gymnasium_robotics", "jax", "labmaze", "matplotlib", "octomap", "ogbench", "torch")
+packages = ("dm_control", "gymnasium_robotics", "habitat", "jax", "labmaze", "matplotlib", "octomap", "ogbench", "torch")
 missing = [name for name in packages if find_spec(name) is None]
 missing += [name for name in ("binvox2bt", "chromedriver") if which(name) is None]
 print(", ".join(missing))

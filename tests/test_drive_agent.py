@@ -4,9 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
+import baselines
 import drive_agent
+import navbake
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import load_config
+from navbake.episodes import make_episodes
+from navbake.scores import score_set
 from project_paths import CONFIGS
 
 
@@ -29,6 +33,23 @@ def test_a_line_through_a_wall_touches_it():
     drive_agent.drive_line(model, mujoco.MjData(model), scene.data.qpos, line, result, 45.0)
     assert result.num_contacts > 0
     assert any("wall" in name for name in result.touched)
+
+
+def test_a_follower_reaches_all_goals_of_a_set():
+    config = load_config(CONFIGS / "apartment.yaml", [])
+    scene = load_scene(config.scene)
+    grid = navbake.bake(config).inflate(drive_agent.RADIUS)
+    content = make_episodes(grid, "point", "habitat", count=3)
+    finder = navbake.PathFinder(grid)
+    model = drive_agent.make_model(config, scene, drive_agent.RADIUS)
+    runs, result = baselines.run(content, finder, "follower", model, scene.data.qpos, 45.0)
+    rows = score_set(content, runs, grid)
+    assert result.num_contacts == 0
+    assert [row["success"] for row in rows] == [1.0] * 3
+    for episode in content.episodes:
+        for walk in (baselines.walk_greedily, baselines.walk_randomly):
+            line = walk(finder, episode, np.random.default_rng(0))
+            assert tuple(line[0]) == episode.start and finder.are_navigable(line).all()
 
 
 def test_it_runs_from_rest_to_rest():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import re
 import shlex
@@ -27,6 +26,18 @@ SCENE = """<mujoco model="stool">
 </worldbody></mujoco>"""
 
 
+IN_PROCESSES = """
+import multiprocessing, sys
+from test_starts import bake_and_voxelize
+
+if __name__ == "__main__":
+    scene, method = sys.argv[1:]
+    expected = bake_and_voxelize(scene)
+    with multiprocessing.get_context(method).Pool(4) as pool:
+        assert pool.map_async(bake_and_voxelize, [scene] * 8).get(240) == [expected] * 8
+"""
+
+
 def bake_and_voxelize(path: str) -> str:
     """A digest of a scene's grid and of its voxels."""
     grid = navbake.bake({"scene": {"path": path}})
@@ -44,10 +55,17 @@ def scene(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_bakes_in_processes_after_a_bake(scene, method):
-    expected = bake_and_voxelize(scene)
-    with multiprocessing.get_context(method).Pool(4) as pool:
-        assert pool.map_async(bake_and_voxelize, [scene] * 8).get(120) == [expected] * 8
+def test_bakes_in_processes_after_a_bake(scene, method, tmp_path):
+    """In a process of its own: with the threads of libraries that other tests load, forks hang."""
+    script = tmp_path / "in_processes.py"
+    script.write_text(IN_PROCESSES)
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    subprocess.run(
+        [sys.executable, script, scene, method],
+        env={**os.environ, "PYTHONPATH": path},
+        check=True,
+        timeout=300,
+    )
 
 
 def test_bakes_in_threads(scene):

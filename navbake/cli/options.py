@@ -46,6 +46,15 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
     return overrides or []
 
 
+def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
+    """Values by key, of texts as ``KEY=VALUE``."""
+    pairs = [text.partition("=") for text in texts or ()]
+    for key, mark, _ in pairs:
+        if not mark:
+            raise BadParameter(f"expected {form}, got {key!r}", param_hint=option)
+    return {key: value for key, _, value in pairs}
+
+
 def check_scene(given: Any) -> Any:
     """Refuse a grid where a scene is expected."""
     for path in given if isinstance(given, list) else [given]:

@@ -15,13 +15,14 @@ from navbake.episodes.episode import (
     digest_of,
 )
 from navbake.episodes.files import read_episodes, write_episodes
+from navbake.episodes.goals import Task
 from navbake.episodes.sampler import (
     PRESETS,
     Rules,
     Splits,
-    Task,
     make_episodes,
     make_rules,
+    make_splits,
     make_task,
 )
 
@@ -40,6 +41,7 @@ __all__ = [
     "digest_of",
     "make_episodes",
     "make_rules",
+    "make_splits",
     "make_task",
     "read_episodes",
     "write_episodes",

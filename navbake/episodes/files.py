@@ -1,4 +1,4 @@
-"""Sets of episodes in files: navbake's own, JSON lines and Parquet, and those of other programs.
+"""Sets of episodes in files: which format a file has, and navbake's own two.
 
 JSON lines (``.jsonl``, ``.jsonl.gz``): the header, then an episode a line, UTF-8. Parquet
 (``.parquet``): a row an episode, with columns to sort and filter by and all of it in ``episode``
@@ -7,101 +7,148 @@ as JSON; the header is the schema's metadata ``navbake``. The same set gives the
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import io
 import os
-import zlib
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 import msgspec
 
-from navbake.episodes.episode import FORMAT, VERSION, Episode, EpisodeSet, Header
+from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet, Header
+from navbake.episodes.formats import (
+    decode,
+    encode_habitat,
+    encode_minos,
+    encode_molmospaces,
+    make_set,
+    read_habitat,
+    read_minos,
+    read_molmospaces,
+)
 from navbake.errors import FormatError, MissingDependencyError
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.source import GZIP, path_name, read_bytes, write_bytes
+from navbake.formats.source import path_name, read_bytes, unpack, write_bytes
+from navbake.known_names import suggest
 
-Record = TypeVar("Record")
 NAME = b"navbake"  # of the header in a Parquet file's metadata
-JSON_LINES = (".jsonl", ".jsonl.gz")
-PARQUET = ".parquet"
-PIECE = 16 << 20  # of what is unpacked at once [bytes]
+PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    ".gz": partial(gzip.compress, compresslevel=6, mtime=0),
+    ".bz2": bz2.compress,
+}
 
 
-def read_episodes(path: str | os.PathLike[str]) -> EpisodeSet:
-    """Read a set in navbake's own format.
+class Format(NamedTuple):
+    """A format of sets: how names of its files end, its tasks, and what encodes a set."""
+
+    ending: str
+    tasks: tuple[str, ...]
+    encode: Callable[[EpisodeSet], bytes]
+
+
+def read_episodes(
+    path: str | os.PathLike[str], scenes: Mapping[str, str] | None = None
+) -> EpisodeSet:
+    """Read a set in any format, which the ending and the content tell.
+
+    Args:
+        path: of the file, plain or packed.
+        scenes: what another program calls scenes, by their ids here.
 
     Raises:
-        FormatError: the file can't be read, or isn't one; file, line and field are named.
+        FormatError: the file can't be read, or holds no set; file, line and field are named.
         MissingDependencyError: it is Parquet, and pyarrow is missing.
     """
-    if os.fspath(path).lower().endswith(PARQUET):
-        return _read_parquet(path)
-    data, name = read_text(path)
-    lines = data.splitlines()
+    packed, name = read_bytes(path)
+    text, (ending, _) = unpack(packed, name), _endings(path)
+    if ending == ".parquet":
+        return _read_parquet(text, name)
+    if ending in (".csv", ".json"):
+        is_list = text.lstrip()[:1] == b"["
+        read = read_minos if ending == ".csv" else read_molmospaces if is_list else read_habitat
+        return _rename(read(text, name), {there: here for here, there in (scenes or {}).items()})
+    lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
         got = f"{header.format!r} of version {header.version}"
         raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {got} in {name}")
-    decoder = msgspec.json.Decoder(Episode)
-    episodes = []
-    for number, line in enumerate(lines[1:], start=2):
-        try:
-            episodes.append(decoder.decode(line))
-        except msgspec.DecodeError as error:
-            raise FormatError(f"{error} in {name}, line {number}") from error
+    episodes = [
+        decode(line, Episode, f"{name}, line {number}")
+        for number, line in enumerate(lines[1:], start=2)
+    ]
     return make_set(header, episodes, name)
 
 
-def write_episodes(content: EpisodeSet, path: str | os.PathLike[str]) -> None:
-    """Write a set in navbake's own format, chosen by the ending; the same set, the same bytes."""
-    name = os.fspath(path).lower()
-    if name.endswith(PARQUET):
-        write_bytes(_encode_parquet(content), path)
-    elif name.endswith(JSON_LINES):
-        lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
-        data = b"\n".join([*lines, b""])
-        write_bytes(pack(data) if name.endswith(".gz") else data, path)
-    else:
-        endings = ", ".join((*JSON_LINES, PARQUET))
+def write_episodes(
+    content: EpisodeSet,
+    path: str | os.PathLike[str],
+    form: str | None = None,
+    scenes: Mapping[str, str] | None = None,
+) -> list[str]:
+    """Write a set; the same set gives the same bytes.
+
+    Args:
+        content: the set.
+        path: of the file; ``.gz`` and ``.bz2`` pack it.
+        form: one of `FORMATS`; the first that fits the ending and the tasks unless given.
+        scenes: what another program calls scenes, by their ids here.
+
+    Returns:
+        The fields that some episode has and the file doesn't hold.
+
+    Raises:
+        FormatError: no format has such an ending, or it can't hold the set.
+    """
+    if form is not None and form not in FORMATS:
+        raise FormatError(f"no format {form!r}: {suggest(form, FORMATS)}")
+    known = FORMATS if form is None else {form: FORMATS[form]}
+    ending, packing = _endings(path)
+    fitting = {name: one for name, one in known.items() if one.ending == ending}
+    if not fitting:
+        endings = ", ".join(dict.fromkeys(one.ending for one in known.values()))
         raise FormatError(f"expected a name that ends in {endings}, got {path_name(path)}")
+    tasks = {e.task: e.id for e in reversed(content.episodes)}
+    chosen = next((n for n, one in fitting.items() if tasks.keys() <= {*one.tasks}), None)
+    if chosen is None:
+        task = next(task for task in tasks if task not in next(iter(fitting.values())).tasks)
+        names = " or ".join(fitting)
+        raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
+    written = content if chosen in OWN else _rename(content, scenes or {})
+    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written)), path)
+    return [] if chosen in OWN else _lost(content, read_episodes(path, scenes))
 
 
-def pack(data: bytes) -> bytes:
-    """Pack by gzip; the same data, the same bytes."""
-    return gzip.compress(data, 6, mtime=0)
+def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """How a file's name ends, without what packs it, and that."""
+    stem, packing = os.path.splitext(os.fspath(path).lower())
+    return (os.path.splitext(stem)[1], packing) if packing in PACKERS else (packing, "")
 
 
-def read_text(path: str | os.PathLike[str]) -> tuple[bytes, str]:
-    """Read a file, gzipped or not, which its content tells: its text, and its name for messages."""
-    data, name = read_bytes(path)
-    if data.startswith(GZIP):
-        allowance, pieces = Allowance(len(data), "max_cells"), []
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as unpacked:
-                while piece := unpacked.read(PIECE):
-                    allowance.take_text(len(piece), JsonPath(name))
-                    pieces.append(piece)
-        except (EOFError, OSError, zlib.error) as error:
-            raise FormatError(f"broken gzip data in {name}: {error}") from error
-        data = b"".join(pieces)
-    return data, name
+def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
+    """The set with other names of scenes in its episodes."""
+    renamed = (
+        msgspec.structs.replace(e, scene=names.get(e.scene, e.scene)) for e in content.episodes
+    )
+    return EpisodeSet(content.header, tuple(renamed)) if names else content
 
 
-def decode(text: bytes | str, kind: type[Record], where: str) -> Record:
-    """Decode JSON of a known structure; a FormatError names the field and where it stands."""
-    try:
-        return msgspec.json.decode(text, type=kind)
-    except msgspec.DecodeError as error:
-        raise FormatError(f"{error} in {where}") from error
+def _lost(content: EpisodeSet, written: EpisodeSet) -> list[str]:
+    """Fields that are there before a set is written, and no longer when it is read again."""
+    lost = {"agent"} if content.header.agent and not written.header.agent else set()
+    for before, after in zip(content.episodes, written.episodes, strict=True):
+        pairs = [(before, after), *zip(before.goals, after.goals, strict=False)]
+        lost |= {
+            k for a, b in pairs for k in a.__struct_fields__ if getattr(a, k) and not getattr(b, k)
+        }
+        lost |= {"further goals"} if len(before.goals) > len(after.goals) else set()
+    return sorted(lost)
 
 
-def make_set(header: Header, episodes: list[Episode], where: str) -> EpisodeSet:
-    """A set of what was read; what makes none of it is a FormatError."""
-    try:
-        return EpisodeSet(header, tuple(episodes))
-    except ValueError as error:
-        raise FormatError(f"{error} in {where}") from error
+def _encode_lines(content: EpisodeSet) -> bytes:
+    lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
+    return b"\n".join([*lines, b""])
 
 
 # ---------------------------------------------------------------- Parquet
@@ -135,16 +182,30 @@ def _encode_parquet(content: EpisodeSet) -> bytes:
     return file.getvalue()
 
 
-def _read_parquet(path: str | os.PathLike[str]) -> EpisodeSet:
+def _read_parquet(data: bytes, name: str) -> EpisodeSet:
     pyarrow, parquet = _pyarrow()
-    name = str(Path(path))
     try:
-        table = parquet.read_table(io.BytesIO(read_bytes(path)[0]))
-        header = table.schema.metadata[NAME]
-        texts = table.column("episode").to_pylist()
-    except (pyarrow.ArrowException, KeyError, TypeError) as error:
-        raise FormatError(
-            f"expected a set of episodes as Parquet, got another in {name}"
-        ) from error
+        file = parquet.ParquetFile(io.BytesIO(data))
+        groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
+        size = file.metadata.num_rows + sum(group.total_byte_size for group in groups)
+        Allowance(len(data), "max_cells").take_text(size, JsonPath(name))
+        header = file.schema_arrow.metadata[NAME]
+        texts = file.read(["episode"]).column("episode").to_pylist()
+    except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
+        raise FormatError(f"expected a set of episodes as Parquet in {name}") from error
     episodes = [decode(text or "", Episode, f"{name}, row {row}") for row, text in enumerate(texts)]
     return make_set(decode(header, Header, name), episodes, name)
+
+
+OWN = {
+    "jsonl": Format(".jsonl", TASKS, _encode_lines),
+    "parquet": Format(".parquet", TASKS, _encode_parquet),
+}
+FORMATS = OWN | {
+    "habitat-pointnav": Format(".json", ("point",), partial(encode_habitat, kind="pointnav")),
+    "habitat-objectnav": Format(".json", ("object",), partial(encode_habitat, kind="objectnav")),
+    "habitat-vln": Format(".json", ("point",), partial(encode_habitat, kind="vln")),
+    "molmospaces": Format(".json", ("object",), encode_molmospaces),
+    "minos": Format(".csv", ("point", "object", "room"), encode_minos),
+}
+"""Formats of sets by their names; other programs' after navbake's own."""

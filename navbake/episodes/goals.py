@@ -7,28 +7,72 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
-from navbake.episodes.episode import Agent, Goal, ViewPoint, scene_of
+from navbake.episodes.episode import TASKS, Goal, Length, ViewPoint, scene_of
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.rooms import Room
 from navbake.navgrid.user_data import Shared, UserData, names_in
 from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.paths import Path
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 
 SNAP = 0.5  # how far a goal of another program may be from where an agent can stand [m]
+SPACING = 0.25  # between view points, and between points of a path [m]
 COUNTER = re.compile(r"[\W_]*\d[\d\W_]*$")  # what tells chair_1 from chair_2
 HEADROOM = 1e-9  # metres by which an agent may be higher than the grid's
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the episodes of a set ask for.
+
+    Attributes:
+        name: one of `TASKS`.
+        objects: patterns of the objects' names, or patterns by category; all by the categories
+            that their names say unless given.
+        rooms: patterns of rooms' ids or names, or patterns by type, as ``{bath: [bath*, wc]}``; all
+            but the outdoors, each by itself, unless given.
+        radius: how near counts as reached, or how far the agent sees of what it explores [m]:
+            0.2 of a point, 0.1 of a view point, 3.0 to explore unless given.
+        view_distance: how far from an object it may be seen from [m].
+        length: number of goals of a sequence, >= 2.
+        of: what the goals of a sequence are: ``point``, ``object`` or ``room``.
+        share: of the free area of the start's island that is to be explored.
+    """
+
+    name: str = "point"
+    objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
+    rooms: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
+    radius: Length | None = None
+    view_distance: Length = 1.0
+    length: Annotated[int, msgspec.Meta(ge=2)] = 3
+    of: Literal["point", "object", "room"] = "point"
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
+
+    def __post_init__(self) -> None:
+        if self.name not in TASKS:
+            raise ValueError(f"expected one of {', '.join(TASKS)} as task, got {self.name!r}")
+
+    @property
+    def kind(self) -> str:
+        """What each goal is: ``point``, ``object``, ``room`` or ``explore``."""
+        return self.of if self.name == "sequence" else self.name
+
+    @property
+    def reach(self) -> float:
+        """The radius, or its default [m]."""
+        known = {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}
+        return known[self.kind] if self.radius is None else self.radius
 
 
 def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = None) -> NavGrid:
@@ -48,9 +92,43 @@ def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = 
     return fitted
 
 
-def agent_of(grid: NavGrid, speed: float | None = None) -> Agent:
-    """The agent that a grid is for."""
-    return Agent(radius=agent_radius(grid), height=grid.agent_height, speed=speed)
+# ---------------------------------------------------------------- where goals are reached
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where goals are reached, and how far that is.
+
+    Attributes:
+        goals: as the episode has them.
+        stops: where they are reached, world [m], an array of shape (n, 3) for each goal of a
+            sequence, or one for all goals; none for exploring.
+        fields: distance to each of the stops from each cell, by flat id, inf for no path [m].
+        rest: length of the way after each of the stops [m]; between stops of several places, as
+            objects and rooms have, at least: a leg counts from the places nearest to the next stop.
+    """
+
+    goals: tuple[Goal, ...]
+    stops: Sequence[Float] = ()
+    fields: Sequence[Float] = ()
+    rest: Sequence[float] = (0.0,)
+
+
+def find_target(
+    finder: PathFinder, goals: Sequence[Goal], *, in_order: bool = False
+) -> Target | None:
+    """Find where one of several goals is reached, or all in order; None: nobody can stand there."""
+    if goals[0].share is not None:
+        return Target(tuple(goals))
+    stages = [[goal] for goal in goals] if in_order else [goals]
+    search = finder.search
+    cells = [np.unique(np.concatenate([cells_of(finder, g) for g in stage])) for stage in stages]
+    if not all(map(len, cells)):
+        return None
+    fields = [search.field(each, weighted=False) for each in cells]
+    legs = [f[c].min() for f, c in zip(fields[1:], cells, strict=False)]
+    rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
+    return Target(tuple(goals), [search.flat.positions(each) for each in cells], fields, rest)
 
 
 def cells_of(finder: PathFinder, goal: Goal) -> Int:
@@ -59,10 +137,9 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     Of an object those of its view points; of a room its own; of a position its cell, or where no
     agent can stand there, that of the nearest place within 0.5 m or the goal's radius.
     """
-    search = finder.search
-    flat = search.flat
+    flat = finder.search.flat
     if goal.room is not None:
-        return np.flatnonzero(search.allowed(room=goal.room))
+        return np.flatnonzero(finder.search.allowed(room=goal.room))
     points = [view.position for view in goal.view_points]
     if not points and goal.position is not None:
         points = [goal.position]
@@ -73,87 +150,95 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     return np.unique(cells[cells >= 0])
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What starts are drawn for: one goal, several of which one is enough, or several in order.
+def paths_through(finder: PathFinder, start: Sequence[float], stops: Sequence[Float]) -> list[Path]:
+    """The paths from a start through stops, to the nearest place of each; up to one without."""
+    here, found = np.array(start), []
+    for places in stops:
+        path = finder.find_path(here, places)
+        if path is None:
+            break
+        found.append(path)
+        here = path.positions[-1]
+    return found
 
-    Attributes:
-        goals: as the episode has them.
-        places: where the first is reached, world [m], shape (n, 3); empty for exploring.
-        field: distance to the nearest of them from each cell, by flat id, inf for no path [m].
-        beyond: length of the way after the first goal, along the floor and through the air [m].
-        island: number of the places' island.
-    """
 
-    goals: tuple[Goal, ...]
-    places: Float
-    field: Float
-    island: int
-    beyond: tuple[float, float] = (0.0, 0.0)
+def points_along(paths: Sequence[Path]) -> Float:
+    """Points on paths in a row, at most `SPACING` apart, world [m], shape (n, 3)."""
+    points = [
+        path.at(distance)
+        for path in paths
+        for distance in np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
+    ]
+    return np.array(points).reshape(-1, 3)
 
-    @cached_property
-    def tree(self) -> Any:
-        """The places, to look for the nearest."""
-        return spatial.cKDTree(self.places)
+
+# ---------------------------------------------------------------- objects and rooms
 
 
 @dataclass(eq=False)
 class GoalFinder:
-    """Finds goals on one grid.
-
-    Attributes:
-        finder: asks the grid.
-        objects: patterns of names, or patterns by category; all objects by the categories that
-            their names say unless given.
-        rooms: patterns of ids or names; all but the outdoors unless given.
-        radius: how near to the goal counts as reached [m].
-        view_distance: how far from an object's cells it counts as seen [m].
-        spacing: between view points [m].
-    """
+    """Finds the goals of a task on one grid."""
 
     finder: PathFinder
-    objects: Sequence[str] | Mapping[str, Sequence[str]] = ()
-    rooms: Sequence[str] = ()
-    radius: float = 0.2
-    view_distance: float = 1.0
-    spacing: float = 0.25
+    task: Task
     _seen: dict[str, Goal] = field(default_factory=dict, init=False)
 
-    def target_of(self, goals: Sequence[Goal]) -> Target | None:
-        """The target of one goal, or of several of which one is enough; None: nobody can get there.
-
-        Places on other islands than the largest that has any are there as well.
-        """
-        search = self.finder.search
-        cells = np.unique(np.concatenate([cells_of(self.finder, goal) for goal in goals]))
-        if not len(cells):
-            return None
-        number = int(search.islands.number[cells].min())
-        places = search.flat.positions(cells)
-        return Target(tuple(goals), places, search.field(cells, weighted=False), number)
-
-    def point(self, place: Float) -> Goal:
-        """A goal at a place, world x, y, z [m]."""
-        x, y, z = place.tolist()
-        return Goal(position=(x, y, z), radius=self.radius)
-
     @cached_property
-    def room_goals(self) -> list[Goal]:
-        """A goal for each room that is asked for."""
+    def choices(self) -> dict[str, list[str]]:
+        """Names of objects, or ids of rooms, by what an episode may ask for."""
+        if self.task.kind == "object":
+            names = {name: (name,) for name in self.object_cells}
+            chosen = self._choose(names, self.task.objects, "object")
+            by_category: dict[str, list[str]] = {}
+            for name in names:
+                by_category.setdefault(category_of(name), []).append(name)
+            return chosen or dict(sorted(by_category.items()))
+        rooms = self.finder.rooms.rooms
+        known = {room.id: tuple(name for name in (room.name, room.id) if name) for room in rooms}
+        indoors = {room.id: [room.id] for room in rooms if not room.outdoors}
+        return self._choose(known, self.task.rooms, "room") or indoors
 
-        def matches(room: Room, pattern: str) -> bool:
-            return any(fnmatchcase(name, pattern) for name in (room.id, room.name) if name)
-
-        known = self.finder.rooms.rooms
-        chosen = [room for room in known if not self.rooms and not room.outdoors]
-        for pattern in self.rooms:
-            found = [room for room in known if matches(room, pattern)]
-            if not found:
-                names = [name for room in known for name in (room.name, room.id) if name]
+    def _choose(
+        self,
+        known: Mapping[str, Sequence[str]],
+        given: Sequence[str] | Mapping[str, Sequence[str]],
+        kind: str,
+    ) -> dict[str, list[str]]:
+        """What fits the patterns of each category; of plain patterns, each by itself."""
+        asked = given if isinstance(given, Mapping) else {pattern: [pattern] for pattern in given}
+        found: dict[str, list[str]] = {}
+        for label, patterns in asked.items():
+            fitting = [
+                key
+                for key, names in known.items()
+                if any(fnmatchcase(name, pattern) for name in names for pattern in patterns)
+            ]
+            if not fitting:
+                names = [name for each in known.values() for name in each]
+                what = f"{kind} of category" if asked is given else kind
                 where = scene_of(self.finder.grid)
-                raise QueryError(f"no room {pattern!r} in {where!r}: {suggest(pattern, names)}")
-            chosen += [room for room in found if room not in chosen]
-        return [Goal(position=room.centroid, name=room.name, room=room.id) for room in chosen]
+                raise QueryError(f"no {what} {label!r} in {where!r}: {suggest(label, names)}")
+            found |= {label: fitting} if asked is given else {key: [key] for key in fitting}
+        return found
+
+    def goals_of(self, label: str) -> list[Goal]:
+        """A goal for each object or room of a choice; objects that nobody can see are left out."""
+        if self.task.kind == "room":
+            kind = label if isinstance(self.task.rooms, Mapping) else None
+            rooms = [room for room in self.finder.rooms.rooms if room.id in self.choices[label]]
+            return [
+                Goal(
+                    position=r.centroid, name=r.name, room=r.id, category=kind,
+                    radius=self.task.reach,
+                )
+                for r in rooms
+            ]  # fmt: skip
+        by_name = bool(self.task.objects) and not isinstance(self.task.objects, Mapping)
+        for name in self.choices[label]:
+            if name not in self._seen:
+                self._seen[name] = self._look_at(name, category_of(label) if by_name else label)
+        goals = [self._seen[name] for name in self.choices[label]]
+        return [goal for goal in goals if goal.view_points]
 
     @cached_property
     def object_cells(self) -> dict[str, Int]:
@@ -167,7 +252,8 @@ class GoalFinder:
                 order = np.argsort(source.number, kind="stable")
                 counts = np.bincount(source.number, minlength=len(source.entries))
                 parts = np.split(source.cells[order], np.cumsum(counts)[:-1])
-                pairs = list(zip(source.entries, parts, strict=True))
+                # of no entries there is a part, too
+                pairs = list(zip(source.entries, parts, strict=False))
             else:
                 pairs = [(entry, np.array([cell])) for cell, entry in source.items()]
             for entry, cells in pairs:
@@ -176,93 +262,53 @@ class GoalFinder:
                     found.setdefault(name, []).append(start + cells)
         return {n: np.unique(np.concatenate(found[n])) for n in sorted(found.keys() - other)}
 
-    @cached_property
-    def categories(self) -> dict[str, list[str]]:
-        """The names of the objects of each category that is asked for.
+    def _look_at(self, name: str, category: str) -> Goal:
+        """An object and where it is seen from: free cells near it, with nothing between.
 
-        Where only patterns of names are, each object that fits is by itself, a category of one.
+        They are `SPACING` apart, or all where none lies on that lattice.
         """
-        names = list(self.object_cells)
-        if isinstance(self.objects, Mapping):
-            given = {category: list(patterns) for category, patterns in self.objects.items()}
-        else:
-            given = {pattern: [pattern] for pattern in self.objects}
-        found: dict[str, list[str]] = {}
-        for key, patterns in given.items():
-            found[key] = [n for n in names if any(fnmatchcase(n, p) for p in patterns)]
-            if not found[key]:
-                kind = "object of category" if isinstance(self.objects, Mapping) else "object"
-                where = scene_of(self.finder.grid)
-                raise QueryError(f"no {kind} {key!r} in {where!r}: {suggest(key, names)}")
-        if not isinstance(self.objects, Mapping):
-            return {name: [name] for fitting in found.values() for name in fitting} or {
-                category: [n for n in names if category_of(n) == category]
-                for category in sorted({category_of(n) for n in names})
-            }
-        return found
-
-    def object_goals(self, category: str) -> list[Goal]:
-        """A goal for each object of a category, with its view points; objects without are none."""
-        by_name = not isinstance(self.objects, Mapping) and bool(self.objects)
-        label = category_of(category) if by_name else category
-        for name in self.categories[category]:
-            if name not in self._seen:
-                self._seen[name] = self._goal_of(name, label)
-        goals = [self._seen[name] for name in self.categories[category]]
-        return [goal for goal in goals if goal.view_points]
-
-    def _goal_of(self, name: str, category: str) -> Goal:
-        """An object and where it is seen from: free cells near it, with nothing between."""
         search, cells = self.finder.search, self.object_cells[name]
-        flat, centers = search.flat, search.flat.positions(cells)
-        middle = centers.mean(axis=0)
+        flat, distance = search.flat, self.task.view_distance
+        middle = flat.positions(cells).mean(axis=0)
         is_own = np.zeros(flat.num_cells, dtype=np.int32)
         is_own[cells] = 1
         views = []
         for level in np.unique(flat.level_of(cells)).tolist():
             here = cells[flat.level_of(cells) == level]
-            near = self._around(level, here)
-            points = flat.positions(near)
             own = flat.positions(here)[:, :2]
-            _, nearest = spatial.cKDTree(own).query(points[:, :2])
-            for cell, point, k in zip(near, points, nearest, strict=True):
+            start, width = flat.cells_of(level).start, int(flat.layout.width[level])
+            free, places, tree = search.keep("free", level, partial(self._free_cells, level))
+            low, high = own.min(axis=0), own.max(axis=0)
+            reach = float(np.hypot(*(high - low))) / 2 + distance
+            found = tree.query_ball_point((low + high) / 2, reach, return_sorted=True)
+            near, points = free[found], places[found]
+            if not len(near):
+                continue
+            apart, nearest = spatial.cKDTree(own).query(points[:, :2])
+            every = max(1, round(SPACING / float(flat.layout.cell_size[level])))
+            row, col = np.divmod(near - start, width)
+            is_near = apart <= distance
+            thin = is_near & (row % every == 0) & (col % every == 0)
+            for k in np.flatnonzero(thin if thin.any() else is_near):
                 # the line leaves the object through its own cells, then it must meet clear ones
-                ends = np.array([cell]), np.ascontiguousarray(point[None, :2])
-                if walks.first_in_sight(*search.sight, is_own, here[k], own[k], *ends) == 0:
-                    dx, dy = middle[:2] - point[:2]
-                    views.append(ViewPoint(tuple(point.tolist()), math.atan2(dy, dx)))
+                ends = near[k : k + 1], np.ascontiguousarray(points[k : k + 1, :2])
+                place = here[nearest[k]], own[nearest[k]]
+                if walks.first_in_sight(*search.sight, is_own, *place, *ends) == 0:
+                    dx, dy = middle[:2] - points[k, :2]
+                    views.append(ViewPoint(tuple(points[k].tolist()), math.atan2(dy, dx)))
         x, y, z = middle.tolist()
         return Goal(
-            position=(x, y, z), radius=self.radius, name=name, category=category,
+            position=(x, y, z), radius=self.task.reach, name=name, category=category,
             view_points=tuple(views),
         )  # fmt: skip
 
-    def _around(self, level: int, cells: Int) -> Int:
-        """The free cells of a level within the view distance of some cells, `spacing` apart.
-
-        All of them where none lies on the lattice of view points.
-        """
+    def _free_cells(self, level: int) -> tuple[Int, Float, Any]:
+        """The free cells of a level, their positions, and these to look for near ones."""
         flat = self.finder.search.flat
-        size, span = float(flat.layout.cell_size[level]), flat.cells_of(level)
-        row, col = np.divmod(cells - span.start, flat.layout.width[level])
-        reach = math.ceil(self.view_distance / size)
-        rows = np.arange(max(row.min() - reach, 0), min(row.max() + reach, self._rows(level)) + 1)
-        width = int(flat.layout.width[level])
-        cols = np.arange(max(col.min() - reach, 0), min(col.max() + reach, width - 1) + 1)
-        near = (span.start + rows[:, None] * width + cols).ravel()
-        near = near[flat.free[near]]
-        apart, _ = spatial.cKDTree(np.stack([row, col], axis=1)).query(
-            np.stack(np.divmod(near - span.start, width), axis=1)
-        )
-        near = near[apart * size <= self.view_distance]
-        every = max(1, round(self.spacing / size))
-        row, col = np.divmod(near - span.start, width)
-        thin: Int = near[(row % every == 0) & (col % every == 0)]
-        return thin if len(thin) else near
-
-    def _rows(self, level: int) -> int:
-        """The last row of a level."""
-        return int(self.finder.search.flat.layout.height[level]) - 1
+        span = flat.cells_of(level)
+        cells = span.start + np.flatnonzero(flat.free[span])
+        points = flat.positions(cells)
+        return cells, points, spatial.cKDTree(points[:, :2])
 
 
 def category_of(name: str) -> str:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
+from itertools import pairwise
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
 from navbake.episodes.episode import (
-    TASKS,
     Agent,
     Episode,
     EpisodeSet,
@@ -23,12 +23,24 @@ from navbake.episodes.episode import (
     digest_of,
     scene_of,
 )
-from navbake.episodes.goals import GoalFinder, Target, agent_of, fit_grid
+from navbake.episodes.goals import (
+    GoalFinder,
+    Target,
+    Task,
+    find_target,
+    fit_grid,
+    paths_through,
+    points_along,
+)
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
-from navbake.types import Float, Int, Int32
+from navbake.types import Bool, Float, Int32
+
+spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 BARREN = 200  # goals in a row that may give no episode before the draw ends
 NEAR_STRAIGHT = 0.98  # of habitat's rule: pairs with a ratio r are kept with 20 (r - 0.98)²
@@ -41,11 +53,7 @@ EDGES: dict[str, tuple[float, ...]] = {
     "rooms": (1.0, 2.0, 3.0, 4.0, 6.0),
     "levels": (0.0, 1.0, 2.0),
 }
-OUTCOMES = (
-    "island too small", "no path", "too near", "too far", "too steep", "another level",
-    "too straight", "straight, by chance", "stratum full",
-)  # fmt: skip
-"""Why a start is refused, in the order in which the rules are asked."""
+HEADINGS = ("random", "goal", "away")
 
 
 class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,7 +61,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     Attributes:
         name: of the preset that they began as.
-        min_distance, max_distance: of the shortest path [m].
+        min_distance, max_distance: of the shortest path [m]; the first also of each leg between
+            points or objects of a sequence.
         max_rise: between the floors of start and goal [m].
         same_level: start and goal are on one level.
         min_ratio: of the path's length to the straight line's, >= 1.
@@ -62,7 +71,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         tries: starts drawn for a goal until one is accepted.
         goals: how many goals are drawn for a scene, at most and as far as enough are accepted; an
             episode a goal where fewer episodes are asked for. Starts share a goal's field.
-        paths: list doors and rooms along each path.
+        paths: keep each path, and the doors and rooms along it.
+        headings: at the start, one of `HEADINGS`: at random, towards the goal, or away from it.
         strata: draw as many episodes in each class of this measure; one of `MEASURES`.
         edges: lower edges of the classes.
     """
@@ -78,13 +88,17 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     tries: Annotated[int, msgspec.Meta(ge=1)] = 10
     goals: Annotated[int, msgspec.Meta(ge=1)] = 100
     paths: bool = False
+    headings: str = "random"
     strata: str | None = None
     edges: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.strata is not None and self.strata not in MEASURES:
-            wanted = ", ".join(MEASURES)
-            raise ValueError(f"expected one of {wanted} as strata, got {self.strata!r}")
+        for name, value, known in (
+            ("strata", self.strata or MEASURES[0], MEASURES),
+            ("headings", self.headings, HEADINGS),
+        ):
+            if value not in known:
+                raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}")
         if list(self.edges) != sorted(set(self.edges)):
             raise ValueError(f"expected ascending edges, got {self.edges}")
 
@@ -98,40 +112,6 @@ PRESETS = {
     "minos": Rules(name="minos", same_level=True, paths=True),
 }
 """Samplers by their names."""
-
-
-class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the episodes of a set ask for.
-
-    Attributes:
-        name: one of `TASKS`.
-        objects: patterns of the objects' names, or patterns by category; all by the categories
-            that their names say unless given.
-        rooms: patterns of rooms' ids or names; all but the outdoors unless given.
-        radius: how near counts as reached, or how far the agent sees of what it explores [m]:
-            0.2 of a point, 0.1 of a view point, 3.0 to explore unless given.
-        view_distance: how far from an object it may be seen from [m].
-        length: number of goals of a sequence, >= 2.
-        share: of the free area of the start's island that is to be explored.
-    """
-
-    name: str = "point"
-    objects: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
-    rooms: tuple[str, ...] = ()
-    radius: Length | None = None
-    view_distance: Length = 1.0
-    length: Annotated[int, msgspec.Meta(ge=2)] = 3
-    share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
-
-    def __post_init__(self) -> None:
-        if self.name not in TASKS:
-            raise ValueError(f"expected one of {', '.join(TASKS)} as task, got {self.name!r}")
-
-    @property
-    def reach(self) -> float:
-        """The radius, or what it is unless given [m]."""
-        known = {"object": 0.1, "room": 0.0, "explore": 3.0}
-        return known.get(self.name, 0.2) if self.radius is None else self.radius
 
 
 class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -177,7 +157,7 @@ def make_task(name: str = "point", **given: Any) -> Task:
     return task
 
 
-def make_splits(shares: Mapping[str, float], by: str = "scene") -> Splits:
+def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
     """Parts of a set; raises a ConfigError for what doesn't fit, see `Splits`."""
     splits: Splits = _convert({"shares": shares, "by": by}, Splits)
     return splits
@@ -225,42 +205,41 @@ def make_episodes(
             grids are of one scene.
         ConfigError: there is no such task or sampler.
     """
-    scenes = [grids] if not isinstance(grids, Sequence) else list(grids)
+    scenes = list(grids) if isinstance(grids, Sequence) else [grids]
     wanted = task if isinstance(task, Task) else make_task(task)
     rules, parts = make_rules(sampler), splits or Splits()
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < least:
             raise QueryError(f"expected a {name} >= {least}, got {value!r}")
-    if not scenes or len({scene_of(grid) for grid in scenes}) < len(scenes):
-        names = sorted(scene_of(grid) for grid in scenes)
-        raise QueryError(f"expected grids of different scenes, got {', '.join(names) or 'none'}")
-    episodes: list[Episode] = []
-    entries, agents, rejected = [], [], Counter[str]()
-    for k, given in enumerate(scenes):
+    names = [scene_of(grid) for grid in scenes]
+    if not scenes or len(set(names)) < len(names):
+        got = ", ".join(sorted(names)) or "none"
+        raise QueryError(f"expected grids of different scenes, got {got}")
+    found: list[Episode] = []
+    entries, agents, rejected = [], set(), Counter[str]()
+    for k, (scene, given) in enumerate(zip(names, scenes, strict=True)):
         grid = fit_grid(given, radius, height)
-        share = count // len(scenes) + (k < count % len(scenes))
         draw = _Draw(grid, wanted, rules, int(seed), parts)
-        episodes += draw.run(share, first=len(episodes))
+        found += draw.run(count // len(scenes) + (k < count % len(scenes)))
         rejected.update(draw.rejected)
         file = files[k] if k < len(files) else None
-        entries.append(GridEntry(scene=scene_of(grid), digest=digest_of(grid), file=file))
-        agents.append(agent_of(grid, speed))
-    if len(set(agents)) > 1:
-        sizes = ", ".join(sorted({f"{a.radius:g} x {a.height:g} m" for a in agents}))
+        entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file))
+        agents.add((agent_radius(grid), grid.agent_height if height is None else float(height)))
+    if len(agents) > 1:
+        sizes = ", ".join(f"{r:g} x {h:g} m" for r, h in sorted(agents))
         raise QueryError(f"the grids are for agents of several sizes ({sizes}): give a radius")
-    agent = agents[0]
-    if height is not None:
-        agent = Agent(radius=agent.radius, height=float(height), speed=speed)
-    if not episodes:
+    if not found:
         why = ", ".join(f"{n} {reason}" for reason, n in rejected.most_common()) or "nothing drawn"
-        raise QueryError(f"no episode of {scene_of(scenes[0])!r} keeps the rules: {why}")
-    made_by = {"task": msgspec.to_builtins(wanted), "rules": msgspec.to_builtins(rules)}
-    made_by |= {"count": int(count), "splits": msgspec.to_builtins(parts)}
+        raise QueryError(f"no episode of {names[0]!r} keeps the rules: {why}")
+    ((own_radius, own_height),) = agents
+    made_by = {"task": wanted, "rules": rules, "count": int(count), "splits": parts}
     header = Header(
-        agent=agent, grids=tuple(entries), sampler=made_by, seed=int(seed),
+        agent=Agent(radius=own_radius, height=own_height, speed=speed), grids=tuple(entries),
+        sampler=msgspec.to_builtins(made_by), seed=int(seed),
         rejected=dict(sorted(rejected.items())),
     )  # fmt: skip
-    return EpisodeSet(header, tuple(episodes))
+    numbered = (msgspec.structs.replace(e, id=str(k)) for k, e in enumerate(found))
+    return EpisodeSet(header, tuple(numbered))
 
 
 class _Draw:
@@ -270,108 +249,105 @@ class _Draw:
         self.task, self.rules, self.seed, self.parts = task, rules, seed, parts
         self.scene = scene_of(grid)
         self.finder = PathFinder(grid)
-        self.goals = GoalFinder(
-            self.finder, task.objects, task.rooms, task.reach, task.view_distance
-        )
+        self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
         self.rejected = Counter[str]()
         self.radii = _island_radii(self.finder)
         self.strata = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
-        self.filled = np.zeros(len(self.strata), dtype=np.int64)
 
-    def run(self, count: int, first: int) -> list[Episode]:
-        """Draw so many episodes; the first has the id `first`."""
+    def run(self, count: int) -> list[Episode]:
+        """Draw so many episodes, as yet without ids."""
         found: list[Episode] = []
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
-        each = math.ceil(count / self.rules.goals)
-        # as many in each class; the first take what is left over
-        self.quota = np.full(len(self.strata), count // len(self.strata))
-        self.quota[: count % len(self.strata)] += 1
-        barren = 0
+        each, parts, barren = math.ceil(count / self.rules.goals), len(self.strata), 0
+        # how many more each class takes; the first have what is left over
+        self.left = [count // parts + (k < count % parts) for k in range(parts)]
         while len(found) < count and barren < BARREN:
             target = self._draw_target()
             new = [] if target is None else self._draw_starts(target, each)
             barren = 0 if new else barren + 1
-            for episode in new:
-                found.append(msgspec.structs.replace(episode, id=str(first + len(found))))
+            found += new
         return found
 
     def _draw_target(self) -> Target | None:
         """Draw what is to be reached; None where it can't be, which is counted."""
-        task, rng, goals = self.task.name, self.rng, self.goals
-        if task == "explore":
-            goal = Goal(share=self.task.share, radius=self.task.reach)
-            return Target((goal,), np.empty((0, 3)), np.empty(0), 0)
-        if task in ("object", "room"):
-            known: list[Any] = list(goals.categories if task == "object" else goals.room_goals)
-            if not known:
-                raise QueryError(f"no {task} in {self.scene!r} to set as a goal")
-            chosen = known[int(rng.integers(len(known)))]
-            options = goals.object_goals(chosen) if task == "object" else [chosen]
-            target = goals.target_of(options) if options else None
-            if target is None:
-                self.rejected["not in sight" if task == "object" else "no place in the room"] += 1
+        task, rng, finder = self.task, self.rng, self.finder
+        if task.name == "explore":
+            return find_target(finder, [Goal(share=task.share, radius=task.reach)])
+        in_order = task.name == "sequence"
+        stages = task.length if in_order else 1
+        if task.kind == "point":
+            places = finder.random_point(rng, stages)
+            goals = [Goal(position=(x, y, z), radius=task.reach) for x, y, z in places.tolist()]
+        else:
+            labels = list(self.goals.choices)
+            if not labels:
+                raise QueryError(f"no {task.kind} in {self.scene!r} to set as a goal")
+            drawn = rng.choice(len(labels), stages, replace=stages > len(labels))
+            options = [self.goals.goals_of(labels[k]) for k in drawn.tolist()]
+            goals = options[0]
+            if in_order:  # each stage is one object or room
+                goals = [each[int(rng.integers(len(each)))] for each in options if each]
+        target = find_target(finder, goals, in_order=in_order) if len(goals) >= stages else None
+        if target is None:
+            why = "not in sight" if task.kind == "object" else "no place in the room"
+            self.rejected[why] += 1
+        elif not math.isfinite(target.rest[0]):
+            self.rejected["no path"] += 1
+        elif task.kind != "room" and (-np.diff(target.rest) < self.rules.min_distance).any():
+            self.rejected["too near"] += 1
+        else:
             return target
-        places = self.finder.random_point(rng, self.task.length if task == "sequence" else 1)
-        targets = [goals.target_of([goals.point(place)]) for place in places]
-        first = targets[0]
-        assert first is not None  # places are free
-        if task == "point":
-            return first
-        along = self.finder.search.flat.cells_at(places)
-        legs = np.array([t.field[c] for t, c in zip(targets[1:], along, strict=False) if t])
-        if not np.isfinite(legs).all() or (legs < self.rules.min_distance).any():
-            self.rejected["too near" if np.isfinite(legs).all() else "no path"] += 1
-            return None
-        air = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        ordered = tuple(goals.point(place) for place in places)
-        beyond = float(legs.sum()), float(air.sum())
-        return Target(ordered, first.places, first.field, first.island, beyond)
+        return None
 
     def _draw_starts(self, target: Target, count: int) -> list[Episode]:
         """Draw starts for a target: `tries` for each of `count` episodes, the first that fits."""
         rules, search = self.rules, self.finder.search
-        flat = search.flat
+        flat, rooms = search.flat, search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
         headings, chance = self.rng.uniform(
             [[-math.pi], [0.0]], [[math.pi], [1.0]], (2, len(starts))
         )
-        cells, distance = flat.cells_at(starts), np.full(len(starts), np.nan)
-        straight, level = distance.copy(), flat.level_of(flat.cells_at(starts))
-        goal_level, rise = level, np.zeros(len(starts))
-        if len(target.places):
-            distance = target.field[cells] + target.beyond[0]
-            air, nearest = target.tree.query(starts)
-            straight = air + target.beyond[1]
-            goal_level = flat.level_of(flat.cells_at(target.places[nearest]))
-            rise = np.abs(starts[:, 2] - target.places[nearest, 2])
-        outcome = self._judge(search.islands.number[cells], distance, straight, chance)
-        for reason, is_refused in (
-            ("too steep", rise > (np.inf if rules.max_rise is None else rules.max_rise)),
-            ("another level", rules.same_level & (level != goal_level)),
-        ):
-            outcome[(outcome < 0) & is_refused] = OUTCOMES.index(reason)
-        rooms = search.rooms
+        cells, goals = flat.cells_at(starts), starts
+        distance = straight = np.full(len(starts), np.nan)
+        if target.stops:
+            air, nearest = spatial.cKDTree(target.stops[0]).query(starts)
+            goals = target.stops[0][nearest]
+            distance, straight = target.fields[0][cells] + target.rest[0], air
+            for one, other in pairwise(target.stops):
+                straight = straight + spatial.cKDTree(one).query(other)[0].min()
+            if rules.headings != "random":
+                ahead = goals - starts if rules.headings == "goal" else starts - goals
+                headings = np.arctan2(ahead[:, 1], ahead[:, 0])
+        levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
+        # a start at the goal goes straight; on a stair the line through the air may be longer
+        ratio = np.where(straight == 0, 1.0, np.nan)
+        np.divide(distance, straight, out=ratio, where=straight > 0)
+        refused = self._refuse(
+            search.islands.number[cells], distance, np.maximum(ratio, 1.0), chance
+        ) | {
+            "too steep": np.abs(starts - goals)[:, 2] > _limit(rules.max_rise),
+            "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
+        }  # fmt: skip
         found = []
         for row in np.arange(len(starts)).reshape(count, rules.tries):
-            if self.filled.sum() >= self.quota.sum():
+            if not any(self.left):
                 break
             for k in row.tolist():
-                if outcome[k] >= 0:
-                    self.rejected[OUTCOMES[outcome[k]]] += 1
+                if why := next((reason for reason, mask in refused.items() if mask[k]), None):
+                    self.rejected[why] += 1
                     continue
-                room = rooms.id_of(int(rooms.number[cells[k]]))
-                known = bool(np.isfinite(distance[k]))
                 x, y, z = starts[k].tolist()
+                room = rooms.id_of(int(rooms.number[cells[k]]))
                 episode = Episode(
                     id="", scene=self.scene, task=self.task.name, start=(x, y, z),
                     heading=float(headings[k]), goals=target.goals,
-                    distance=float(distance[k]) if known else None,
-                    straight=float(straight[k]) if known else None,
+                    distance=float(distance[k]) if target.stops else None,
+                    straight=float(straight[k]) if target.stops else None,
                     split=self.parts.of(self.seed, self.scene, room), room=room,
-                    levels=(int(level[k]), int(goal_level[k])),
+                    levels=tuple(levels[k].tolist()),
                 )  # fmt: skip
                 if rules.paths or rules.strata in ("doors", "rooms"):
                     episode = self._with_path(episode, target)
@@ -381,59 +357,48 @@ class _Draw:
                 self.rejected["stratum full"] += 1
         return found
 
-    def _judge(self, island: Int32, distance: Float, straight: Float, chance: Float) -> Int:
-        """Which rule refuses each start, by its place in `OUTCOMES`; -1 for none."""
-        rules, outcome = self.rules, np.full(len(distance), -1)
-        refused = {"island too small": self.radii[island] < rules.min_island}
-        if not np.isnan(distance).all():
-            # a start at the goal goes straight; on a stair the line through the air may be longer
-            air = np.where(straight > 0, straight, np.inf)
-            ratio = np.where(straight > 0, np.maximum(distance / air, 1.0), 1.0)
-            farthest = np.inf if rules.max_distance is None else rules.max_distance
-            refused |= {
-                "no path": ~np.isfinite(distance),
-                "too near": distance < rules.min_distance,
-                "too far": distance > farthest,
-                "too straight": ratio < rules.min_ratio,
-            }
-            if rules.soft_ratio is not None:
-                kept = STEEPNESS * (ratio - NEAR_STRAIGHT) ** 2
-                refused["straight, by chance"] = (ratio < rules.soft_ratio) & (chance > kept)
-        for reason, mask in refused.items():
-            outcome[(outcome < 0) & mask] = OUTCOMES.index(reason)
-        return outcome
+    def _refuse(
+        self, island: Int32, distance: Float, ratio: Float, chance: Float
+    ) -> dict[str, Bool]:
+        """Which starts each rule refuses, by its name, in the order in which they are asked."""
+        rules = self.rules
+        by_chance = chance > STEEPNESS * (ratio - NEAR_STRAIGHT) ** 2
+        return {
+            "island too small": self.radii[island] < rules.min_island,
+            "no path": np.isinf(distance),
+            "too near": distance < rules.min_distance,
+            "too far": distance > _limit(rules.max_distance),
+            "too straight": ratio < rules.min_ratio,
+            "straight, by chance": (ratio < (rules.soft_ratio or 0.0)) & by_chance,
+        }
 
     def _with_path(self, episode: Episode, target: Target) -> Episode:
-        """The episode with the doors and rooms along its way."""
-        stops: list[Any] = [goal.position for goal in target.goals]
-        if self.task.name in ("object", "room"):
-            stops = [target.places]
-        doors: list[str] = []
+        """The episode with its path, and the doors and rooms along it."""
+        paths = paths_through(self.finder, episode.start, target.stops)
         rooms: list[str] = []
-        here = np.array(episode.start)
-        for stop in stops if self.task.name != "explore" else []:
-            path = self.finder.find_path(here, stop)
-            assert path is not None  # its length is known
-            doors += path.doors
-            rooms += path.rooms[bool(rooms) and rooms[-1:] == path.rooms[:1] :]
-            here = path.positions[-1]
-        return msgspec.structs.replace(episode, doors=tuple(doors), rooms=tuple(rooms))
+        for path in paths:
+            rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
+        return msgspec.structs.replace(
+            episode, doors=tuple(door for path in paths for door in path.doors),
+            rooms=tuple(rooms), path=tuple(map(tuple, points_along(paths).tolist())),
+        )  # fmt: skip
 
     def _fits_strata(self, episode: Episode) -> bool:
         """Whether its class takes one more; then it is counted."""
-        number = 0
-        if self.rules.strata is not None:
-            doors, rooms = episode.doors or (), episode.rooms or ()
-            value = {
-                "distance": episode.distance or 0.0, "ratio": episode.ratio or 1.0,
-                "doors": len(doors), "rooms": len(rooms),
-                "levels": abs(episode.levels[0] - episode.levels[-1]),
-            }[self.rules.strata]  # fmt: skip
-            number = int(np.searchsorted(self.strata, value, side="right")) - 1
-        if number < 0 or self.filled[number] >= self.quota[number]:
+        value = {
+            None: 0.0, "distance": episode.distance or 0.0, "ratio": episode.ratio or 1.0,
+            "doors": len(episode.doors or ()), "rooms": len(episode.rooms or ()),
+            "levels": abs(episode.levels[0] - episode.levels[-1]),
+        }[self.rules.strata]  # fmt: skip
+        number = int(np.searchsorted(self.strata, value, side="right")) - 1
+        if number < 0 or not self.left[number]:
             return False
-        self.filled[number] += 1
+        self.left[number] -= 1
         return True
+
+
+def _limit(value: float | None) -> float:
+    return math.inf if value is None else value
 
 
 def _island_radii(finder: PathFinder) -> Float:
@@ -446,15 +411,3 @@ def _island_radii(finder: PathFinder) -> Float:
     radii = np.zeros(len(size))
     np.maximum.at(radii, number, np.linalg.norm(points - middle[number], axis=1))
     return radii
-
-
-def shares_of(texts: Iterable[str]) -> dict[str, float]:
-    """Read shares of splits, ``NAME=SHARE`` each; raises a ConfigError."""
-    shares = {}
-    for text in texts:
-        name, _, share = text.partition("=")
-        try:
-            shares[name] = float(share)
-        except ValueError as error:
-            raise ConfigError(f"expected NAME=SHARE as a split, got {text!r}") from error
-    return shares

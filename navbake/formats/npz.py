@@ -125,7 +125,10 @@ def read_npy(source: Content) -> NDArray[Any]:
 
 
 @contextmanager
-def _opened(source: Content, expected: str, keyword: str, most: int | None) -> Iterator[_Archive]:
+def open_archive(
+    source: Content, expected: str, keyword: str = "", most: int | None = None
+) -> Iterator[_Archive]:
+    """Open an archive whose arrays are read within an allowance; broken ones are FormatErrors."""
     data, name = read_bytes(source, begins=ZIP, expected=expected)
     with _reading(expected, name), zipfile.ZipFile(io.BytesIO(data)) as packed:
         yield _Archive(packed, Allowance(len(data), keyword, most), JsonPath(name))
@@ -158,7 +161,7 @@ def encode_npz(grid: VoxelGrid) -> bytes:
 
 def read_npz(source: Content, *, max_voxels: int | None = None) -> VoxelGrid:
     """Read what `encode_npz` made; `max_voxels` is that of `navbake.load_voxels`."""
-    with _opened(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
+    with open_archive(source, "a .npz of voxels", "max_voxels", max_voxels) as archive:
         top = archive.top
         if GRID in archive and "values" not in archive:
             raise FormatError(f"{top.file} holds a grid, no voxels: navbake.from_npz reads it")
@@ -243,7 +246,7 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
     expected = "a .npz of a grid"
-    with _opened(source, expected, "max_cells", max_cells) as archive:
+    with open_archive(source, expected, "max_cells", max_cells) as archive:
         top, allowance = archive.top, archive.allowance
         if GRID not in archive:
             hint = ": it holds voxels, navbake.load_voxels reads them"

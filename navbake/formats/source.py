@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import importlib
 import io
@@ -29,6 +30,10 @@ LOG = logging.getLogger("navbake")
 CHUNK = 1 << 20  # of a stream whose length is unknown [bytes]
 BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
 GZIP = b"\x1f\x8b"
+PACKED: dict[bytes, tuple[str, Any]] = {
+    GZIP: ("gzip", gzip.open),
+    b"BZ": ("bzip2", bz2.open),
+}
 NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
@@ -123,6 +128,22 @@ def _beginning(text: bytes) -> str:
     return f"{shown(begin)[1:]}…" if begin else "nothing"
 
 
+def unpack(data: bytes, name: str) -> bytes:
+    """Unpack gzip or bzip2, which the content tells; what is neither stays as it is."""
+    kind, opened = PACKED.get(data[:2], ("", None))
+    if opened is None:
+        return data
+    allowance, pieces = Allowance(len(data), "max_cells"), []
+    try:
+        with opened(io.BytesIO(data)) as unpacked:
+            while piece := unpacked.read(16 * CHUNK):
+                allowance.take_text(len(piece), JsonPath(name))
+                pieces.append(piece)
+    except (EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"broken {kind} data in {name}: {_os_message(error)}") from error
+    return b"".join(pieces)
+
+
 def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     """Read a file that holds a grid's JSON object, plain or gzipped (which its content tells).
 
@@ -131,17 +152,7 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
     num_bytes, top = len(text), JsonPath(name)
-    if text.startswith(GZIP):
-        allowance, pieces = Allowance(num_bytes, "max_cells"), []
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(text)) as unpacked:
-                while piece := unpacked.read(16 * CHUNK):
-                    allowance.take_text(len(piece), top)
-                    pieces.append(piece)
-        except (EOFError, OSError, zlib.error) as error:
-            raise FormatError(f"broken gzip data in {name}: {_os_message(error)}") from error
-        text = b"".join(pieces)
-    text = text.removeprefix(BOM)
+    text = unpack(text, name).removeprefix(BOM)
     if _beginning(text)[1:2] != "{":
         top.fail(f"expected {NAVGRID}, got {_beginning(text)}", NAVGRID_REMEDY)
     return text, num_bytes, top

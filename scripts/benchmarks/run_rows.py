@@ -18,10 +18,12 @@ from scipy.sparse import csgraph
 import navbake
 from benchmarks.measure import Job, Row, Sample, beside, here
 from benchmarks.scenes import APARTMENT, CELL, Scenes
+from navbake.episodes import make_episodes
 
 RADIUS = 0.3  # [m]
 MILLION = 1_000_000
 AGENTS, POINTS = 4096, 187  # a batch of environments, and the height scan that walkers use
+EPISODES, COMPARED = 10_000, 2_000  # of a set, and of these with scipy's distances
 CAST = 32  # agents whose rays are cast; all others are taken to cost as much
 SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
@@ -53,6 +55,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "block": block_row,
         "spawn": spawn_row,
         "max_radius": max_radius_row,
+        "episodes": partial(episodes_row, sampler="uniform", limit=10.0),
+        "episodes-habitat": partial(episodes_row, sampler="habitat", limit=20.0),
         "tensors": tensors_row,
         "tensor-heights": lambda house: heights_row(house, scenes.main),
     }
@@ -234,6 +238,22 @@ def max_radius_row(house: House) -> Row:
         raise SystemExit("max_radius and bisection differ")
     job = here("max_radius, exact", lambda: finder.max_radius(start, goal))
     return Row(job, [here("bisection over inflate, to 1 mm", bisect)], ratio=1.0)
+
+
+def episodes_row(house: House, sampler: str, limit: float) -> Row:
+    """Ten thousand point episodes, and some of their distances by scipy."""
+    content = make_episodes(house.grid, "point", sampler, count=EPISODES)
+    if len(content) < EPISODES:
+        raise SystemExit(f"only {len(content)} episodes")
+    graph = house.grid.to_graph()
+    few = content.episodes[:: EPISODES // COMPARED]
+    goals = {e.goals[0].position: graph.node_at(e.goals[0].position) for e in few}
+    costs = dict(zip(goals, csgraph.dijkstra(graph.matrix, indices=[*goals.values()]), strict=True))
+    theirs = [costs[e.goals[0].position][graph.node_at(e.start)] for e in few]
+    if not np.allclose(theirs, [e.distance for e in few], rtol=1e-6, atol=0.0):
+        raise SystemExit("episodes' distances and scipy differ")
+    draw = partial(make_episodes, house.grid, "point", sampler, count=EPISODES)
+    return Row(here(f"{EPISODES:,} episodes, {sampler}", draw), limit=limit)
 
 
 def random_pairs(finder: navbake.PathFinder, count: int) -> list[np.ndarray]:

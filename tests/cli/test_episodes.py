@@ -71,7 +71,6 @@ def test_objects_by_a_file_of_categories_and_splits(run):
         (("--task", "fly"), "expected one of point"),
         (("--sampler", "hab"), "no sampler 'hab'"),
         (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: it has name, min_distance"),
-        (("--split", "train"), "expected NAME=SHARE as a split, got 'train'"),
         (("--split", "train=0"), "shares"),
         (("--split-by", "floor", "--split", "a=1"), "expected scene or room to split by"),
         (("--categories", "none.yaml", "--task", "object"), "cannot read none.yaml"),
@@ -83,6 +82,30 @@ def test_wrong_options_are_one_line(run, arguments, message):
     status, _, err = run("episodes", "house.json.gz", "-o", "set.jsonl", *arguments)
     assert status == 1 and message in err and err.count("\n") == 1
     assert not Path("set.jsonl").exists()
+
+
+@pytest.mark.parametrize("given", [("--split", "train"), ("--rule", "paths")])
+def test_pairs_need_both_parts(run, given):
+    status, _, err = run("episodes", "house.json.gz", "-o", "set.jsonl", *given)
+    assert status == 2 and given[0] in err and f"got '{given[1]}'" in err
+
+
+def test_sets_are_converted(run):
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "5", "-q")
+    assert run(*args, "--sampler", "minos")[0] == 0
+    status, out, err = run("convert", "set.jsonl", "a.json.gz", "--scene", "house=x/house.glb")
+    assert (status, out, err) == (0, "a.json.gz\n", "")
+    assert run("convert", "a.json.gz", "b.jsonl", "--scene", "house=x/house.glb", "-q")[0] == 0
+    assert Path("b.jsonl").read_bytes().count(b'"scene":"house"') == 1 + 5
+    status, out, _ = run("convert", "a.json.gz", "c.csv", "--to", "minos")
+    assert status == 0 and "c.csv doesn't hold: agent, path" in out
+    assert run("convert", "c.csv", "d.json", "--to", "habitat-vln")[2].count("needs paths") == 1
+    for wrong in (
+        ("set.jsonl", "o.json", "--level", "0"),
+        ("house.json.gz", "o.npz", "--scene", "a=b"),
+    ):
+        status, _, err = run("convert", *wrong)
+        assert status == 2 and "does nothing here" in err
 
 
 def test_another_grid_is_refused(run):

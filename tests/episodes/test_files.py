@@ -104,7 +104,7 @@ def test_what_is_no_set_is_refused(tmp_path, content):
 
 
 def test_other_endings_are_refused(tmp_path):
-    with pytest.raises(FormatError, match=r"ends in .jsonl, .jsonl.gz, .parquet"):
+    with pytest.raises(FormatError, match=r"ends in .jsonl, .parquet, .json, .csv, got .*set.txt"):
         write_episodes(SET, tmp_path / "set.txt")
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections import Counter
 from math import atan2
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import dijkstra
 from scipy.stats import chisquare
 
 from grid_maps import house_from, level_from, random_house, room
@@ -17,9 +22,12 @@ from navbake.episodes import (
     make_episodes,
     make_rules,
     make_task,
+    read_episodes,
     write_episodes,
 )
+from navbake.episodes.goals import cells_of
 from navbake.errors import ConfigError, QueryError
+from project_paths import GOLDEN
 
 FLOOR = """
 ....................
@@ -92,6 +100,12 @@ def test_over_levels_and_links():
         list(replay(grid, found.episodes)), [e.distance for e in found.episodes], rtol=1e-6
     )
     assert {abs(a - b) for a, b in (e.levels for e in found.episodes)} >= {0, 1}
+    graph = grid.to_graph()
+    costs = dijkstra(graph.matrix)
+    nodes = [(graph.node_at(e.start), graph.node_at(e.goals[0].position)) for e in found.episodes]
+    np.testing.assert_allclose(
+        [costs[pair] for pair in nodes], [e.distance for e in found.episodes], rtol=1e-6
+    )
     same = make_episodes(grid, "point", make_rules("minos", min_distance=0.3), count=200)
     assert {a - b for a, b in (e.levels for e in same.episodes)} == {0}
     assert same.header.rejected["another level"] > 0
@@ -107,6 +121,19 @@ def test_the_same_seed_gives_the_same_bytes_and_other_scenes_change_nothing(tmp_
     assert [msgspec.structs.replace(e, id="") for e in beside] == [
         msgspec.structs.replace(e, id="") for e in alone
     ]
+
+
+def test_another_process_gives_the_same_bytes(tmp_path):
+    for hash_seed in ("1", "2"):
+        name = tmp_path / f"{hash_seed}.jsonl"
+        source = Path(__file__).with_name("draw_all_tasks.py")
+        threads = {"NUMBA_NUM_THREADS": hash_seed, "OMP_NUM_THREADS": hash_seed}
+        env = {**os.environ, "PYTHONHASHSEED": hash_seed, **threads}
+        subprocess.run(
+            [sys.executable, source, GOLDEN / "house.grid.json.gz", name], env=env, check=True
+        )
+    assert (tmp_path / "1.jsonl").read_bytes() == (tmp_path / "2.jsonl").read_bytes()
+    assert len(read_episodes(tmp_path / "1.jsonl")) > 50
 
 
 def test_rejections_are_counted():
@@ -156,6 +183,23 @@ def test_strata_have_as_many_episodes_each():
         assert found.header.rejected["stratum full"] > 0
 
 
+@pytest.mark.parametrize(("headings", "turn"), [("goal", 0.0), ("away", np.pi)])
+def test_starts_may_face_the_goal_or_away(headings, turn):
+    for e in make_episodes(plan(), sampler=make_rules(headings=headings), count=10).episodes:
+        dx, dy = np.subtract(e.goals[0].position, e.start)[:2]
+        off = e.heading - atan2(dy, dx) - turn
+        assert np.cos(off) == pytest.approx(1.0)
+
+
+def test_paths_are_kept():
+    found = make_episodes(plan(), sampler="minos", count=10)
+    for e in found.episodes:
+        assert e.path[0] == e.start and e.path[-1] == e.goals[0].position
+        steps = np.linalg.norm(np.diff(e.path, axis=0), axis=1)
+        assert steps.max() <= 0.25 + 1e-9 and steps.sum() <= e.distance + 1e-9
+    assert not make_episodes(plan(), count=1).episodes[0].path
+
+
 def test_objects_have_view_points_and_categories():
     grid = plan()
     found = make_episodes(grid, "object", count=30)
@@ -194,9 +238,34 @@ def test_rooms_and_exploring():
     found = make_episodes(plan(), make_task("room", rooms=("kit*",)), count=10)
     assert {(e.goals[0].room, e.goals[0].name) for e in found.episodes} == {("0:2", "kitchen")}
     assert all(e.room == "0:1" for e in found.episodes)
-    explore = make_episodes(plan(), make_task("explore", share=0.5), count=10)
+    by_type = {"food": ("kit*",), "any": ("0:*",)}
+    found = make_episodes(
+        plan(), make_task("room", rooms=by_type), make_rules(min_distance=0), count=30
+    )
+    goals = {e.goals[0].category: {goal.room for goal in e.goals} for e in found.episodes}
+    assert goals == {"food": {"0:2"}, "any": {"0:1", "0:2"}}
+    with pytest.raises(QueryError, match="no room of category 'bath' in 'plan'"):
+        make_episodes(plan(), make_task("room", rooms={"bath": ("b*",)}))
+    explore = make_episodes(plan(), make_task("explore", share=0.5), "habitat", count=10)
     assert {e.distance for e in explore.episodes} == {None}
     assert {e.goals[0].share for e in explore.episodes} == {0.5}
+
+
+@pytest.mark.parametrize("of", ["object", "room"])
+def test_sequences_of_objects_and_rooms(of):
+    found = make_episodes(plan(), make_task("sequence", of=of, length=2), count=10)
+    finder = PathFinder(plan())
+    for e in found.episodes:
+        names = [goal.name if of == "object" else goal.room for goal in e.goals]
+        assert sorted(names) == (["rug_7", "table_1"] if of == "object" else ["0:1", "0:2"])
+        stops = [[v.position for v in g.view_points] or f"room:{g.room}" for g in e.goals]
+        first = finder.distances(e.start, stops[0], weighted=False)
+        legs = finder.search.flat.positions(cells_of(finder, e.goals[0]))
+        between = finder.distances(legs, stops[1], weighted=False).min()
+        assert e.distance == pytest.approx(first + between, rel=1e-9)
+        assert e.ratio >= 1.0
+    with pytest.raises(ConfigError, match=r"Invalid enum value 'door' - at `\$.of`"):
+        make_task("sequence", of="door")
 
 
 def test_splits_are_of_whole_scenes_or_rooms():
@@ -249,6 +318,7 @@ def test_wrong_questions(given, message):
         ({"min_distanse": 1}, "no rule 'min_distanse' of a sampler: did you mean 'min_distance'"),
         ({"min_distance": "far"}, r"\$.min_distance"),
         ({"strata": "colour"}, "expected one of distance, .* as strata, got 'colour'"),
+        ({"headings": "north"}, "expected one of random, goal, away as headings, got 'north'"),
         ({"edges": (2.0, 1.0)}, "expected ascending edges"),
     ],
 )

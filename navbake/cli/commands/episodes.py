@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 from typer import Argument, BadParameter
 
 import navbake
-from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option
+from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option, read_pairs
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.views.tables import make_table
@@ -20,6 +20,8 @@ from navbake.views.tables import make_table
 # Functions import what reads grids when they run: --help stays quick.
 
 SETS = (".jsonl", ".jsonl.gz", ".parquet")
+SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", "molmospaces")
+"""Formats of other programs that hold sets."""
 
 
 class Goals(NamedTuple):
@@ -31,12 +33,13 @@ class Goals(NamedTuple):
     objects: list[str] | None = option(
         "PATTERN", "Objects by name. May be repeated.  [default: all, by category]", "--object"
     )
-    categories: Path | None = option("YAML", "Patterns of objects' names by category.")
+    categories: Path | None = option("YAML", "Patterns of names by category, or type of room.")
     rooms: list[str] | None = option(
         "PATTERN", "Rooms by id or name. May be repeated.  [default: all]", "--room"
     )
     reach: float | None = option("METRES", "How near to the goal counts as reached [m].")
     length: int = option("N", "Goals of a sequence.", default=3, min=2)
+    of: str = option("KIND", "What its goals are: point, object or room.", default="point")
     share: float = option("SHARE", "Of the free area to explore.", default=0.9)
 
 
@@ -83,16 +86,17 @@ def episodes(
     from navbake.episodes import sampler  # loads numpy
     from navbake.episodes.files import write_episodes  # loads numpy
 
-    given: dict[str, Any] = {"radius": goals.reach, "rooms": goals.rooms or ()}
-    given |= {"length": goals.length, "share": goals.share, "objects": goals.objects or ()}
+    given: dict[str, Any] = {
+        "objects": goals.objects or (), "rooms": goals.rooms or (), "radius": goals.reach,
+        "length": goals.length, "of": goals.of, "share": goals.share,
+    }  # fmt: skip
     if goals.categories is not None:
-        given["objects"] = _read_categories(goals.categories)
-    pairs = [text.partition("=") for text in drawn.rule or []]
-    for key, mark, _ in pairs:
-        if not mark:
-            raise BadParameter(f"expected KEY=VALUE, got {key!r}", param_hint="--rule")
-    values = {k: v.split(",") if k == "edges" else v for k, _, v in pairs}
-    shares = sampler.shares_of(drawn.split or [])
+        kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
+        given[kind] = _read_categories(goals.categories)
+    values: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
+    if "edges" in values:
+        values["edges"] = values["edges"].split(",")
+    shares = read_pairs(drawn.split, "--split", "NAME=SHARE")
     count = drawn.total or (drawn.per_scene or 100) * len(grids)
     content = sampler.make_episodes(
         [navbake.load(grid) for grid in grids],
@@ -115,15 +119,24 @@ def episodes(
 
 def _read_categories(path: Path) -> Any:
     """Read patterns of names by category."""
-    import yaml  # --help does without it
+    from msgspec import DecodeError, yaml  # --help does without it
 
     try:
-        found = yaml.safe_load(path.read_bytes())
-    except (OSError, yaml.YAMLError) as error:
+        found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
+    except (OSError, DecodeError) as error:
         raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-    if not isinstance(found, dict) or not found:
-        raise ConfigError(f"expected CATEGORY: [PATTERN, …] in {path}")
-    return {str(k): [v] if isinstance(v, str) else v for k, v in found.items()}
+    return {category: [v] if isinstance(v, str) else v for category, v in found.items()}
+
+
+def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
+    """Convert a set of episodes, and say what the new file doesn't hold."""
+    from navbake.episodes.files import read_episodes, write_episodes  # loads numpy
+
+    check_output(output, inputs=[source])
+    lost = write_episodes(read_episodes(source, scenes), output, form, scenes)
+    say_unless_quiet(output)
+    if lost:
+        say(f"{output} doesn't hold: {', '.join(lost)}")
 
 
 def score(
@@ -133,7 +146,7 @@ def score(
         list[Path] | None,
         Argument(metavar="GRID…", help="Grids of the set.  [default: those it names, beside it]"),
     ] = None,
-    by: str = option("GROUP", "all, distance, room, scene or split.", default="all"),
+    by: str = option("GROUP", "all, distance, ratio, room, scene or split.", default="all"),
     threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
     seed: int = option("N", "Seed of the intervals.", default=0, min=0),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),

@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 from typer import Argument, BadParameter, Option
 
 import navbake
+from navbake.cli.commands.episodes import SET_FORMATS, convert_set
 from navbake.cli.options import (
     GRIDS,
     OUTPUT,
@@ -17,6 +18,7 @@ from navbake.cli.options import (
     beside_output,
     check_output,
     option,
+    read_pairs,
     refuse_unused,
     write_stdout,
 )
@@ -25,6 +27,7 @@ from navbake.errors import ConfigError, FormatError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
 
+ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings that no grid's file has
 SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -76,16 +79,25 @@ def convert(
     chosen: FormatOptions,
     to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
     origin: str | None = option("FORMAT", "Format of IN.  [default: by its ending]", "--from"),
+    scene: list[str] | None = option(
+        "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
+    ),
 ) -> None:
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
     options = chosen._asdict()
     given = {
         key: value
         for key, value in options.items()
         if value is not None and value is not False and value != []
     }
+    names = source.name.lower(), output.name.lower()
+    if to in SET_FORMATS or names[0].endswith(".csv") or any(n.endswith(ONLY_SETS) for n in names):
+        refuse_unused(*((f"--{key}", True, False, "grids") for key in given))
+        convert_set(source, output, to, read_pairs(scene, "--scene", "NAME=ID"))
+        return
+    refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
+    reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
     for key in given.keys() - {*writer.write_options}:
         takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
         hint = f"--{key.replace('_', '-')}"
@@ -123,6 +135,8 @@ convert.__doc__ = "\n\n".join(
         "Example: navbake convert house.grid.json map.yaml",
         "Formats:",
         *map(_describe_format, FORMATS),
+        f"Sets of episodes (.jsonl, .parquet, .json.gz, .csv.bz2; {', '.join(SET_FORMATS)}): IN is "
+        "read by its ending and content.",
     )
 )
 
