@@ -211,9 +211,7 @@ class WallRays:
         across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
         points[:, 0] += np.tile(across, len(row))
-        x_min, y_min, x_max, y_max = tiled.lattice.bounds
-        inside = np.clip(points, (x_min, y_min), (x_max, y_max))
-        rows, cols = tiled.lattice.rows_cols(inside)
+        rows, cols = tiled.lattice.rows_cols(points)
         rows = np.clip(rows, 0, tiled.lattice.height - 1)
         cols = np.clip(cols, 0, tiled.lattice.width - 1)
         crossings = cast_points(tiled, rows * tiled.lattice.width + cols, points)
