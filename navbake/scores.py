@@ -30,6 +30,7 @@ from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.places import snap
 from navbake.types import Float, Json
 
 THRESHOLD = 3.0  # of nDTW, as VLN-CE has it [m]
@@ -213,9 +214,8 @@ class Measures:
         aside = np.zeros(len(p))
         blocked = np.flatnonzero(~flat.free[cells])
         if len(blocked):
-            near = self.finder.many.snap(p[blocked], max_distance=SNAP)
-            found = ~np.isnan(near[:, 0])
-            cells[blocked[found]] = flat.cells_at(near[found])
+            near, found = snap(flat, flat.free, p[blocked], max_distance=SNAP)
+            cells[blocked] = np.where(found >= 0, found, cells[blocked])
             aside[blocked] = np.linalg.norm(near - p[blocked], axis=1)  # NaN where there is none
         distances = []
         for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
@@ -259,10 +259,10 @@ class Measures:
 
     def _collisions(self, way: Float) -> int:
         """Moves that no agent can make straight, as they meet a cell that isn't free."""
-        flat, many = self.finder.search.flat, self.finder.many
+        flat = self.finder.search.flat
         starts, ends = way[:-1], way[1:]
         is_free = flat.free[flat.cells_at(starts)]
-        arrived = many.try_step(starts[is_free], ends[is_free], slide=False)
+        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
         off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
         return int((~is_free).sum() + (off > ARRIVED).sum())
 

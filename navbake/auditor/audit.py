@@ -13,8 +13,7 @@ from navbake.auditor.report import ERROR, AuditReport, Found, Remark
 from navbake.errors import FormatError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import shown_type
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 
 CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
     "all cells are free": ("all free", cells.check_all_free),

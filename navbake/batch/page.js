@@ -45,6 +45,7 @@ function choose(changes) {
   find("distributions").hidden = !find("charts").children.length;
   showChosen();
   showTable();
+  showEpisodes();
 }
 
 const remember = () => history.replaceState(null, "", `#${encodeURIComponent(JSON.stringify(state))}`);
@@ -116,6 +117,15 @@ function showTable() {
   const left = shown.length - numRows;
   find("table").replaceChildren(made, left > 0 ? button(`Show more: ${whole(left)} left`, () => { numRows *= 10; showTable(); }) : "");
   find("count").textContent = shown.length === scenes.length ? counted(shown.length, "scene") : `${whole(shown.length)} of ${counted(scenes.length, "scene")}`;
+}
+
+// How many episodes of the scenes that are chosen are in each class of a measure.
+function showEpisodes() {
+  const drawn = shown.filter((scene) => scene.episodes), names = { distance: "length in m", ratio: "length over straight line", levels: "levels crossed" };
+  const classOf = (from, to) => (to === undefined ? `${rounded(from)} and more` : to - from === 1 ? rounded(from) : `${rounded(from)} to below ${rounded(to)}`);
+  const tables = Object.entries(batch.classes).map(([key, edges]) => table([names[key], "episodes"],
+    edges.map((from, k) => [classOf(from, edges[k + 1]), whole(sum(drawn, (scene) => scene.episodes[key][k]))]), [1]));
+  find("episodes").replaceChildren(...(drawn.length ? [element("h2", "Episodes"), element("div", tables, { class: "charts" })] : []));
 }
 
 function openScene(scene) {

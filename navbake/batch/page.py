@@ -22,7 +22,7 @@ import numpy as np
 from navbake.batch import store
 from navbake.batch.index import read_index
 from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
-from navbake.batch.products import GRID, THUMBNAIL
+from navbake.batch.products import CLASSES, GRID, THUMBNAIL
 from navbake.errors import NavbakeError, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
@@ -137,7 +137,8 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
 
     Returns:
         ``scenes``; ``work``: how long any was being baked [s]; ``groups``: the group of each
-        status and of each of `TEXTS`; ``edges`` of the bars of each chart.
+        status and of each of `TEXTS`; ``edges`` of the bars of each chart; ``classes``: lower
+        edges of those in which episodes are counted.
     """
     scenes: list[Json] = []
     for row in rows:
@@ -148,10 +149,12 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
             scene |= {key: row.get(key) or [] for key in ("warnings", "audit")}
             scene |= {"files": [*(row.get("files") or ())], "stages": row.get("stages") or {}}
             scene["thumbnail"] = row["status"] == OK and has_thumbnail(row["id"])
+            scene["episodes"] = row.get("episodes")
             scenes.append(scene)
     return {
         "work": round(measure_work(scenes), 3),
         "scenes": scenes,
+        "classes": CLASSES,
         "groups": {"status": {status: status for status in STATUSES}}
         | {kind: _group(text for scene in scenes for text in scene[kind]) for kind in TEXTS},
         "edges": {key: _edges([s[key] for s in scenes if s[key] is not None]) for key in CHARTS},

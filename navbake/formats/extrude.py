@@ -28,7 +28,7 @@ import yaml
 
 from navbake.errors import FormatError
 from navbake.formats.convert import chosen_levels
-from navbake.formats.source import Files
+from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Json
@@ -103,6 +103,7 @@ def encode_mjcf(
         )
     settings = _settings(grid, path, lattice, levels, stacked)
     settings_path = path.with_suffix(".yaml")
+    check_named(path)
     text = yaml.safe_dump(settings, sort_keys=False, default_flow_style=None, allow_unicode=True)
     head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
     lines = _scene_lines(grid.scene_id or path.stem, parts, settings, settings_path.name)

@@ -76,24 +76,19 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
     Returns:
         Pairs of two regions, the smaller number first.
     """
-    pairs: set[tuple[int, int]] = set()
+    found = [np.empty((0, 2), dtype=np.int64)]
     for lines in (index, index.T):
         line, place = np.nonzero(lines[:, 1:] != lines[:, :-1])
         before, after = lines[line, place], lines[line, place + 1]
-        touch = (before != 0) & (after != 0)
-        _collect(pairs, before[touch], after[touch])
         # a gap opens at one change and closes at the next one of the same line
-        gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (before[:-1] != 0)
-        gap &= np.diff(place) <= reach
-        _collect(pairs, before[:-1][gap], after[1:][gap])
-    return pairs
-
-
-def _collect(pairs: set[tuple[int, int]], one: NDArray[Any], other: NDArray[Any]) -> None:
-    apart = one != other
-    both = np.stack([one[apart], other[apart]], axis=1).astype(np.int64)
-    both.sort(axis=1)
-    pairs.update(map(tuple, np.unique(both, axis=0).tolist()))
+        gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= reach)
+        found += [
+            np.stack([before, after], axis=1),
+            np.stack([before[:-1], after[1:]], axis=1)[gap],
+        ]
+    pairs = np.sort(np.concatenate(found), axis=1)
+    pairs = pairs[(pairs[:, 0] > 0) & (pairs[:, 0] < pairs[:, 1])]
+    return set(map(tuple, np.unique(pairs, axis=0).tolist()))
 
 
 def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:

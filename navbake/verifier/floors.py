@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from navbake.config.settings import BakeConfig, FloorSettings
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase
 from navbake.types import Vector3
 from navbake.verifier.lines import AROUND, FACES_UP, RIM, Lines
 from navbake.verifier.report import FLOOR_OFF, PLACE_LOST, Finding, LevelCounts

@@ -74,6 +74,18 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     return path
 
 
+def plot(
+    grid: NavGrid, path: str | PathLike[str] | None = None, **drawn: Any
+) -> Image.Image | Path:
+    """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
+
+    With a path, the picture is written there, and the path returned; see `plot_grid`.
+    """
+    if path is not None:
+        return plot_grid(grid, path, **drawn)
+    return Image.open(io.BytesIO(render_picture(grid, **drawn)))
+
+
 def render_picture(
     grid: NavGrid,
     form: str = "png",

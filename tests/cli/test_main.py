@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -58,11 +59,34 @@ def test_bugs_keep_their_traceback(folder, monkeypatch):
             ["inflate", HOUSE, "--radius", "0.3", "-o", "a.json"],
         ),
         (["mdf", HOUSE], ["map-descriptor", HOUSE]),
+        (
+            [
+                "bake",
+                "room.yaml",
+                "--radius",
+                "0.3",
+                "--cell-size",
+                "0.2",
+                "--no-timings",
+                "-o",
+                "-",
+            ],
+            [
+                *("bake", "room.yaml", "--no-timings", "-o", "-"),
+                *("--set", "agent.radius=0.3", "--set", "grid.cell_size=0.2"),
+            ],
+        ),
+        (["geoms", "apartment"], ["geoms", str(navbake.samples.path("apartment"))]),
     ],
 )
 def test_first_guesses_work(folder, run, guess, meant):
     assert run(*guess)[:2] == run(*meant)[:2]  # a kernel may be compiled
     assert run(*guess)[0] == 0
+
+
+def test_a_path_may_start_in_a_room(folder, run):
+    status, out, _ = run("path", HOUSE, "--from", "room:0:1", "--to", "room:0:2", "--json")
+    assert status == 0 and json.loads(out)["path"]["rooms"] == ["0:1", "0:2"]
 
 
 def test_help_lists_the_commands_in_groups(run):

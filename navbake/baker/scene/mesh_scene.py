@@ -477,6 +477,9 @@ def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[
     for uri in (buffer.get("uri") for buffer in header.get("buffers", [])):
         if uri is None or uri.startswith("data:"):
             continue
+        if ".." in Path(unquote(uri)).parts:
+            yield f"its buffer {uri[:80]!r} lies outside of its folder: put it beside it"
+            continue
         there = [folder / name for name in {uri, uri.strip(), unquote(uri)}]
         there = [file for file in there if os.path.exists(file)]
         if not there:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -15,6 +12,8 @@ import navbake
 from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option, read_pairs
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
+from navbake.files import encode_csv
+from navbake.formats.source import write_bytes
 from navbake.views.tables import make_table
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -162,7 +161,6 @@ def score(
         check_output(output, ".csv", inputs=[content, trajectories, *(grids or [])])
     from navbake import scores  # loads numpy
     from navbake.episodes import read_episodes  # loads numpy
-    from navbake.formats.source import write_bytes  # loads numpy
 
     wanted = read_episodes(content)
     files = grids or [_find(content, entry.file) for entry in wanted.header.grids if entry.file]
@@ -183,7 +181,8 @@ def score(
             cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
             print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
-        write_bytes(_as_csv(rows), output)
+        heads = list(rows[0]) if rows else ["episode"]
+        write_bytes(encode_csv([heads, *(row.values() for row in rows)]), output)
 
 
 def _find(content: Path, name: str) -> Path:
@@ -200,13 +199,3 @@ def _plain(group: dict[str, Any]) -> dict[str, Any]:
         else value
         for key, value in group.items()
     }
-
-
-def _as_csv(rows: Sequence[dict[str, Any]]) -> bytes:
-    """Rows as CSV; what is not known stays empty."""
-    file = io.StringIO()
-    writer = csv.DictWriter(file, list(rows[0]) if rows else ["episode"], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
-    return file.getvalue().encode()

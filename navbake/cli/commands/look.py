@@ -21,8 +21,8 @@ from navbake.cli.options import (
     flag,
     option,
     refuse_unused,
+    write_output,
     write_picture,
-    write_stdout,
 )
 from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
@@ -97,7 +97,6 @@ def report(
     Example: navbake report before.grid.json after.grid.json -o report.html
     """
     from navbake.auditor.audit import audit
-    from navbake.formats.source import write_bytes
     from navbake.views.report.report import read_verification, render_report
 
     if any(os.path.isdir(path) for path in grids):
@@ -121,11 +120,7 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    if output == STDOUT:
-        write_stdout(page)
-    else:
-        write_bytes(page, output)
-        say_unless_quiet(output)
+    write_output(page, output)
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:

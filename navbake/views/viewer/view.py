@@ -27,8 +27,7 @@ from navbake.errors import MissingDependencyError, NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.colors import ROUTE, rgb_of
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.types import Float, Json
 from navbake.views.viewer.controls import Change, Controls, say_error, set_theme

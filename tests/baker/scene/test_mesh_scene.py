@@ -606,6 +606,16 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
             read_mesh_parts(tmp_path / name)
 
 
+@pytest.mark.parametrize("uri", ["../w.bin", "a/%2E%2E/../w.bin"])
+def test_a_buffer_outside_of_the_folder_is_named(tmp_path, uri):
+    WEDGE.export(tmp_path / "w.gltf")
+    content = json.loads((tmp_path / "w.gltf").read_text())
+    content["buffers"] = [{**content["buffers"][0], "uri": uri}]
+    (tmp_path / "w.gltf").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"its buffer '.*w\.bin' lies outside of its folder"):
+        read_mesh_parts(tmp_path / "w.gltf")
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no endless device here")
 @pytest.mark.parametrize(
     "uri", ["/dev/zero", "%2Fdev%2Fzero", "/dev/zero ", "link", "none.bin", ""]
