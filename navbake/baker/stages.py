@@ -18,10 +18,11 @@ from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
+from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Placing, Surroundings, place_doors
-from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, find_floors
+from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -34,7 +35,7 @@ from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
+from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
@@ -259,6 +260,24 @@ class Stages:
         with self.clock.stage("doors"):
             return place_doors(self.scene, self.candidates, around)
 
+    @cached_property
+    def holes(self) -> Float:
+        """Areas of the holes in the lowest floor of an open mesh, closed or not, (n,) [m²].
+
+        Those that `floors.fill` closes, or would close: floor surrounds them.
+        """
+        shapes = [report.shape for report in self.scene.geoms]
+        is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
+        if not self.scene.parts or not is_open or self.judged[0] != self.lattice:
+            return np.empty(0)
+        level, cell_area = self.floors.levels[0], self.lattice.cell_size**2
+        if level.unseen is None:
+            is_occupied = self.occupancy_test(self.judged_columns)
+            level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
+        part, _ = label_parts(np.asarray(level.unseen))
+        areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
+        return areas
+
     @property
     def placed(self) -> list[Placing]:
         """The candidates that are doors."""
@@ -303,6 +322,7 @@ class Stages:
 
     def free_geometry(self) -> None:
         """Give back the memory of columns and of listed geometry: the settled doors need none."""
+        _ = self.holes
         geometry = "tiled", "judged_shapes", "judged_columns", "columns"
         for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)

@@ -27,6 +27,7 @@ from navbake.baker.contents.walls import (
     WALL_BAND,
     GeomsOverFloors,
     find_buildings,
+    find_panes,
     find_walls,
     is_static,
     is_surface,
@@ -64,6 +65,8 @@ class Contents:
     Attributes:
         levels: the storeys' cells, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
+        partitions: the same for rooms: what is a wall by its shape, or closes an opening as a pane
+            does, parts rooms whatever it is named.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
         taken: how many cells each body with a free joint takes, see `count_taken`; shape
@@ -72,13 +75,14 @@ class Contents:
 
     levels: list[LevelContents]
     kinds: NDArray[np.uint8]
+    partitions: NDArray[np.uint8]
     names: list[str]
     warnings: list[str]
     taken: Int
 
     def have_same_walls(self, other: Contents, cells: Int) -> bool:
         """Whether the same cells are marked in contents that differ in some cells at most."""
-        same_kinds = np.array_equal(self.kinds, other.kinds)
+        same_kinds = np.array_equal(self.partitions, other.partitions)
         asked = cells if same_kinds else None
         levels = range(len(self.levels))
         return all(
@@ -95,7 +99,7 @@ class Contents:
         asked = np.arange(len(listed.first)) if cells is None else cells
         shape = listed.lattice.shape if cells is None else cells.shape
         walls, lows = np.empty((2, len(asked)), dtype=np.bool_)
-        kernels.mark_walls(listed, self.kinds, asked, walls, lows)
+        kernels.mark_walls(listed, self.partitions, asked, walls, lows)
         return walls.reshape(shape), lows.reshape(shape)
 
     def user_data(self, level: int, window: Window) -> UserData:
@@ -171,8 +175,8 @@ class CellFinder:
             self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
         self._used = [0 for _ in self._listed]
         self._steps: tuple[Int, Int, Float] | None = None
-        self._basis: list[NDArray[Any]] = []  # of `_kinds` and `_warnings`
-        self._kinds, self._warnings = np.empty(0, dtype=np.uint8), list[str]()
+        self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
+        self._classified: Classified | None = None
 
     def add(self, columns: Columns, tiled: TiledShapes) -> None:
         """Look at the cells of a block; blocks come in the order of their rows."""
@@ -209,7 +213,7 @@ class CellFinder:
             static, roots = is_static(scene), np.asarray(scene.model.body_rootid)
             roots = roots[scene.model.geom_bodyid]
             own = np.unique(roots[moved])
-            decisive = moved & (static | is_surface(scene))
+            decisive = moved & (static | is_surface(scene) | wall_candidates(scene, extents))
             if decisive.any() or (static & np.isin(roots, own[own > 0])).any():
                 self._basis = []
         self._look(columns, tiled, cells, None)
@@ -298,18 +302,19 @@ class CellFinder:
         # geoms are classified again only where something that decides this has changed: that is not
         # how deep one reaches under a floor, as all that begins so low may be a wall
         static = is_static(scene)
-        decisive = static | is_surface(scene)
+        decisive = static | is_surface(scene) | wall_candidates(scene, extents)
         base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
         measured = np.stack([base, *over_floors[1:]])[:, decisive]
         basis = [measured, carriers.building, carriers.things[static], carriers.stood_on[static]]
         basis.append(decisive)
         same = len(basis) == len(self._basis) and all(map(np.array_equal, basis, self._basis))
-        if not same:
+        if not same or self._classified is None:
             known = scene, extents, over_floors, carriers, agent, settings
-            self._kinds, self._warnings = classify_geoms(*known)
+            self._classified = classify_geoms(*known)
             self._basis = basis
+        kinds, partitions, warnings = self._classified
         levels, taken = list(self._listed), self._taken.copy()
-        return Contents(levels, self._kinds, self._names, self._warnings, taken)
+        return Contents(levels, kinds, partitions, self._names, warnings, taken)
 
     def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
         """How geoms stand over floors; and how they carry them, see `find_carriers`."""
@@ -357,6 +362,10 @@ def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     return listed._replace(first=first, geom=geoms, flags=marks), size
 
 
+Classified = tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]
+"""Kinds and partitions by geom id, see `Contents`, and warnings."""
+
+
 def classify_geoms(
     scene: Scene,
     extents: Extents,
@@ -364,17 +373,18 @@ def classify_geoms(
     carriers: Carriers,
     agent: AgentSettings,
     settings: NameSettings,
-) -> tuple[NDArray[np.uint8], list[str]]:
-    """Tell what each geom is, see `Contents.kinds`; and what the user should know."""
+) -> Classified:
+    """What each geom is, see `Contents.kinds` and `partitions`; and what the user should know."""
     buildings = find_buildings(scene, extents, over_floors)
     ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
     kinds[buildings] = BUILDING
-    warnings: list[str] = []
+    partitions, warnings = kinds.copy(), list[str]()
     if settings.walls:  # walls of the settings replace those by shape
         named, warnings = match_walls(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT
-        kinds[named] = WALL
-    return kinds, warnings
+        kinds[named] = partitions[named] = WALL
+    partitions[find_panes(extents, over_floors, partitions == WALL)] = WALL
+    return kinds, partitions, warnings

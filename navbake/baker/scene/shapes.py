@@ -115,6 +115,16 @@ class Shapes:
         solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
         return Shapes(solids, planes, put(self.triangles, new.triangles), self.endless)
 
+    def turned(self, axes: Float) -> Shapes:
+        """All but infinite planes in a frame with these axes, its rows, shape (3, 3)."""
+        solids, mats = self.solids, axes @ self.solids.mat.reshape(-1, 3, 3)
+        pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
+        bounds = solid_bounds(solids.kind, *pose)
+        corners = np.ascontiguousarray(self.triangles.corners @ axes.T)
+        planes = Planes._make(array[:0] for array in self.planes)
+        turned = self.triangles._replace(corners=corners)
+        return Shapes(Solids(solids.geom, solids.kind, *pose, bounds), planes, turned, self.endless)
+
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""

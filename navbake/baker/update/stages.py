@@ -20,7 +20,7 @@ from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
 from navbake.baker.doors.doors import Placing, place_doors
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import TOUCH
+from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
 from navbake.baker.lattice import cells_near, cut_cells, lay_lattice
 from navbake.baker.rooms.flags import RoomFlags, are_equal
 from navbake.baker.rooms.sources import find_markers
@@ -210,6 +210,8 @@ class LiveStages:
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
+            # widths of gaps are measured up to walls
+            holds &= not np.isin(now.contents.partitions[own], (WALL, BUILDING)).any()
         return holds
 
 

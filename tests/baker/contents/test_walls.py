@@ -241,7 +241,7 @@ def test_patterns_override_the_rule(tmp_path):
     assert kinds(stages) == ["structure", "object", "wall", "wall"]
     contents = stages.contents
     assert contents.warnings == []
-    assert contents.mark_walls(0)[0].sum() == 40 + 200
+    assert contents.mark_walls(0)[0].sum() == 40 + 40 + 200  # for rooms, walls by shape stay walls
     named = {name for d in user_data(stages).values() for name in d.get("walls", [])}
     assert named == {"hedge_1", "hedges"}
 
