@@ -23,7 +23,7 @@ from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake import episodes, samples, scores, tensors
-    from navbake.arena.explored import ExploredMap
+    from navbake.arena.arena import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
     from navbake.baker.update.baker import Baker
@@ -81,7 +81,7 @@ _LAZY = {
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "Baker": "navbake.baker.update.baker:Baker",
-    "ExploredMap": "navbake.arena.explored:ExploredMap",
+    "ExploredMap": "navbake.arena.arena:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",
@@ -106,11 +106,16 @@ _MODULES = (
 )  # of navbake, loaded when they are first asked for
 
 
+# first guesses
+_MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}
+
+
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return importlib.import_module(f"navbake.{name}")
     if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        meant = f": write navbake.{_MEANT[name]}" if name in _MEANT else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{meant}")
     value = resolve(_LAZY[name])
     globals()[name] = value
     return value

@@ -1,6 +1,8 @@
-"""Files that are written as a whole or not at all, and temporary folders."""
+"""Files that are written as a whole or not at all, temporary folders, and CSV."""
 
+import csv
 import errno
+import io
 import logging
 import os
 import re
@@ -12,9 +14,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, printable
 
 LOG = logging.getLogger("navbake")
 TEMPORARY = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-\w{8}")  # files; folders by `tempfile`
@@ -91,11 +93,34 @@ def write_all(file: int, data: bytes) -> None:
         written += os.write(file, data[written:])
 
 
+def encode_csv(rows: Iterable[Iterable[Any]]) -> bytes:
+    """Encode rows as CSV (RFC 4180) in UTF-8; None and NaN are empty cells.
+
+    Text that a spreadsheet would take for a formula begins with an apostrophe, and control
+    characters are escaped. Source: OWASP, "CSV Injection".
+    """
+
+    def plain(cell: Any) -> Any:
+        if isinstance(cell, str):
+            return printable(f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell)
+        return cell if cell == cell else None
+
+    text = io.StringIO()
+    # with other ends of lines, csv leaves a name with such an end unquoted
+    csv.writer(text, lineterminator="\r\n").writerows(map(plain, row) for row in rows)
+    return text.getvalue().encode()
+
+
 def check_writable(path: str | PathLike[str]) -> None:
     """Raise an OSError for a path that `write_whole` could not write, before any work is done."""
     if _is_replaceable(path):
         with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
             pass
+
+
+def readable_stem(path: str | PathLike[str]) -> str:
+    """The stem of a file's name as UTF-8 can hold it; bytes that are not UTF-8 become U+FFFD."""
+    return os.fsencode(Path(path).stem).decode(errors="replace")
 
 
 def check_regular(path: str | PathLike[str]) -> None:

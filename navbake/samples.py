@@ -3,6 +3,7 @@
 They are the folder `configs/` of a checkout; an installed navbake carries a copy of it.
 """
 
+from os import PathLike
 from pathlib import Path
 
 from navbake.errors import ConfigError
@@ -31,6 +32,14 @@ def path(name: str) -> Path:
     if name not in names():
         raise ConfigError(f"no sample {name!r}: {suggest(name, names())}")
     return _folder() / f"{name}.yaml"
+
+
+def find(given: str | PathLike[str]) -> Path:
+    """The settings of a sample if a path is its bare name and no file, else the path itself."""
+    found = Path(given)
+    if found.suffix or found.name != str(given) or found.exists() or found.name not in names():
+        return found
+    return path(found.name)
 
 
 def copy(name: str, folder: Path | str = ".") -> list[Path]:

@@ -30,6 +30,7 @@ from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.places import snap
 from navbake.types import Float, Json
 
 THRESHOLD = 3.0  # of nDTW, as VLN-CE has it [m]
@@ -198,10 +199,10 @@ class Measures:
             return [math.nan] * len(p)
         aside, blocked = np.zeros(len(p)), np.flatnonzero(~flat.free[cells])
         if len(blocked):
-            near = self.finder.many.snap(p[blocked], max_distance=SNAP)
-            found = ~np.isnan(near[:, 0])
-            cells[blocked[found]] = flat.cells_at(near[found])
-            aside[blocked] = np.where(found, np.linalg.norm(near - p[blocked], axis=1), math.inf)
+            near, found = snap(flat, flat.free, p[blocked], max_distance=SNAP)
+            cells[blocked] = np.where(found >= 0, found, cells[blocked])
+            away = np.linalg.norm(near - p[blocked], axis=1)
+            aside[blocked] = np.where(found >= 0, away, math.inf)
         distances = []
         for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
             left = float(fields[self._passed][cell]) + more
@@ -234,7 +235,7 @@ class Measures:
         starts, ends = way[:-1], way[1:]
         flat = self.finder.search.flat
         is_free = flat.free[flat.cells_at(starts)]
-        arrived = self.finder.many.try_step(starts[is_free], ends[is_free], slide=False)
+        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
         off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
         found = {
             "success": reached,

@@ -25,9 +25,9 @@ use_venv() { # use_venv EXTRA
             # the pip that comes with 3.10 tries versions for ten minutes and more
             python -m pip install --quiet --quiet --disable-pip-version-check --upgrade pip
         fi
-        # --no-compile: bytecode of what is imported is made then, that of the rest never;
-        # a line for each package shows that it goes on
-        python -u -m pip install --disable-pip-version-check --no-compile --progress-bar off \
+        # with bytecode, as pip writes it: else commands in an image that writes none start three
+        # times as slowly; a line for each package shows that it goes on
+        python -u -m pip install --disable-pip-version-check --progress-bar off \
             --editable ".[$extra]" ${pins[@]+"${pins[@]}"} |
             sed -u -n -e 's/^Collecting \([^ ]*\).*/  \1/p' -e 's/^Installing collected.*/  unpacking/p' >&2
         echo "$stamp" >".venv/installed-$extra"

@@ -7,12 +7,10 @@ import pickle
 from navbake.batch import run as module
 from navbake.batch.job import Plan
 from navbake.batch.products import parse_products
-from navbake.batch.run import Means, run_batch
+from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import as_folder
 from navbake.batch.workers import DONE, Ended
-
-ONE = Means()
 
 
 class Told:
@@ -26,17 +24,18 @@ class Told:
             self.rows.append(values)
 
 
-def run_sources(*sources, settings, out="out", means=ONE, products=(), **options):
+def run_sources(*sources, settings, out="out", products=(), **options):
     """Run a batch; the ids of what it baked, and its result.
 
     Args:
         sources: what names its scenes.
         products: what to make of each scene, as text.
-        options: more of the `Plan`.
+        options: more of the `Plan` and of `run_batch`.
     """
     told = Told()
-    plan = Plan(as_folder(out), settings, products=parse_products(products), **options)
-    result = run_batch(plan, list_jobs(sources), means, told)
+    of_plan = {key: options.pop(key) for key in Plan._fields if key in options}
+    plan = Plan(as_folder(out), settings, products=parse_products(products), **of_plan)
+    result = run_batch(plan, list_jobs(sources), told, **options)
     return [row["id"] for row in told.rows], result
 
 
@@ -53,4 +52,3 @@ def stay_in_process(monkeypatch, after=lambda: None):
             after()
 
     monkeypatch.setattr(module, "do_jobs", do_jobs)
-    monkeypatch.setattr(module, "UNSHARED", ())

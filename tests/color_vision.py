@@ -48,6 +48,14 @@ def difference(one, other, vision="normal"):
     return float(lab_difference(to_lab(one, vision), to_lab(other, vision)))
 
 
+def contrast(one, other):
+    """The contrast ratio of two sRGB colours, 1 to 21: WCAG 2.2."""
+    encoded = np.array([one, other]) / 255
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    low, high = np.sort(linear @ XYZ[1])
+    return (high + 0.05) / (low + 0.05)
+
+
 def lab_difference(one, other):
     """CIEDE2000 of two colours in CIELAB, shape (3,)."""
     (l1, a1, b1), (l2, a2, b2) = one, other

@@ -44,13 +44,16 @@ def check_policy(page):
 
 
 def text_of(packed):
-    """Undo `to_text`."""
+    """Undo `pack`, but for the JSON."""
     return zlib.decompress(b64decode(packed))
 
 
-def unpack(packed, shape):
-    """Undo `pack`."""
-    return np.frombuffer(text_of(packed), dtype="<i4").astype(np.int64).reshape(shape)
+def unpack(level, shape):
+    """The lists of names and the arrays of a level's cells, NaN for none."""
+    content = json.loads(text_of(level["cells"]))
+    lists = content.pop("nameLists", [])
+    arrays = {key: np.array(values, float).reshape(shape) for key, values in content.items()}
+    return lists, arrays
 
 
 def picture_of(layer):

@@ -123,6 +123,16 @@ def test_the_commands_of_the_read_me_run_in_an_empty_folder(tmp_path, monkeypatc
     assert (tmp_path / "apartment.png").stat().st_size > 10_000
 
 
+def test_the_commands_of_the_page_of_formats_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "convert.md"
+    (zones,) = blocks_of(page, "json")
+    (tmp_path / "zones.geojson").write_text(zones)
+    for words in commands_of(page):
+        assert run_command(capsys, *words)[0] == 0, words
+    assert {file.suffix for file in tmp_path.iterdir()} >= {".pgm", ".npz", ".xml", ".yaml"}
+
+
 def test_commands_that_are_wrong_do_not_parse():
     for words in (["bake", "a.yaml", "--colour"], ["plot"], ["path", "a.json", "--from", "0,0"]):
         with pytest.raises(UsageError):

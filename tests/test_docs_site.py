@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
 
 import pytest
 
+from browser import needs_browser, open_browser
 from project_paths import ROOT
 
 pytest.importorskip("material", reason="mkdocs-material is not installed")
@@ -72,3 +74,29 @@ def test_pages_are_in_six_groups():
     assert groups == ["Start", "Bake", "Use", "Export", "Operate", "Reference"]
     listed = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
     assert re.findall(r"^## (\w+)", listed, re.M) == groups
+
+
+@pytest.mark.parametrize(
+    ("word", "page"),
+    [
+        ("OccupancyGrid", "convert.html"),
+        ("PointNav", "episodes.html"),
+        ("SPL", "episodes.html"),
+        ("episode", "episodes.html"),
+    ],
+)
+def test_the_search_finds_the_words_of_the_field(site, word, page):
+    entries = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))[
+        "docs"
+    ]
+    assert page in {e["location"].partition("#")[0] for e in entries if word in e["text"]}
+
+
+@needs_browser
+def test_code_fits_the_page_of_a_small_screen(site):
+    wider = "return [...document.querySelectorAll('pre code')].map((e) => e.scrollWidth - "
+    wider += "e.clientWidth)"
+    with open_browser(1280, 900) as driver:
+        for page in ("index", "learning", "run_time", "episodes", "live", "viewer"):
+            driver.get((site / f"{page}.html").as_uri())
+            assert max(driver.execute_script(wider)) <= 1, page

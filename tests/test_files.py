@@ -10,11 +10,24 @@ from navbake import files
 from navbake.errors import NavbakeError
 from navbake.files import (
     check_writable,
+    encode_csv,
     remove_leftovers,
     scratch_folder,
     write_together,
     write_whole,
 )
+
+
+def test_no_cell_of_a_csv_is_a_formula():
+    rows = [["a", "b"], ["=1+1", 'say "x"'], ["@x\n\x1b", -1.5], [None, float("nan")]]
+    text = encode_csv(rows).decode()
+    assert text.split("\r\n") == [
+        "a,b",
+        '\'=1+1,"say ""x"""',
+        "'@x\\n\\x1b,-1.5",
+        ",",
+        "",
+    ]
 
 
 def test_replaces_the_file(tmp_path):

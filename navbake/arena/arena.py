@@ -1,16 +1,21 @@
-"""A level's obstacles in the squares of an arena, as map descriptors have them."""
+"""Arenas of squares: a level's obstacles in them, and what an agent has explored of one."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.arena.map_descriptor import MOST, SQUARE
+from navbake.arena.map_descriptor import ARENA, MOST, SQUARE, check_shape, decode, draw, encode
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, num_cells
 from navbake.types import Bool, Float, Int
 from navbake.voxels.placement import finite_array
+
+HAIR = 1e-6  # a range that ends this little before a face was measured to it [m]
 
 
 def check_squares(square: float, corner: ArrayLike) -> Float:
@@ -93,3 +98,191 @@ def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
     row0, row1 = row0[:, None], row1[:, None]
     inside: Int = sums[row1, col1] - sums[row0, col1] - sums[row1, col0] + sums[row0, col0]
     return inside > 0
+
+
+class ExploredMap:
+    """A map of squares that an agent fills with what its sensors see.
+
+    The arena is fully surrounded by walls, which are no part of it. The latest that was seen of
+    a square counts; within one call of `observe` a square that some ray ends in is an obstacle,
+    whatever other rays pass through it.
+
+    Attributes:
+        lattice: where the squares lie in the world.
+        explored: shape (rows, cols), bool, row 0 at the top.
+        obstacles: the same; never true where nothing is explored.
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int] = ARENA,
+        *,
+        square: float = SQUARE,
+        corner: Sequence[float] = (0.0, 0.0),
+    ) -> None:
+        """Begin with nothing explored.
+
+        Args:
+            shape: rows and columns, >= 1 each.
+            square: edge of a square [m], > 0.
+            corner: the lower left corner, x and y, world frame [m].
+
+        Raises:
+            FormatError: the shape is none.
+            QueryError: a number is wrong.
+        """
+        rows, cols = check_shape(shape)
+        left, bottom = check_squares(square, corner).tolist()
+        self.lattice = Lattice(left, bottom + rows * square, square, cols, rows)
+        self.explored = np.zeros((rows, cols), dtype=np.bool_)
+        self.obstacles = np.zeros((rows, cols), dtype=np.bool_)
+
+    @classmethod
+    def from_descriptor(
+        cls, part1: str, part2: str, shape: Sequence[int] = ARENA, **squares: Any
+    ) -> ExploredMap:
+        """Go on from a map descriptor, see `navbake.arena.map_descriptor.decode`."""
+        own = cls(shape, **squares)
+        own.explored, own.obstacles = decode(part1, part2, shape)
+        return own
+
+    def enter(self, x: float, y: float) -> None:
+        """Note that the agent is in the square at a world position [m]: explored, and free."""
+        row, col = self._square_at(x, y)
+        self.explored[row, col], self.obstacles[row, col] = True, False
+
+    def observe(
+        self, x: float, y: float, angles: ArrayLike, ranges: ArrayLike, max_range: float
+    ) -> None:
+        """Note what range sensors measured from one place.
+
+        Each ray explores the squares that it passes, and they are free. A range below
+        `max_range` ends in an obstacle: the square that holds the ray's end, or that begins
+        there. Squares behind it, and all outside the arena, don't change.
+
+        Args:
+            x, y: where the sensors are, world position [m].
+            angles: their directions, from the world's x towards its y, shape (n,) [rad].
+            ranges: what they measured, shape (n,) [m], >= 0; infinite, or `max_range` and more,
+                where they saw nothing; NaN where they measured nothing.
+            max_range: how far they see [m], > 0.
+
+        Raises:
+            QueryError: the position is beside the arena, or a number is wrong.
+        """
+        self._square_at(x, y)
+        ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
+        if ways.shape != lengths.shape:
+            counts = f"{len(ways)} and {len(lengths)}"
+            raise QueryError(f"expected as many angles as ranges, got {counts}")
+        if (lengths < 0).any():
+            raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
+        passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)
+        is_measured = ~np.isnan(lengths)
+        for angle, length in zip(ways[is_measured], lengths[is_measured], strict=True):
+            is_hit = length < max_range
+            rows, cols, starts = self._trace(x, y, angle, min(length, max_range), is_hit)
+            ends = is_hit & (starts >= length - HAIR)
+            passed[rows[~ends], cols[~ends]] = True
+            hit[rows[ends], cols[ends]] = True
+        self.explored |= passed | hit
+        self.obstacles[passed] = False
+        self.obstacles[hit] = True
+
+    def look(
+        self, truth: ArrayLike, x: float, y: float, angles: ArrayLike, max_range: float
+    ) -> Float:
+        """See what sensors at a place would see in an arena that is known.
+
+        Args:
+            truth: where obstacles are, shape (rows, cols), row 0 at the top.
+            x, y, angles, max_range: see `observe`.
+
+        Returns:
+            The ranges, shape (n,), float64 [m]; infinite where nothing is in sight.
+
+        Raises:
+            QueryError: see `observe`; or the truth has another shape.
+        """
+        filled = np.asarray(truth) != 0
+        if filled.shape != self.explored.shape:
+            raise QueryError(f"expected `truth` of shape {self.explored.shape}, got {filled.shape}")
+        self._square_at(x, y)
+        ways = _check_rays(angles, max_range)
+        ranges = np.full(len(ways), np.inf)
+        for i, angle in enumerate(ways):
+            rows, cols, starts = self._trace(x, y, angle, max_range, False)
+            ranges[i] = min(starts[filled[rows, cols]], default=np.inf)
+        self.observe(x, y, ways, ranges, max_range)
+        return ranges
+
+    def descriptor(self) -> tuple[str, str]:
+        """Part 1 and part 2 of the map descriptor."""
+        return encode(self.explored, self.obstacles)
+
+    def __str__(self) -> str:
+        """Draw the map, see `navbake.arena.map_descriptor.draw`."""
+        return draw(self.explored, self.obstacles)
+
+    def _square_at(self, x: float, y: float) -> tuple[int, int]:
+        if np.isfinite([x, y]).all():
+            row, col = map(int, self.lattice.rows_cols([x, y]))
+            if 0 <= row < self.lattice.height and 0 <= col < self.lattice.width:
+                return row, col
+        x0, y0, x1, y1 = self.lattice.bounds
+        raise QueryError(
+            f"expected a position within the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, "
+            f"got ({x:g}, {y:g})"
+        )
+
+    def _trace(
+        self, x: float, y: float, angle: float, length: float, beyond: bool
+    ) -> tuple[Int, Int, Float]:
+        """The rows and columns of squares along a ray, nearest first, and where it enters them [m].
+
+        With `beyond`, the square that holds or follows the ray's end comes with the ray's
+        length or more, once.
+        """
+        size, counts = self.lattice.cell_size, (self.lattice.width, self.lattice.height)
+        # in squares from here on, columns and rows; rows run against y
+        start = np.array([x - self.lattice.x_min, self.lattice.y_max - y]) / size
+        way = np.array([np.cos(angle), -np.sin(angle)])
+        far = (length + (2 * HAIR if beyond else 0.0)) / size
+        stops = [np.array([0.0, far])]
+        for place, speed, count in zip(start, way, counts, strict=True):
+            if abs(speed) > 1e-12:
+                # the arena's own grid lines only: a ray that leaves it never returns
+                ends = np.sort([place, place + speed * far]).clip(-1.0, count + 1.0)
+                lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
+                stops.append((lines - place) / speed)
+        # each piece between two crossings lies in one square: that of its middle
+        t = np.unique(np.concatenate(stops).clip(0.0, far))
+        t = t[np.append(True, np.diff(t) > HAIR / size / 2)]
+        starts, middles = t[:-1] * size, (t[:-1] + t[1:]) / 2
+        places = (start[:, None] + way[:, None] * middles).clip(-1.0, 2.0**31)
+        cols, rows = np.floor(places).astype(np.int64)
+        if beyond and len(starts):
+            last = (rows == rows[-1]) & (cols == cols[-1])
+            starts = np.where(last, np.maximum(starts, length), starts)
+        inside = (rows >= 0) & (rows < counts[1]) & (cols >= 0) & (cols < counts[0])
+        return rows[inside], cols[inside], starts[inside]
+
+
+def _check_rays(angles: ArrayLike, max_range: float) -> Float:
+    """The directions of rays, shape (n,) [rad]."""
+    ways = _numbers(angles, "angles [rad]")
+    if not np.isfinite(ways).all():
+        raise QueryError("expected finite angles [rad], got others")
+    if not (np.isfinite(max_range) and max_range > 0):
+        raise QueryError(f"expected a finite `max_range` > 0 m, got {max_range:g}")
+    return ways
+
+
+def _numbers(values: ArrayLike, what: str) -> Float:
+    try:
+        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1:
+        raise QueryError(f"expected {what} of shape (n,), got {values!r}"[:200])
+    return numbers

@@ -13,8 +13,7 @@ from navbake.auditor.report import ERROR, AuditReport, Found, Remark
 from navbake.errors import FormatError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import shown_type
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 
 CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
     "all cells are free": ("all free", cells.check_all_free),
@@ -34,6 +33,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
     "levels are out of order": ("levels", levels.check_order),
     "boxes exclude their own cells": ("boxes", levels.check_boxes),
     "links lead nowhere": ("links", levels.check_links),
+    "links are missing": ("no link", levels.check_missing_links),
     "the agent can't be": ("agent", levels.check_agent),
 }
 """The checks, by what each looks for: what its remarks are called, and its function."""

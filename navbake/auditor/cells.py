@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from navbake.auditor.facts import DOWN, RIGHT, Facts, read_inflations
 from navbake.auditor.report import ERROR, REMARK, Found, count_of
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Int
 
 MANY = 100  # cells that a grid has at least, if it is to say something that all are free

@@ -16,8 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from navbake.auditor.report import ERROR, Found, count_of
 from navbake.errors import FormatError, shorten
 from navbake.navgrid.doors import Door
-from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3

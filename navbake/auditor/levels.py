@@ -119,6 +119,34 @@ def check_links(facts: Facts) -> Iterator[Found]:
             yield ERROR, number, (x, y, facts.levels[number].ground if np.isnan(z) else z), text
 
 
+def check_missing_links(facts: Facts) -> Iterator[Found]:
+    """Free neighbours on two levels lie within a step, but nothing joins their islands.
+
+    A bake links all such cells; files of other programs know no links.
+    """
+    for number, level in enumerate(facts.levels if facts.grid.navbake else ()):
+        for other in range(number + 1, len(facts.levels)):
+            beside = facts.levels[other]
+            rows, cols = np.nonzero(facts.free[other])
+            to_row, to_col = level.lattice.rows_cols(beside.lattice.positions(rows, cols))
+            unlinked = np.zeros(len(rows), dtype=np.bool_)
+            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                r, c = to_row + down, to_col + right
+                inside = (r >= 0) & (c >= 0) & (r < level.height) & (c < level.width)
+                r, c = np.where(inside, r, 0), np.where(inside, c, 0)
+                rise = np.abs(facts.floors[number][r, c] - facts.floors[other][rows, cols])
+                islands = facts.islands[number][r, c], facts.islands[other][rows, cols]
+                is_walk = inside & facts.free[number][r, c] & (rise <= facts.step_limit)
+                unlinked |= is_walk & (islands[0] != islands[1])
+            if unlinked.any():
+                k, count = int(np.argmax(unlinked)), int(unlinked.sum())
+                text = f"{count_of(count, 'free cell')} a step away from level {number} "
+                text += (
+                    f"{'has' if count == 1 else 'have'} no link to it, and nothing else leads there"
+                )
+                yield ERROR, other, facts.place(other, int(rows[k]), int(cols[k])), text
+
+
 def check_agent(facts: Facts) -> Iterator[Found]:
     """The agent can't be: its sizes are none, it takes steps as high as itself, or it is another.
 

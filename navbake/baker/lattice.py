@@ -16,6 +16,8 @@ from navbake.types import Bool, Float, Int
 Window = tuple[slice, slice]
 """Rows and columns of the whole lattice, with a start and a stop each."""
 
+BOX_ROUNDING = 1e-6  # of a box's farthest coordinate; float32 has 6e-8, and is computed with
+
 # Where the two cells of each edge are in an array: left and right, upper and lower
 EDGES: tuple[tuple[Any, Any], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
 
@@ -30,7 +32,11 @@ def list_differing(values: NDArray[Any]) -> Int:
 
 
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
-    """Lay one lattice over the scene, or over the bounds of the settings."""
+    """Lay one lattice over the scene, or over the bounds of the settings.
+
+    A scene's extents count less a micrometre for each metre from the origin: so meshes in float32,
+    in inches or 10 km away, get as many cells as exact numbers would.
+    """
     settings = config.grid
     if settings.bounds is not None:
         bounds = tuple(settings.bounds)
@@ -52,7 +58,9 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
             f"{sides[0]:.6g} x {sides[1]:.6g} m at `grid.cell_size` = {settings.cell_size:g} m; "
             f"check the scene's unit (`scene.unit`), the cell size, or raise the limit"
         )
-    return Lattice.cover(tuple(float(b) for b in bounds), settings.cell_size, settings.margin)
+    rounding = 0.0 if settings.bounds is not None else BOX_ROUNDING * float(np.abs(bounds).max())
+    bounds = tuple(float(b) for b in bounds)
+    return Lattice.cover(bounds, settings.cell_size, settings.margin, rounding)
 
 
 def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[Lattice, Window]:
@@ -65,8 +73,9 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
         return lattice, (slice(0, lattice.height), slice(0, lattice.width))
     x0, y0, x1, y1 = lattice.bounds
     (west, south), (east, north) = bounds[:, :2].tolist()
+    rounding = BOX_ROUNDING * float(np.abs(bounds[:, :2]).max())
     west, east, south, north = (
-        max(0, math.ceil(side / lattice.cell_size - CELL_SLACK))
+        max(0, math.ceil((side - rounding) / lattice.cell_size - CELL_SLACK))
         for side in (x0 - west, east - x1, y0 - south, north - y1)
     )
 

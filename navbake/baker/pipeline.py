@@ -24,7 +24,8 @@ from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
-from navbake.navgrid.doors import Door, Runs, to_runs, with_door_names
+from navbake.navgrid.door_states import with_door_names
+from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData

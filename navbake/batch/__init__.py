@@ -4,6 +4,5 @@
 fetches the scene's files, bakes, makes the products (`products.py`), puts them into the output
 folder, and computes the key by which the next run knows that the scene is done. `run.py` does all
 of them in worker processes (`workers.py`) or on a Ray cluster (`cluster.py`), and writes what
-became of each into the index (`index.py`) and the log (`log.py`). `store.py` reads and writes files
-here and on stores.
+became of each into the index (`index.py`). `store.py` reads and writes files here and on stores.
 """

@@ -13,16 +13,15 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from navbake._version import __version__
 from navbake.batch.workers import AGAIN, BEGUN, CRASHED, Ended, JobLimits, OnEvent, Workers
-from navbake.errors import MissingDependencyError, NavbakeError, printable
+from navbake.errors import NavbakeError, printable
 from navbake.files import scratch_folder
+from navbake.formats.source import import_extra
 
-MISSING = 'batches on a Ray cluster need ray: pip install "navbake[ray]"'
 MOST_LOSSES = 3  # how often Ray does a task again whose node or process was lost
 LOOK = 5.0  # after which it is seen whether the cluster has grown [s]
 PATIENCE = 10.0  # within which a cluster takes a connection [s]
@@ -43,73 +42,61 @@ class _Terms(NamedTuple):
     version: str
 
 
-@dataclass(frozen=True)
-class RayExecutor:
-    """Does jobs on a Ray cluster, as `workers.do_jobs` does them on one machine.
+def do_on_ray(
+    jobs: Sequence[Any],
+    work: Callable[[Any], Any],
+    count: int | None,
+    *,
+    address: str | None,
+    witness: Path | None = None,
+    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+    prepare: Callable[[], None] | None = None,
+    on_event: OnEvent = lambda event, ended: None,
+) -> Generator[Ended, None, None]:
+    """Do jobs on a Ray cluster, as `workers.do_jobs` does them on one machine.
 
-    Attributes:
+    All nodes have to be able to import `work`; see `workers.Workers` for other arguments.
+
+    Args:
+        count: how many tasks run at once at most; None for the CPUs of the cluster. With a number,
+            CPUs that it hasn't are asked for, which makes a cluster grow that can.
         address: of the cluster; ``local`` for one that is started on this machine, listens on the
             loopback device only, and ends with the batch; None for what ``RAY_ADDRESS`` says, else
             ``local``.
         witness: a file where the jobs write, which all nodes must see; None for no such check.
+
+    Raises:
+        MissingDependencyError: ray isn't installed.
+        NavbakeError: there is no cluster, or a node can't do the jobs.
     """
-
-    address: str | None
-    witness: Path | None = None
-
-    def __call__(
-        self,
-        jobs: Sequence[Any],
-        work: Callable[[Any], Any],
-        count: int | None,
-        *,
-        limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
-        prepare: Callable[[], None] | None = None,
-        on_event: OnEvent = lambda event, ended: None,
-    ) -> Generator[Ended, None, None]:
-        """Do jobs, and yield how each ended, in the order in which they end.
-
-        Args:
-            jobs: what `work` is called with; can be pickled.
-            work: a function of a module that all nodes can import.
-            count: how many tasks run at most; None for the CPUs of the cluster. With a number, CPUs
-                that it hasn't are asked for, which makes a cluster grow that can.
-            limits: of each job.
-            prepare: a function of a module that each worker calls before its first job.
-            on_event: is called when a job is handed out, and when it will be tried again.
-
-        Raises:
-            MissingDependencyError: ray isn't installed.
-            NavbakeError: there is no cluster, or a node can't do the jobs.
-        """
-        if not jobs:
-            return
-        witness = None if self.witness is None else os.path.abspath(self.witness)
-        terms = _Terms(work, limits, prepare, os.getcwd(), witness, __version__)
-        with _connected(self.address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
-            do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do)
-            shared = ray.put(terms)
-            left, number_of = iter(range(len(jobs))), dict[Any, int]()
-            while True:
-                # twice the CPUs: no node waits for this process
-                most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-                while len(number_of) < most and (number := next(left, None)) is not None:
-                    number_of[do.remote(shared, number, jobs[number])] = number
-                    on_event(BEGUN, Ended(number, "", ""))
-                if not number_of:
-                    return
-                for task in ray.wait([*number_of], timeout=LOOK)[0]:
-                    number = number_of.pop(task)
-                    try:
-                        ended, tries = ray.get(task)
-                    except ray.exceptions.RayTaskError as error:
-                        raise NavbakeError(_last_line(error.cause or error)) from error
-                    except ray.exceptions.RayError as error:
-                        why = f"it was lost {MOST_LOSSES + 1} times, as {_last_line(error)}"
-                        ended, tries = Ended(number, CRASHED, why), []
-                    for each in tries:
-                        on_event(AGAIN, each)
-                    yield ended
+    if not jobs:
+        return
+    seen = None if witness is None else os.path.abspath(witness)
+    terms = _Terms(work, limits, prepare, os.getcwd(), seen, __version__)
+    with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
+        do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do)
+        shared = ray.put(terms)
+        left, number_of = iter(range(len(jobs))), dict[Any, int]()
+        while True:
+            # twice the CPUs: no node waits for this process
+            most = count or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            while len(number_of) < most and (number := next(left, None)) is not None:
+                number_of[do.remote(shared, number, jobs[number])] = number
+                on_event(BEGUN, Ended(number, "", ""))
+            if not number_of:
+                return
+            for task in ray.wait([*number_of], timeout=LOOK)[0]:
+                number = number_of.pop(task)
+                try:
+                    ended, tries = ray.get(task)
+                except ray.exceptions.RayTaskError as error:
+                    raise NavbakeError(_last_line(error.cause or error)) from error
+                except ray.exceptions.RayError as error:
+                    why = f"it was lost {MOST_LOSSES + 1} times, as {_last_line(error)}"
+                    ended, tries = Ended(number, CRASHED, why), []
+                for each in tries:
+                    on_event(AGAIN, each)
+                yield ended
 
 
 def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
@@ -129,19 +116,13 @@ def _do(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers
     if _workers is None:
-        _workers = Workers(terms.work, 1, terms.limits, terms.prepare, _note).__enter__()
-    _tries.clear()
-    (ended,) = _workers.do([job])
-    return ended._replace(number=number), [each._replace(number=number) for each in _tries]
+        _workers = Workers(terms.work, 1, limits=terms.limits, prepare=terms.prepare).__enter__()
+    tries: list[Ended] = []
+    (ended,) = _workers.do([job], lambda event, each: tries.extend([each] * (event == AGAIN)))
+    return ended._replace(number=number), [each._replace(number=number) for each in tries]
 
 
 _workers: Workers | None = None  # of this Ray process, which Ray keeps for many tasks of a batch
-_tries: list[Ended] = []  # at the job that they are at
-
-
-def _note(event: str, ended: Ended) -> None:
-    if event == AGAIN:
-        _tries.append(ended)
 
 
 @contextmanager
@@ -152,10 +133,7 @@ def _connected(address: str | None, num_cpus: int) -> Iterator[Any]:
     if is_own:
         for name, value in PRIVATE.items():
             os.environ.setdefault(name, value)
-    try:
-        import ray  # an extra
-    except ImportError as error:
-        raise MissingDependencyError(f"{MISSING} ({error})") from error
+    ray = import_extra("ray", "ray", "--executor ray")
     if ray.is_initialized():
         yield ray
         return

@@ -7,14 +7,13 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import filelock
 
+from navbake.batch.products import CLASSES
 from navbake.batch.store import (
-    INSTALL,
     Folder,
     MissingFileError,
     check_inside,
@@ -24,8 +23,9 @@ from navbake.batch.store import (
     remove_files,
     write_file,
 )
-from navbake.errors import MissingDependencyError, NavbakeError
+from navbake.errors import NavbakeError
 from navbake.files import write_all
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 NAME = "index.jsonl"
@@ -99,41 +99,15 @@ class LineFile:
             os.close(self._file)
 
 
-class Index:
-    """The index of a folder, to which one batch adds rows.
-
-    On this machine each row is a line of the file at once; a store gets the file at the end. What
-    is done is known by the scenes' records, so a line that is lost costs nothing.
-
-    Attributes:
-        rows: by id, those that were there before included.
-    """
-
-    def __init__(self, folder: Folder) -> None:
-        self._folder = folder
-        self.rows = read_index(folder)
-        self._file = LineFile(folder / NAME, f"into {folder}") if isinstance(folder, Path) else None
-
-    def add(self, row: Json) -> None:
-        """Add a scene's row."""
-        self.rows[row["id"]] = row
-        if self._file is not None:
-            self._file.add(row)
-
-    def finish(self, rows: Iterable[Json], has_table: bool) -> None:
-        """Write a batch's rows in its order, then those of other scenes."""
-        own = {row["id"]: row for row in rows}
-        self.rows = own | {id: row for id, row in self.rows.items() if id not in own}
-        write_file(self._folder, NAME, b"".join(map(line_of, self.rows.values())))
-        if has_table:
-            write_file(self._folder, TABLE, encode_rows(self.rows.values()))
-        else:
-            remove_files(self._folder, [TABLE])  # it would say other than the index
-
-    def close(self) -> None:
-        """Give the file back; its lines stay."""
-        if self._file is not None:
-            self._file.close()
+def write_index(folder: Folder, rows: Iterable[Json], has_table: bool) -> None:
+    """Write a batch's rows in its order, then those of other scenes that are there."""
+    own = {row["id"]: row for row in rows}
+    own |= {id: row for id, row in read_index(folder).items() if id not in own}
+    write_file(folder, NAME, b"".join(map(line_of, own.values())))
+    if has_table:
+        write_file(folder, TABLE, encode_rows(own.values()))
+    else:
+        remove_files(folder, [TABLE])  # it would say other than the index
 
 
 def read_index(folder: Folder) -> dict[str, Json]:
@@ -169,12 +143,6 @@ def _refuse(word: str) -> float:
 # ---------------------------------------------------------------- as Parquet
 
 
-def check_pyarrow() -> None:
-    """Raise a MissingDependencyError where Parquet can't be written."""
-    if find_spec("pyarrow") is None:
-        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}")
-
-
 def encode_rows(rows: Iterable[Json]) -> bytes:
     """Rows of an index as a Parquet file; the same rows, the same bytes.
 
@@ -184,9 +152,8 @@ def encode_rows(rows: Iterable[Json]) -> bytes:
     Raises:
         NavbakeError: a row has a value of another type, as of an index that somebody changed.
     """
-    import pyarrow  # the extra `batch`
-    from pyarrow import parquet  # the extra `batch`
-
+    parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
+    pyarrow = import_extra("pyarrow", "batch", "Parquet")
     try:
         table = pyarrow.Table.from_pylist([_cells(row) for row in rows], schema=_schema(pyarrow))
     except (pyarrow.ArrowException, ArithmeticError, TypeError, ValueError) as error:
@@ -202,11 +169,12 @@ def _schema(pyarrow: Any) -> Any:
     text, texts = pyarrow.string(), pyarrow.list_(pyarrow.string())
     number, count, wide = pyarrow.float64(), pyarrow.int32(), pyarrow.int64()
     file = pyarrow.struct([("path", text), ("size", wide), ("sha256", text)])
+    counts = pyarrow.struct([(measure, pyarrow.list_(wide)) for measure in CLASSES])
     return pyarrow.schema(
         [
             *(("id", text), ("source", text), ("status", text), ("how", text), ("error", text)),
             *(("levels", count), ("cells", wide), ("free_area", number)),
-            *(("rooms", count), ("doors", count)),
+            *(("rooms", count), ("doors", count), ("episodes", counts)),
             *(("warnings", texts), ("audit", texts)),
             *(("seconds", number), ("stages", pyarrow.map_(text, number)), ("ended", text)),
             *(("scene_digest", text), ("settings_digest", text), ("version", text), ("key", text)),

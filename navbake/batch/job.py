@@ -28,7 +28,7 @@ from navbake.batch.products import (
     make_product,
     write_thumbnail,
 )
-from navbake.batch.settings import Job, settings_of, urls_in
+from navbake.batch.settings import Job, outlines_of, settings_of
 from navbake.batch.store import (
     Folder,
     Mirror,
@@ -47,6 +47,7 @@ from navbake.batch.store import (
     write_file,
 )
 from navbake.config.settings import BakeConfig, load_config
+from navbake.config.yaml_text import apply_overrides
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import write_navgrid
@@ -87,15 +88,11 @@ class Plan(NamedTuple):
         check_inside(self.folder, place)
         return place
 
-    def urls(self, job: Job) -> list[str]:
-        """What a scene needs from stores, as far as it is named outside of files."""
-        return urls_in(job.source, (self.settings, job.settings), self.overrides)
-
     def named(self, job: Job) -> list[str]:
-        """The URLs of a scene that the user named, not a list on a store."""
-        if not job.list:
-            return self.urls(job)
-        return urls_in(job.list, (self.settings,), self.overrides)
+        """The URLs of a scene that the user named outside of files, not a list on a store."""
+        settings = [self.settings, apply_overrides({}, self.overrides)]
+        settings += [] if job.list else [job.settings]
+        return [name for name in (job.list or job.source, *map(outlines_of, settings)) if name]
 
 
 class Scene(NamedTuple):
@@ -131,11 +128,7 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
     """
     allow_hosts(plan.hosts)
     check_host(job.source, plan.named(job))
-    if not plan.urls(job):
-        yield _describe(plan, settings_of(job, plan.settings, plan.overrides), None)
-        return
-    with scratch_folder() as folder:
-        mirror = Mirror(folder, plan.named(job))
+    with Mirror(plan.named(job)) as mirror:
         try:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
@@ -144,22 +137,21 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
                     mirror.bring(path)
             yield scene
         except (NavbakeError, OSError) as error:
-            if why_full(error):
+            told = mirror.told(str(error))
+            if why_full(error) or told == str(error):
                 raise
-            raise NavbakeError(mirror.told(str(error))) from error
+            raise NavbakeError(told) from error
 
 
-def _describe(plan: Plan, config: BakeConfig, mirror: Mirror | None) -> Scene:
+def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
     """The files and the key of a scene whose settings are known."""
     home = config.inputs[0].parent
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
     for named in config.inputs:  # the scene is the first
-        own = mirror if mirror is not None and mirror.url_of(named) else None
-        for path in find_inputs(named, own):
-            if own.has(path) if own else path.is_file():
-                url = own.url_of(path) if own else None
-                state = own.describe(path) if own else describe_file(path)
+        for path in find_inputs(named, mirror):
+            if mirror.has(path):
+                url, state = mirror.url_of(path), mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
                 files.append([shown(url) if url else _relative(path, home), *state.values()])
     stated = {
@@ -188,27 +180,23 @@ def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) ->
     try:
         place = plan.place(job)
         row = read_record(place)
-        if "key" not in row or row["id"] != job.id:
-            return None
         for name, state in row["files"].items():
             there = os.path.getsize(place / name) if isinstance(place, Path) else None
             if (there if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
                 return None
         with open_scene(plan, job, whole=False) as scene:
-            if scene.key != row["key"]:
+            if (row["id"], row["key"]) != (job.id, scene.key):
                 return None
+        del row["more"]
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
         return None
-    del row["more"]
     return {**row, "source": _name(plan, job.source)}  # it may have moved
 
 
 def read_record(place: Folder) -> Json:
     """What a scene's folder says of what was made there; {} where nothing was."""
     with suppress(NavbakeError, ValueError):
-        record = json.loads(
-            read_file(place / RECORD if isinstance(place, Path) else f"{place}/{RECORD}")
-        )
+        record = json.loads(read_file(join(place, RECORD)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
             return record
     return {}
@@ -226,11 +214,9 @@ def remove_made(place: Folder) -> None:
     that is made besides the grid are in the record before they are made.
     """
     record = read_record(place)
-    made = {
-        name for name in (*record.get("files", ()), *record.get("more", ())) if OWN.fullmatch(name)
-    }
+    made = filter(OWN.fullmatch, {*record.get("files", ()), *record.get("more", ())} - {GRID})
     # the grid first: where it is, all is there; the record last, as it names the others
-    remove_files(place, [GRID, *sorted(made - {GRID}), RECORD])
+    remove_files(place, [GRID, *sorted(made), RECORD])
     if isinstance(place, Path):
         remove_leftovers(place, age=0)
 
@@ -249,18 +235,18 @@ def bake_scene(plan: Plan, job: Job) -> Json:
     begin = time.perf_counter()
     try:
         return _make(plan, job, begin)
-    except MemoryError:
-        raise
     except Exception as error:
         if lacked_memory(error):
             raise MemoryError(str(error)) from error
-        full = why_full(error)
-        if full is None:
-            return fail(plan, job, ERROR, _told(error), time.perf_counter() - begin)
-        with suppress(NavbakeError):
-            remove_made(plan.place(job))
-        why = str(refused(f"into {shown(os.fspath(plan.place(job)))}", full))
-        return {**begin_row(plan, job, LEFT), "error": why}
+        why = printable(str(error))
+        if not isinstance(error, NavbakeError | OSError):
+            line = traceback.format_exception_only(error)[-1].strip()
+            why = printable(f"{line} (navbake should have said what is wrong)")
+        row = fail(plan, job, ERROR, why, time.perf_counter() - begin)
+        if full := why_full(error):
+            why = str(refused(f"into {shown(os.fspath(plan.place(job)))}", full))
+            row = {**begin_row(plan, job, LEFT), "error": why}
+        return row
 
 
 def begin_row(plan: Plan, job: Job, status: str) -> Json:
@@ -303,41 +289,52 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             result = run_bake(scene.config, threads=1)
         grid = result.grid
         grid.timings = {}  # the same scene, the same bytes
+        free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
         row = {
             **begin_row(plan, job, OK),
             "version": __version__,
             "key": scene.key,
             "scene_digest": grid.navbake.get("sceneDigest"),
             "settings_digest": grid.navbake.get("settingsDigest"),
-            **_measure(grid),
+            "levels": len(grid.levels),
+            "cells": sum(level.width * level.height for level in grid.levels),
+            "free_area": round(free * (grid.cell_size * grid.unit) ** 2, 6),  # m²
+            "rooms": len(grid.rooms),
+            "doors": len(grid.doors),
             "warnings": list(grid.warnings),
             "audit": [str(remark) for remark in audit(grid).remarks],
             "inputs": scene.inputs,
             "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
         }
         remove_made(place)
-        row["files"] = _write_products(plan, place, grid, scene.config)
+        row["files"] = _write_products(plan, place, grid, scene.config, row)
         row |= _times(time.perf_counter() - begin)
         write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
     return row
 
 
-def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig) -> Json:
-    """Write all that is asked for, the grid last; size and digest of each file by its name."""
+def _write_products(
+    plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig, row: Json
+) -> Json:
+    """Write all that is asked for, the grid last; size and digest of each file by its name.
+
+    What the scene's `row` says of the products is added to it.
+    """
     with scratch_folder() as folder:
         for product in plan.products:
-            make_product(product, grid, config, folder)
+            noted = make_product(product, grid, config, folder)
+            row["warnings"] += noted.pop("warnings", [])
+            for measure, counts in noted.pop("episodes", {}).items():
+                before = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
+                row["episodes"][measure] = [a + b for a, b in zip(before, counts, strict=True)]
         write_navgrid(grid, folder / GRID)
         files = {name: describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
             write_thumbnail(grid, folder)
         others = [name for name in os.listdir(folder) if name != GRID]
-        # what is there already is the user's, until it is replaced
-        own = [
-            name
-            for name in others
-            if not (isinstance(place, Path) and os.path.lexists(place / name))
-        ]
+        own = others
+        if isinstance(place, Path):  # what is there already is the user's, until it is replaced
+            own = [name for name in others if not os.path.lexists(place / name)]
         if own:
             write_record(place, {"files": {}, "more": own})
         for name in (*others, GRID):
@@ -345,30 +342,8 @@ def _write_products(plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig
     return files
 
 
-def _measure(grid: NavGrid) -> Json:
-    """What the index says of a grid; areas in m²."""
-    cell = (grid.cell_size * grid.unit) ** 2
-    free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
-    return {
-        "levels": len(grid.levels),
-        "cells": sum(level.width * level.height for level in grid.levels),
-        "free_area": round(free * cell, 6),
-        "rooms": len(grid.rooms),
-        "doors": len(grid.doors),
-    }
-
-
 def _times(seconds: float) -> Json:
     return {"seconds": round(seconds, DIGITS), "ended": stamp()}
-
-
-def _told(error: Exception) -> str:
-    if isinstance(error, NavbakeError):
-        return str(error)
-    if isinstance(error, OSError):
-        return printable(str(error))
-    line = traceback.format_exception_only(error)[-1].strip()
-    return printable(f"{line} (navbake should have said what is wrong)")
 
 
 def _name(plan: Plan, path: str | Path) -> str:

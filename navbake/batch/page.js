@@ -45,6 +45,7 @@ function choose(changes) {
   find("distributions").hidden = !find("charts").children.length;
   showChosen();
   showTable();
+  showEpisodes();
 }
 
 const remember = () => history.replaceState(null, "", `#${encodeURIComponent(JSON.stringify(state))}`);
@@ -62,7 +63,7 @@ function showGroups(kind) {
   for (const scene of scenes) for (const group of groupsOf(kind, scene)) members.get(group).push(scene);
   const lines = [...members].filter(([, own]) => own.length).sort((a, b) => b[1].length - a[1].length).map(([group, own]) => {
     const isOn = state[kind] === group, more = own.length > EXAMPLES ? `and ${whole(own.length - EXAMPLES)} more` : "";
-    const press = button([element("strong", whole(own.length)), ` ${group}`], () => choose({ [kind]: isOn ? null : group }), { "aria-pressed": String(isOn), class: kind === "status" ? group : "" });
+    const press = button([element("strong", whole(own.length)), " ", ...coded(group)], () => choose({ [kind]: isOn ? null : group }), { "aria-pressed": String(isOn), class: kind === "status" ? group : "" });
     return element("li", [press, ...own.slice(0, EXAMPLES).map(link), element("span", more, { class: "soft" })]);
   });
   return element("section", lines.length ? [element("h2", GROUPS[kind]), element("ul", lines, { class: "groups" })] : [], { id: kind });
@@ -118,6 +119,15 @@ function showTable() {
   find("count").textContent = shown.length === scenes.length ? counted(shown.length, "scene") : `${whole(shown.length)} of ${counted(scenes.length, "scene")}`;
 }
 
+// How many episodes of the scenes that are chosen are in each class of a measure.
+function showEpisodes() {
+  const drawn = shown.filter((scene) => scene.episodes), names = { distance: "length in m", ratio: "length over straight line", levels: "levels crossed" };
+  const classOf = (from, to) => (to === undefined ? `${rounded(from)} and more` : to - from === 1 ? rounded(from) : `${rounded(from)} to below ${rounded(to)}`);
+  const tables = Object.entries(batch.classes).map(([key, edges]) => table([names[key], "episodes"],
+    edges.map((from, k) => [classOf(from, edges[k + 1]), whole(sum(drawn, (scene) => scene.episodes[key][k]))]), [1]));
+  find("episodes").replaceChildren(...(drawn.length ? [element("h2", "Episodes"), element("div", tables, { class: "charts" })] : []));
+}
+
 function openScene(scene) {
   const box = find("scene"), place = shown.indexOf(scene);
   state.scene = scene.id;
@@ -137,8 +147,8 @@ function openScene(scene) {
     element("div", [element("h2", scene.id, { id: "scene-name" }), ...Object.values(steps), button("\u2715", () => box.close(), { "aria-label": "Close" })], { class: "buttons" }),
     ...(scene.thumbnail ? [element("img", "", { src: hrefOf(scene, "thumbnail.png"), alt: `The levels of ${scene.id}, coloured by rooms` })] : []),
     element("p", files.map((file) => element("a", file, { href: hrefOf(scene, file) }))),
-    ...scene.failures.map((text) => element("p", text, { class: "reason" })), element("dl", facts(rows.filter(([, value]) => value))),
-    ...lists.flatMap(([title, texts]) => [element("h3", title), element("ul", texts.map((text) => element("li", text)))]), ...stageTable([scene], "Where its time went"),
+    ...scene.failures.map((text) => element("p", coded(text), { class: "reason" })), element("dl", facts(rows.filter(([, value]) => value))),
+    ...lists.flatMap(([title, texts]) => [element("h3", title), element("ul", texts.map((text) => element("li", coded(text))))]), ...stageTable([scene], "Where its time went"),
   );
   if (!box.open) box.showModal();
 }
@@ -152,7 +162,7 @@ function stageTable(some, title) {
   return timed.length ? [element("h3", title), table(["stage", "time", "share"], rows.map(([name, each]) => [name, withUnit(each, "s"), `${Math.round((100 * each) / total)} %`]), [1, 2])] : [];
 }
 
-inflate(content.packed).json().then((unpacked) => {
+unpack(content.packed).then((unpacked) => {
   batch = unpacked;
   scenes = batch.scenes;
   const tried = scenes.filter((scene) => scene.status !== "left").length, { work } = batch, box = find("scene");

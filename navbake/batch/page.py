@@ -19,10 +19,11 @@ from urllib.parse import quote
 
 import numpy as np
 
+from navbake.auditor.report import count_of
 from navbake.batch import store
 from navbake.batch.index import read_index
 from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
-from navbake.batch.products import GRID, THUMBNAIL
+from navbake.batch.products import CLASSES, GRID, THUMBNAIL
 from navbake.errors import NavbakeError, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
@@ -72,7 +73,8 @@ def write_page(
     content = describe_batch(read_index(folder).values(), _find_thumbnails(folder))
     # a name that is no UTF-8 is its bytes in a link, as browsers have it
     content |= {"made": stamp(), "progress": progress, "base": quote(os.fsencode(base))}
-    packed, title = to_text(json.dumps(content).encode()), printable(name) or "batch"
+    title = f"Batch {printable(name)}: {count_of(len(content['scenes']), 'scene')}"
+    packed = to_text(json.dumps(content).encode())  # names may be no UTF-8
     page = make_page(title, {"packed": packed}, "navbake.batch", "page", PICTURES)
     if path is None:
         store.write_file(folder, NAME, page)
@@ -137,7 +139,8 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
 
     Returns:
         ``scenes``; ``work``: how long any was being baked [s]; ``groups``: the group of each
-        status and of each of `TEXTS`; ``edges`` of the bars of each chart.
+        status and of each of `TEXTS`; ``edges`` of the bars of each chart; ``classes``: lower
+        edges of those in which episodes are counted.
     """
     scenes: list[Json] = []
     for row in rows:
@@ -148,10 +151,12 @@ def describe_batch(rows: Iterable[Json], has_thumbnail: Callable[[str], bool]) -
             scene |= {key: row.get(key) or [] for key in ("warnings", "audit")}
             scene |= {"files": [*(row.get("files") or ())], "stages": row.get("stages") or {}}
             scene["thumbnail"] = row["status"] == OK and has_thumbnail(row["id"])
+            scene["episodes"] = row.get("episodes")
             scenes.append(scene)
     return {
         "work": round(measure_work(scenes), 3),
         "scenes": scenes,
+        "classes": CLASSES,
         "groups": {"status": {status: status for status in STATUSES}}
         | {kind: _group(text for scene in scenes for text in scene[kind]) for kind in TEXTS},
         "edges": {key: _edges([s[key] for s in scenes if s[key] is not None]) for key in CHARTS},

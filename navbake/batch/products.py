@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+import numpy as np
+
 from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
-from navbake.errors import ConfigError, MissingDependencyError
+from navbake.episodes.episode import EpisodeSet, Header
+from navbake.episodes.files import write_episodes
+from navbake.episodes.formats import decode
+from navbake.episodes.sampler import EDGES, make_episodes, make_rules, make_task
+from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.source import write_bytes
 from navbake.formats.voxels import write_voxels
 from navbake.navgrid.grid import NavGrid
+from navbake.types import Json
 from navbake.views.layers import LAYERS
 
 GRID = "grid.json.gz"  # of every scene, written last: where it is, all is there
@@ -27,8 +36,10 @@ PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
 OWN = re.compile(
     r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
-    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png"
+    r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png|episodes-[\w-]+\.jsonl"
 )
+CLASSES = {measure: EDGES[measure] for measure in ("distance", "ratio", "levels")}
+"""Measures of episodes that a scene's row counts, and the lower edges of their classes."""
 
 
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
@@ -55,10 +66,10 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(products))
 
 
-def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> None:
-    """Write the files of a product, each whole or not at all."""
+def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
+    """Write the files of a product, each whole or not at all; returns what the row says of it."""
     name, *values = product.split(":")
-    KINDS[name].make(grid, config, values, folder)
+    return KINDS[name].make(grid, config, values, folder) or {}
 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:
@@ -124,6 +135,73 @@ def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folde
     write_voxels(voxels, folder / f"voxels-{'.'.join(values)}")
 
 
+def _check_episodes(values: Sequence[str], text: str) -> tuple[str, ...]:
+    task, sampler, *numbers = [*values, *("point", "uniform", "100", "0")[len(values) :]]
+    make_task(task), make_rules(sampler)
+    if not all(number.isdecimal() for number in numbers) or int(numbers[0]) < 1:
+        raise ConfigError(f"expected a count >= 1 and a seed >= 0, got {text!r} to make")
+    return (task, sampler, *(str(int(number)) for number in numbers))
+
+
+def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> Json:
+    task, sampler, count, seed = values
+    try:
+        drawn = make_episodes(grid, task, sampler, count=int(count), seed=int(seed), files=[GRID])
+    except QueryError as error:  # the scene has no such object, or the rules refuse all
+        return {"warnings": [f"no episodes of {task}: {error}"]}
+    # one set is made of all scenes'
+    episodes = tuple(
+        msgspec.structs.replace(episode, id=f"{episode.scene}/{episode.id}")
+        for episode in drawn.episodes
+    )
+    write_episodes(
+        EpisodeSet(drawn.header, episodes), folder / f"episodes-{'-'.join(values)}.jsonl"
+    )
+    measured: dict[str, list[float | None]] = {
+        "distance": [episode.distance for episode in episodes],
+        "ratio": [episode.ratio for episode in episodes],
+        "levels": [abs(episode.levels[0] - episode.levels[-1]) for episode in episodes],
+    }
+    counts = {}
+    for measure, edges in CLASSES.items():
+        known = [value for value in measured[measure] if value is not None]
+        counts[measure] = np.histogram(known, [*edges, np.inf])[0].tolist()
+    return {"episodes": counts}
+
+
+def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
+    """One set of episodes out of several scenes', in their order, as pieces of a file.
+
+    Args:
+        sets: the ids of the scenes in the batch, and the content of their files.
+
+    Raises:
+        NavbakeError: the agents differ, or two scenes have one id.
+    """
+    headers, pieces = list[Header](), list[bytes]()
+    for id, content in sets:
+        head, _, episodes = content.partition(b"\n")
+        header = decode(head, Header, f"the episodes of {id}")
+        grids = [msgspec.structs.replace(grid, file=f"{id}/{GRID}") for grid in header.grids]
+        headers.append(msgspec.structs.replace(header, grids=tuple(grids)))
+        pieces.append(episodes)
+    grids = [grid for header in headers for grid in header.grids]
+    again = [scene for scene, count in Counter(grid.scene for grid in grids).items() if count > 1]
+    if len({header.agent for header in headers}) > 1 or again:
+        why = (
+            f"two scenes are called {again[0]!r}" if again else "the scenes' agents differ in size"
+        )
+        raise NavbakeError(f"the scenes' episodes are no set, as {why}: use those of each scene")
+    rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
+    merged = msgspec.structs.replace(
+        headers[0],
+        grids=tuple(grids),
+        sampler=headers[0].sampler | {"count": sum(h.sampler["count"] for h in headers)},
+        rejected=dict(sorted(rejected.items())),
+    )
+    return [msgspec.json.encode(merged), b"\n", *pieces]
+
+
 def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
     from navbake.views.plot import plot_grid  # loads Pillow
 
@@ -140,13 +218,13 @@ class Kind(NamedTuple):
     """A kind of product.
 
     Attributes:
-        make: writes it.
+        make: writes it; returns what a scene's row says of it, if anything.
         check: checks the values and gives them their shortest form.
         least, most: how many values it takes.
         usage: how it is asked for.
     """
 
-    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], None]
+    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], Json | None]
     check: Callable[[Sequence[str], str], tuple[str, ...]]
     least: int
     most: int
@@ -158,5 +236,8 @@ KINDS: dict[str, Kind] = {
     "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
     "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
     "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
+    "episodes": Kind(
+        _make_episodes, _check_episodes, 1, 4, "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]"
+    ),
     "report": Kind(_make_report, lambda *_: (), 0, 0, "report"),
 }

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, nullcontext, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from navbake._version import __version__
-from navbake.batch.index import Index, check_pyarrow, only_batch
+from navbake.batch.index import NAME, LineFile, only_batch, write_index
 from navbake.batch.job import (
     FAILED,
     LEFT,
@@ -23,37 +23,28 @@ from navbake.batch.job import (
     prepare,
     stamp,
 )
+from navbake.batch.products import merge_sets
 from navbake.batch.settings import Job, check_settings
-from navbake.batch.store import FullError, is_url, shown, sizes_below
+from navbake.batch.store import (
+    FullError,
+    join,
+    read_file,
+    sizes_below,
+    write_file,
+)
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
-from navbake.errors import ConfigError, NavbakeError
+from navbake.errors import NavbakeError
 from navbake.files import remove_leftovers
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
-UNSHARED = ("memory",)  # schemes of URLs whose files no other process has
-AT_ONCE = 16  # scenes on stores of which it is found out at once whether they are done
+AT_ONCE = 16  # scenes of which it is found out at once whether they are done
 # of a row of the index: what tells whether a scene is done, which may be long
 BOOKKEEPING = ("key", "inputs", "files", "ended")
 
 
 Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
 """Does jobs as `workers.do_jobs` does, wherever its worker processes are."""
-
-
-class Means(NamedTuple):
-    """What a batch may use.
-
-    Attributes:
-        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
-        limits: of each scene.
-        max_failures: the batch ends when more scenes failed than this; None for never.
-        executor: where the worker processes are; None for this machine.
-    """
-
-    workers: int | None = 1
-    limits: JobLimits = JobLimits()
-    max_failures: int | None = None
-    executor: Executor | None = None
 
 
 OnEvent: TypeAlias = Callable[[str, Json], None]
@@ -80,97 +71,121 @@ class BatchResult:
         return sum(row["status"] == status for row in self.rows)
 
 
-def run_batch(plan: Plan, jobs: Sequence[Job], means: Means, on_event: OnEvent) -> BatchResult:
+def run_batch(
+    plan: Plan,
+    jobs: Sequence[Job],
+    on_event: OnEvent,
+    *,
+    workers: int | None = 1,
+    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+    max_failures: int | None = None,
+    executor: Executor | None = None,
+) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
     A scene is done already if its folder has the grid and a record with its key, see
     `job.open_scene`. One that fails, hangs or crashes its worker costs itself alone. Where the
     folder has no room for one, the batch stops. However the batch ends, short of being killed, the
     index has a row for each scene, in order, as far as there is room for it; ``left`` is one that
-    the batch did not come to.
+    the batch did not come to. On this machine, each row is a line of the index at once.
+
+    Args:
+        plan: what is made.
+        jobs: the scenes.
+        on_event: is called with what happens.
+        workers: how many processes, >= 1; None for each CPU of a cluster, else 1.
+        limits: of each scene.
+        max_failures: the batch ends when more scenes failed than this; None for never.
+        executor: where the worker processes are; None for this machine.
 
     Raises:
-        ConfigError: an override or a shared setting is wrong, or a file is in a process's own
-            memory.
-        NavbakeError: the folder can't be written, another batch writes into it, or no worker
-            process starts.
+        ConfigError: an override or a shared setting is wrong.
+        NavbakeError: the folder can't be written, another batch writes into it, no worker process
+            starts, or the scenes' episodes make no set.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
-        check_pyarrow()
-    for url in [str(plan.folder), *(url for job in jobs for url in plan.urls(job))]:
-        if is_url(url) and url.partition("://")[0].lower() in UNSHARED:
-            raise ConfigError(
-                f"expected files that all processes share, got {shown(url)}: each process has a "
-                "memory of its own"
-            )
-    lock = only_batch(plan.folder) if isinstance(plan.folder, Path) else nullcontext()
-    with lock, closing(Index(plan.folder)) as index:
-        return _run(plan, jobs, index, means, on_event)
+        import_extra("pyarrow", "batch", "Parquet")
+    with ExitStack() as stack:
+        lines: LineFile | None = None
+        if isinstance(plan.folder, Path):
+            stack.enter_context(only_batch(plan.folder))
+            lines = LineFile(plan.folder / NAME, f"into {plan.folder}")
+            stack.callback(lines.close)
+        rows = find_done(plan, jobs)
+        left = [job for job in jobs if job.id not in rows]
+        result, num_failed = BatchResult(skipped=len(rows)), 0
 
+        def note(event: str, ended: Ended) -> None:
+            why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
+            why |= {"how": ended.how, "error": ended.value}
+            on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
 
-def _run(
-    plan: Plan, jobs: Sequence[Job], index: Index, means: Means, on_event: OnEvent
-) -> BatchResult:
-    rows = find_done(plan, jobs)
-    left = [job for job in jobs if job.id not in rows]
-    result = BatchResult(skipped=len(rows))
-    num_failed = 0
-
-    def note(event: str, ended: Ended) -> None:
-        why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
-        why |= {"how": ended.how, "error": ended.value}
-        on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
-
-    try:
-        if left:
-            on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
-        execute: Executor = means.executor or do_jobs
-        ended = execute(
-            left,
-            partial(bake_scene, plan),
-            means.workers or (None if means.executor else 1),
-            limits=means.limits,
-            prepare=partial(prepare, plan.products, plan.thumbnail),
-            on_event=note,
-        )
-        with closing(ended):
-            for end in ended:
-                job = left[end.number]
-                row = end.value
-                if end.how != DONE:
-                    row = fail(plan, job, end.how, end.value, end.seconds)
-                if row["status"] == LEFT:  # there is no room for it, nor for the others
-                    result.stopped = row["error"]
-                    break
-                rows[job.id] = row
-                index.add(row)
-                on_event("scene", {**row, "worker": end.worker})
-                num_failed += row["status"] == FAILED
-                if means.max_failures is not None and num_failed > means.max_failures:
-                    result.stopped = f"{num_failed} scenes failed, more than {means.max_failures}"
-                    break
-    except FullError as error:
-        result.stopped = str(error)
-    finally:
-        for job in left:
-            # its worker may have been killed as it wrote; on a store, the next one removes that
-            if job.id not in rows and isinstance(plan.folder, Path):
-                with suppress(NavbakeError):
-                    remove_leftovers(Path(plan.place(job)), age=0)
-        result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
         try:
-            index.finish(result.rows, plan.has_table)
+            if left:
+                on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
+            execute: Executor = executor or do_jobs
+            ended = execute(
+                left,
+                partial(bake_scene, plan),
+                workers or (None if executor else 1),
+                limits=limits,
+                prepare=partial(prepare, plan.products, plan.thumbnail),
+                on_event=note,
+            )
+            with closing(ended):
+                for end in ended:
+                    job, row = left[end.number], end.value
+                    if end.how != DONE:
+                        row = fail(plan, job, end.how, end.value, end.seconds)
+                    if row["status"] == LEFT:  # there is no room for it, nor for the others
+                        result.stopped = row["error"]
+                        break
+                    rows[job.id] = row
+                    if lines is not None:
+                        lines.add(row)
+                    on_event("scene", {**row, "worker": end.worker})
+                    num_failed += row["status"] == FAILED
+                    if max_failures is not None and num_failed > max_failures:
+                        result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
+                        break
         except FullError as error:
-            result.stopped = result.stopped or str(error)
-    return result
+            result.stopped = str(error)
+        finally:
+            for job in left:
+                # its worker may have been killed as it wrote; on a store, the next one removes that
+                if job.id not in rows and isinstance(plan.folder, Path):
+                    with suppress(NavbakeError):
+                        remove_leftovers(Path(plan.place(job)), age=0)
+            result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
+            try:
+                write_index(plan.folder, result.rows, plan.has_table)
+            except FullError as error:
+                result.stopped = result.stopped or str(error)
+        if result.stopped is None:
+            write_sets(plan, result.rows)
+        return result
+
+
+def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
+    """Write the scenes' sets of episodes as one beside the index, for each that is made.
+
+    Raises:
+        NavbakeError: they make no set, see `products.merge_sets`, or it can't be written.
+    """
+    for product in plan.products:
+        kind, *values = product.split(":")
+        name = f"episodes-{'-'.join(values)}.jsonl"
+        ids = [row["id"] for row in rows if name in row.get("files", ())]
+        if kind == "episodes" and ids:
+            sets = [(id, read_file(join(plan.folder, f"{id}/{name}"))) for id in ids]
+            write_file(plan.folder, name, merge_sets(sets))
 
 
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows of scenes that are done already, by id."""
     sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
-    is_here = sizes is None and not any(map(plan.urls, jobs))
-    with ThreadPoolExecutor(1 if is_here else AT_ONCE) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # stores take long to answer
         found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
     return {row["id"]: row for row in found if row is not None}
 

@@ -6,19 +6,17 @@ import csv
 import glob
 import io
 import json
-import math
 import os
 import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeAlias
 
 from navbake.batch.products import OWN
-from navbake.batch.settings import Job, check_shared, merge, nest, of_id
+from navbake.batch.settings import Job, check_shared, nest, of_id
 from navbake.batch.store import (
-    INSTALL,
     Folder,
     is_url,
     join,
@@ -29,16 +27,18 @@ from navbake.batch.store import (
     shown,
 )
 from navbake.config.field_types import find_unknown_key, show_value
+from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig
-from navbake.errors import ConfigError, MissingDependencyError, shorten
+from navbake.errors import ConfigError, shorten
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 LISTS = (".txt", ".csv", ".jsonl", ".parquet")
 SCENE_KEYS = ("scene", "config")  # of a row; one of them
 TEXTS = ("id", *SCENE_KEYS)  # of which `001` is text
 LINE_END = re.compile(r"\r\n?|\n")
-# what some file system takes for something else than a letter of a name
-SPECIAL = re.compile(r'[\\:*?"<>|]')
+# what some file system takes for something else than a letter of a name, or drops at its ends
+UNFIT = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
 RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
 MAX_BYTES = 200  # of a part of an id; file systems take 255
 WANTED = "expected a scene, settings, a list or a pattern, got"
@@ -67,7 +67,10 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
     if not found:
         raise ConfigError("expected at least one scene, got none")
     jobs = [
-        job._replace(id=name, settings=merge(job.settings, of_id(name)) if job.id else job.settings)
+        job._replace(
+            id=name,
+            settings=merge(job.settings, of_id(name), job.place) if job.id else job.settings,
+        )
         for name, job in zip(_name(found), found, strict=True)
     ]
     for job in jobs:
@@ -85,24 +88,20 @@ def check_id(name: str, place: str) -> None:
             can't be printed; or it is the name of a file that navbake writes of another scene.
     """
     for part in name.split("/"):
-        is_fine = (
-            part.isprintable()
-            and part == part.strip()
-            and not SPECIAL.search(part)
-            and not RESERVED.fullmatch(part)
-            and not part.startswith(".")
-            and not part.endswith(".")
-            and 0 < len(part.encode()) <= MAX_BYTES
-        )
-        if not is_fine:
+        wanted = ""
+        if (
+            not part.isprintable()
+            or not 0 < len(part.encode()) <= MAX_BYTES
+            or UNFIT.search(part)
+            or RESERVED.fullmatch(part)
+        ):
+            wanted = "that can be the name of a folder on any system, or several between slashes"
+        elif OWN.fullmatch(part.casefold()):
+            wanted = f"without names of files that navbake writes, as {part}"
+        if wanted:
             raise ConfigError(
-                f"expected an id that can be the name of a folder on any system, or several "
-                f"between slashes, got {shorten(repr(name))} at {place}: give it another `id`"
-            )
-        if OWN.fullmatch(part.casefold()):
-            raise ConfigError(
-                f"expected an id without names of files that navbake writes, got {part} in "
-                f"{shorten(repr(name))} at {place}: give it another `id`"
+                f"expected an id {wanted}, got {shorten(repr(name))} at {place}: give it another "
+                "`id`"
             )
 
 
@@ -120,16 +119,17 @@ def _check_unique(jobs: list[Job]) -> None:
     seen: dict[str, Job] = {}
     for job in jobs:
         other = seen.setdefault(fold_name(job.id), job)
-        if other is not job and (other.id, other.source) == (job.id, job.source):
+        if other is job:
+            continue
+        if (other.id, other.source) == (job.id, job.source):
             raise ConfigError(
                 f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
                 f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
-        if other is not job:
-            raise ConfigError(
-                f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
-                f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
-            )
+        raise ConfigError(
+            f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
+            f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
+        )
 
 
 def _name(found: list[Job]) -> list[str]:
@@ -188,27 +188,24 @@ def _expand(source: str) -> Iterator[Job]:
 # ---------------------------------------------------------------- lists
 
 
-def _read_list(source: str) -> Iterator[Job]:
+def _read_list(source: str) -> list[Job]:
     """The scenes of a list, each with the place of its row for messages."""
     name = shown(source)
-    kind = PurePosixPath(name).suffix.lower()
-    content = read_file(source)
-    rows = _parquet_rows(content, name) if kind == ".parquet" else _text_rows(content, name, kind)
-    is_empty = True
-    for place, row in rows:
-        is_empty = False
-        yield _entry(row, parent(source), place)._replace(list=source if is_url(source) else "")
-    if is_empty:
+    read = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": _table_rows}
+    rows = read[PurePosixPath(name).suffix.lower()](read_file(source), name)
+    on_web = source if is_url(source) else ""
+    jobs = [_entry(row, parent(source), place)._replace(list=on_web) for place, row in rows]
+    if not jobs:
         raise ConfigError(f"expected at least one scene in {name}, got none")
+    return jobs
 
 
 def _entry(row: Json, folder: Folder, place: str) -> Job:
     row = _without_nones(row)
-    given = [key for key in SCENE_KEYS if key in row]
-    if len(given) != 1 or not isinstance(row[given[0]], str):
+    given = [row.pop(key) for key in SCENE_KEYS if key in row]
+    if len(given) != 1 or not isinstance(given[0], str):
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
-    name, path = row.pop("id", None), row.pop(given[0])
-    nested = row.pop("settings", {})
+    name, nested = row.pop("id", None), row.pop("settings", {})
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
     if isinstance(name, bool) or not isinstance(name, str | int | None):
@@ -216,16 +213,15 @@ def _entry(row: Json, folder: Folder, place: str) -> Job:
         raise ConfigError(f"expected text or a whole number as `id` at {place}, got {got}")
     settings = nest([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
-    for key in settings:
-        if key not in BakeConfig.model_fields:
-            raise ConfigError(
-                f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
-                f"`{shorten(key)}` at {place}"
-            )
+    for key in settings.keys() - BakeConfig.model_fields:
+        raise ConfigError(
+            f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
+            f"`{shorten(key)}` at {place}"
+        )
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
-    return Job("" if name is None else str(name), join(folder, path), settings, place)
+    return Job("" if name is None else str(name), join(folder, given[0]), settings, place)
 
 
 def _without_nones(row: Mapping[str, Any]) -> Json:
@@ -233,28 +229,33 @@ def _without_nones(row: Mapping[str, Any]) -> Json:
     found = {}
     for key, value in row.items():
         given = _without_nones(value) if isinstance(value, Mapping) else value
-        is_none = given is None or given in ("", {})
-        if not is_none and not (isinstance(given, float) and math.isnan(given)):
+        if given not in (None, "", {}) and given == given:  # NaN is none, too
             found[key] = given
     return found
 
 
-def _text_rows(content: bytes, name: str, kind: str) -> Iterator[tuple[str, Json]]:
-    """The rows of a `.txt`, `.csv` or `.jsonl`, each with the line that it begins at."""
+Rows: TypeAlias = Iterator[tuple[str, Json]]
+"""The rows of a list, each with its place."""
+
+
+def _lines(content: bytes, name: str) -> list[str]:
     try:
-        text = content.decode("utf-8-sig")
+        return LINE_END.split(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         number = 1 + len(LINE_END.findall(error.object[: error.start].decode()))
         raise ConfigError(f"expected UTF-8 in {name}, line {number}: {error.reason}") from error
-    if kind == ".csv":
-        yield from _csv_rows(text, name)
-        return
-    for count, line in enumerate(LINE_END.split(text), 1):
-        place = f"{name}, line {count}"
-        if not line.strip() or (kind == ".txt" and line.strip().startswith("#")):
-            continue
-        if kind == ".txt":
-            yield place, {"scene": line.strip()}
+
+
+def _text_rows(content: bytes, name: str) -> Rows:
+    for number, line in enumerate(_lines(content, name), 1):
+        if line.strip() and not line.strip().startswith("#"):
+            yield f"{name}, line {number}", {"scene": line.strip()}
+
+
+def _json_rows(content: bytes, name: str) -> Rows:
+    for number, line in enumerate(_lines(content, name), 1):
+        place = f"{name}, line {number}"
+        if not line.strip():
             continue
         try:
             row = json.loads(line)
@@ -265,9 +266,11 @@ def _text_rows(content: bytes, name: str, kind: str) -> Iterator[tuple[str, Json
         yield place, row
 
 
-def _csv_rows(text: str, name: str) -> Iterator[tuple[str, Json]]:
+def _csv_rows(content: bytes, name: str) -> Rows:
     """The rows, each under the line that it begins at: a value in quotes may have several."""
-    lines = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
+    lines = csv.reader(
+        (f"{line}\n" for line in _lines(content, name)), strict=True, skipinitialspace=True
+    )
     columns: list[str] = []
     place = f"{name}, line 1"
     try:
@@ -300,11 +303,8 @@ def _plain(text: str) -> Any:
         return text
 
 
-def _parquet_rows(content: bytes, name: str) -> Iterator[tuple[str, Json]]:
-    try:
-        from pyarrow import parquet  # the extra `batch`
-    except ImportError as error:
-        raise MissingDependencyError(f"Parquet needs pyarrow: {INSTALL}") from error
+def _table_rows(content: bytes, name: str) -> Rows:
+    parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()
     except Exception as error:  # pyarrow raises its own, and what Python has for odd values

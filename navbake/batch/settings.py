@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 
 from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_file, shown
 from navbake.config.field_types import show_value
+from navbake.config.keywords import merge
 from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
 from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
@@ -89,7 +91,7 @@ def settings_of(
     job: Job,
     shared: Json,
     overrides: Sequence[str],
-    fetch: Callable[[str], Path] | None = None,
+    fetch: Callable[[str], Path] = Path,
 ) -> BakeConfig:
     """The settings of a scene: the batch's, replaced by its own, replaced by the overrides.
 
@@ -100,30 +102,24 @@ def settings_of(
         job: the scene.
         shared: those of the batch.
         overrides: ``a.b=value``.
-        fetch: copies a file of a store and returns its path; None where nothing is on a store.
+        fetch: the path of a file, which it copies if it is on a store.
 
     Raises:
         ConfigError: they are wrong.
     """
     place = f"the settings of {job.place}"
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
+    outlines = outlines_of(apply_overrides({}, overrides))
     if is_yaml(job.source):
         folder = parent(job.source)
         own = _with_files(_read_mapping(job.source), lambda name: join(folder, name))
-        outlines = outlines_of(apply_overrides({}, overrides))
-        if outlines is not None:
-            overrides = [*overrides, f"rooms.polygons={join(folder, outlines)}"]
-    settings: Mapping[str, Any] = of_id(job.id)
+        outlines = outlines and join(folder, outlines)
+    settings = dict(of_id(job.id))
     for part in (shared, own, job.settings):
         settings = merge(settings, part, place)
-    if fetch is not None:
-        # after the overrides, which may name a file of a store, too
-        settings = _with_files(
-            apply_overrides(settings, overrides),
-            lambda name: str(fetch(name)) if is_url(name) else name,
-        )
-        outlines = outlines_of(settings)
-        overrides = [*overrides, *([f"rooms.polygons={outlines}"] if outlines else [])]
+    settings = _with_files(settings, lambda name: str(fetch(name)))
+    if outlines:  # JSON is YAML, whatever the path is
+        overrides = [*overrides, f"rooms.polygons={json.dumps(str(fetch(outlines)))}"]
     return parse_config(settings, place, overrides)
 
 
@@ -135,39 +131,6 @@ def of_id(name: str) -> Json:
 def is_yaml(source: str) -> bool:
     """Whether a scene's source is settings (YAML)."""
     return Path(source).suffix.lower() in YAML_SUFFIXES
-
-
-def urls_in(source: str, settings: Sequence[Json], overrides: Sequence[str]) -> list[str]:
-    """The URLs that a scene's source, its settings and overrides name outside of any file."""
-    named = map(outlines_of, [*settings, apply_overrides({}, overrides)])
-    return [name for name in (source, *named) if name is not None and is_url(name)]
-
-
-def merge(
-    below: Mapping[str, Any], above: Mapping[str, Any], place: str = "", section: str = ""
-) -> dict[str, Any]:
-    """Settings laid over others, section by section; a section without keys changes nothing.
-
-    Raises:
-        ConfigError: there are keys above for what is a value below, as ``rooms: none``. They would
-            undo it; --set refuses that, too. The message names the `place` of the settings.
-    """
-    merged = dict(below)
-    for key, value in above.items():
-        under, name = merged.get(key), f"{section}.{key}".lstrip(".")
-        if value == {} or (value is None and isinstance(under, Mapping)):
-            merged.setdefault(key, value)
-        elif isinstance(value, Mapping) and isinstance(under, Mapping):
-            merged[key] = merge(under, value, place, name)
-        elif isinstance(value, Mapping) and under is not None:
-            inner = f"{name}.{next(iter(value))}"
-            raise ConfigError(
-                f"`{name}` is {show_value(under)}, so there is no key for `{shorten(inner)}` in "
-                f"{place}: write the first as keys, too, or leave one of the two out"
-            )
-        else:
-            merged[key] = value
-    return merged
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:

@@ -10,21 +10,21 @@ import hashlib
 import os
 import posixpath
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 from urllib.parse import urljoin, urlsplit
 
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, printable
-from navbake.files import check_regular, write_whole
+from navbake.files import check_regular, scratch_folder, write_whole
+from navbake.formats.source import import_extra
 from navbake.types import Json
 
 Folder: TypeAlias = Path | str
 """A folder: a Path of this machine, or the URL of one on a store."""
 
-INSTALL = 'pip install "navbake[batch]"'
 URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)", re.DOTALL)  # `C://` is none
 URL_IN_TEXT = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://[^\s'\"<>]+")
 HERE = ("file", "local")  # schemes of this machine's own files
@@ -34,15 +34,9 @@ WEB = ("http", "https")  # a query (`?…`) may follow the path; folders have no
 OBJECT_STORES = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "obs", "memory")
 # What a store says of a file that is another when the content is: a digest or a version, else a
 # time of change
-TAGS = ("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation")
-TIMES = (
-    "lastmodified",
-    "last_modified",
-    "last-modified",
-    "mtime",
-    "modified",
-    "updated",
-    "created",
+TAGS = (
+    *("etag", "md5hash", "md5", "content_md5", "content-md5", "sha", "digest", "generation"),
+    *("lastmodified", "last_modified", "last-modified", "mtime", "modified", "updated", "created"),
 )
 # What the system says of a file system that takes no more files, and what helps
 REMEDIES = {
@@ -202,8 +196,10 @@ def read_file(path: str | Path) -> bytes:
         return Path(path).read_bytes()
 
 
-def write_file(folder: Folder, name: str, content: bytes) -> None:
-    """Write a file whole: others see the old content or the new, and nothing between.
+def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> None:
+    """Write a file, given as bytes or pieces, whole.
+
+    Others see the old content or the new, and nothing between.
 
     Raises:
         FullError: the folder has no room.
@@ -215,6 +211,7 @@ def write_file(folder: Folder, name: str, content: bytes) -> None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(content, folder / name)
             return
+        content = content if isinstance(content, bytes) else b"".join(content)
         system, path = _open_store(f"{folder}/{name}")
         if folder.partition("://")[0].lower() in OBJECT_STORES:
             system.pipe_file(path, content)
@@ -297,71 +294,72 @@ def describe_file(path: Path) -> Json:
 
 
 class Mirror:
-    """A folder into which files of stores are copied, each to the place that it has there.
+    """A temporary folder for copies of stores' files, each at the place that it has on its store.
 
-    It is one of `scene_files.Files`: it has what the store has, and copies a file when it is read.
+    It is one of `scene_files.Files`: a file is copied when it is read. Files of this machine are
+    where they are.
     """
 
-    def __init__(self, folder: Path, named: Iterable[str] = ()) -> None:
-        """Make one for a folder; `named` as in `check_host`."""
+    def __init__(self, named: Iterable[str] = ()) -> None:
+        """Make one; `named` as in `check_host`."""
         self._named = [*named]
-        self._folder = Path(os.path.realpath(folder))
-        self._roots: dict[tuple[str, str], str] = {}  # `s3://user:password@host` by what it shows
-        self._given: dict[Path, str] = {}  # URLs with a query, by place
-        self._listed: dict[str, Mapping[str, Any]] = {}  # what stores say of files, by name
+        self._stack = ExitStack()
+        self._folder: Path | None = None
+        self._urls: dict[Path, str] = {}  # of folders of stores' roots, and of files that are named
+        self._listed: dict[str, dict[str, Any]] = {}  # what stores say of files, by their folder
         self.known: dict[Path, Mapping[str, Any] | None] = {}
+
+    def __enter__(self) -> Mirror:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     def place(self, url: str) -> Path:
         """Where a file of a store is, or would be, in the folder."""
+        if self._folder is None:
+            self._folder = Path(os.path.realpath(self._stack.enter_context(scratch_folder())))
         scheme, _, rest = shown(url).partition("://")
         authority, _, path = rest.partition("/")
-        self._roots[scheme, authority] = "/".join(_without_query(url).split("/")[:3])
-        place = self._folder.joinpath(scheme, authority, path)
-        self._given[place] = url
-        return place
+        root = self._folder / scheme / authority
+        self._urls[root] = "/".join(_without_query(url).split("/")[:3])
+        self._urls[root / path] = url
+        return root / path
 
     def url_of(self, path: Path) -> str | None:
         """The URL of a place in the folder; None of one outside."""
         path = Path(os.path.abspath(path))
-        if path in self._given:
-            return self._given[path]
-        if not path.is_relative_to(self._folder):
-            return None
-        scheme, authority, *inner = [*path.relative_to(self._folder).parts, "", ""]
-        root = self._roots.get((scheme, authority))
-        return None if root is None else "/".join([root, *filter(None, inner)])
+        for above in (path, *path.parents) if self._urls else ():
+            if above in self._urls:
+                inner = path.relative_to(above).parts
+                return "/".join([self._urls[above], *inner])
+        return None
 
     def has(self, path: Path) -> bool:
-        """Whether the store has the file that would be at a place."""
-        path = Path(os.path.abspath(path))
-        if path not in self.known:
-            url = self.url_of(path)
-            self.known[path] = None if url is None else self._look(url)
-        return self.known[path] is not None
+        """Whether there is such a file."""
+        return self._find(path) is not None
 
     def bring(self, path: Path) -> None:
         """Copy a file, unless it is there."""
-        path = Path(os.path.abspath(path))
         url = self.url_of(path)
-        if url is None or path.exists():
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(read_file(url))
+        if url is not None and not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(read_file(url))
 
-    def fetch(self, url: str) -> Path:
-        """Copy a file; returns where it is. See `check_host` for what it raises."""
-        check_host(url, self._named)
-        path = self.place(url)
+    def fetch(self, name: str) -> Path:
+        """The path of a file, which is copied if it is on a store; for errors see `check_host`."""
+        if not is_url(name):
+            return Path(name)
+        check_host(name, self._named)
+        path = self.place(name)
         self.bring(path)
         return path
 
     def describe(self, path: Path) -> Json:
         """Size of a file and what tells that it is the same: the store's tag, else its sha256."""
-        path = Path(os.path.abspath(path))
-        info = (self.known[path] if self.has(path) else None) or {}
+        info = self._find(path) or {}
         facts = {key.lower(): value for key, value in info.items() if value not in (None, "")}
-        tags = (f"{key}:{facts[key]}" for key in (*TAGS, *TIMES) if key in facts)
-        tag = next(tags, None)
+        tag = next((f"{key}:{facts[key]}" for key in TAGS if key in facts), None)
         if tag is None or facts.get("size") is None:
             self.bring(path)
             return describe_file(path)
@@ -371,23 +369,33 @@ class Mirror:
         """A text about files in the folder, as one about those on the stores."""
         return re.sub(re.escape(f"{self._folder}{os.sep}") + r"([\w+.-]+)[/\\]", r"\1://", text)
 
+    def _find(self, path: Path) -> Mapping[str, Any] | None:
+        """What the store says of a file, nothing of one of this machine; None if it isn't there."""
+        url = self.url_of(path)
+        if url is None:
+            return {} if os.path.isfile(path) else None
+        path = Path(os.path.abspath(path))
+        if path not in self.known:
+            self.known[path] = self._look(url)
+        return self.known[path]
+
     def _look(self, url: str) -> Mapping[str, Any] | None:
-        """What the store says of a file; None if it has none."""
         with _naming("read", url):
             system, path = _open_store(url)
             folder, _, name = path.rpartition("/")
-            is_web = _is_web(url)
-            if not is_web and folder not in self._listed:
-                infos: list[Mapping[str, Any]] = []
-                with suppress(FileNotFoundError, NotADirectoryError):
-                    infos = system.ls(folder, detail=True)
-                self._listed[folder] = {posixpath.basename(info["name"]): info for info in infos}
             info: Mapping[str, Any] | None = None
-            if not is_web:
-                info = self._listed[folder].get(name)
-            else:
-                with suppress(FileNotFoundError):
+            with suppress(FileNotFoundError, NotADirectoryError):
+                if _is_web(url):  # which has no listings
                     info = system.info(path)
+                elif folder in self._listed:
+                    info = self._listed[folder].get(name)
+                else:
+                    infos = self._listed[folder] = {}
+                    infos |= {
+                        posixpath.basename(each["name"]): each
+                        for each in system.ls(folder, detail=True)
+                    }
+                    info = infos.get(name)
             return info if info is not None and info.get("type", "file") == "file" else None
 
 
@@ -417,19 +425,14 @@ def refused(what: str, error: OSError) -> NavbakeError:
 
 def _open_store(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path there."""
-    try:
-        from fsspec.core import url_to_fs  # the extra `batch`
-    except ImportError as error:
-        scheme = url.partition("://")[0]
-        message = f"paths such as {scheme}:// need fsspec: {INSTALL}"
-        raise MissingDependencyError(message) from error
+    core = import_extra("fsspec.core", "batch", f"{url.partition('://')[0]}://")
     options: Json = {}
     if _is_web(url):
         try:
             options["client_kwargs"] = _client_options()
         except ImportError as error:
             raise MissingDependencyError("https:// needs aiohttp: pip install aiohttp") from error
-    system, path = url_to_fs(url, **options)
+    system, path = core.url_to_fs(url, **options)
     return system, str(path)
 
 

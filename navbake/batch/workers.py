@@ -63,15 +63,6 @@ class Ended(NamedTuple):
     worker: int = 0
 
 
-class _Setup(NamedTuple):
-    """What a worker is started with."""
-
-    parent: int
-    folder: Path  # of temporary files, and what each worker wrote on stderr by its id
-    memory: float | None
-    prepare: Callable[[], None] | None
-
-
 OnEvent = Callable[[str, Ended], None]
 
 
@@ -80,104 +71,80 @@ def do_jobs(
     work: Callable[[Any], Any],
     count: int,
     *,
-    limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
-    prepare: Callable[[], None] | None = None,
     on_event: OnEvent = lambda event, ended: None,
+    **options: Any,
 ) -> Generator[Ended, None, None]:
-    """Do jobs in worker processes, and yield how each ended, in the order in which they end.
-
-    Args:
-        jobs: what `work` is called with; can be pickled.
-        work: a function of a module, which returns what can be pickled.
-        count: how many workers, >= 1.
-        limits: of each job.
-        prepare: a function of a module that each worker calls before its first job.
-        on_event: is called when a job begins, and when it will be tried again.
-
-    Raises:
-        NavbakeError: no worker starts.
+    """Do jobs in at most `count` worker processes; see `Workers` for the arguments and errors.
 
     The workers are gone when the iterator is closed, or at the end.
     """
-    with Workers(work, min(count, len(jobs)), limits, prepare, on_event) as workers:
-        yield from workers.do(jobs)
+    with Workers(work, min(count, len(jobs)), **options) as workers:
+        yield from workers.do(jobs, on_event)
 
 
 class Workers:
-    """Worker processes, which are started when they are needed and kept for many jobs.
-
-    See `do_jobs` for the arguments.
-    """
+    """Worker processes, which are started when they are needed and kept for many jobs."""
 
     def __init__(
         self,
         work: Callable[[Any], Any],
         count: int,
-        limits: JobLimits,
-        prepare: Callable[[], None] | None,
-        on_event: OnEvent,
+        *,
+        limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
+        prepare: Callable[[], None] | None = None,
     ) -> None:
-        self._work, self._count, self._limits = work, count, limits
-        self._prepare, self._on_event = prepare, on_event
+        """Set up workers.
+
+        Args:
+            work: a function of a module, which returns what can be pickled.
+            count: how many workers, >= 1.
+            limits: of each job.
+            prepare: a function of a module that each worker calls before its first job.
+        """
+        self._work, self._count, self._limits, self._prepare = work, count, limits, prepare
         self._closing = ExitStack()
         self._pool: ProcessPool | None = None
 
     def __enter__(self) -> Workers:
-        folder = self._closing.enter_context(scratch_folder())
-        self._setup = _Setup(os.getpid(), folder, self._limits.memory, self._prepare)
+        # of temporary files, and of what each worker wrote on stderr, by its id
+        self._folder = self._closing.enter_context(scratch_folder())
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop()
         self._closing.close()
 
-    def do(self, jobs: Sequence[Any]) -> Iterator[Ended]:
-        """Do jobs, and yield how each ended.
+    def do(self, jobs: Sequence[Any], on_event: OnEvent) -> Iterator[Ended]:
+        """Do jobs, which can be pickled, and yield how each ended, in the order in which they end.
 
+        `on_event` is called when a job begins, and when it will be tried again.
         A job that ended its worker, or took too much memory, is tried again at the end, in a
         process of its own: what another job left behind may have been the cause.
+
+        Raises:
+            NavbakeError: no worker starts.
         """
-        tries = [0] * len(jobs)
-        left, is_first = [*range(len(jobs))], True
+        tries, breaks, alone = [0] * len(jobs), 0, False
+        left, again = deque(range(len(jobs))), deque[int]()
         while left:
-            again: list[int] = []
-            for ended in self._pass(jobs, left, alone=not is_first):
-                is_blamed = not is_first or ended.how == TOO_LONG
+            for ended in self._in_pool(jobs, left, alone, on_event):
+                breaks = 0
+                is_blamed = alone or ended.how == TOO_LONG
                 tries[ended.number] += is_blamed and ended.how != DONE
                 if ended.how == DONE or tries[ended.number] > self._limits.retries:
                     yield ended
                 else:
-                    self._on_event(AGAIN, ended)
+                    on_event(AGAIN, ended)
                     again.append(ended.number)
-            if not is_first:
+            if left or again or alone:
                 self._stop()
-            left, is_first = again, False
-
-    def _pass(self, jobs: Sequence[Any], numbers: Sequence[int], *, alone: bool) -> Iterator[Ended]:
-        """Do jobs, each in a process that does no other if `alone`; replace pools that break."""
-        left, breaks = deque(numbers), 0
-        while left:
-            if self._pool is None or alone:
-                self._start(min(self._count, len(left)) if alone else self._count, alone)
-            for ended in self._in_pool(jobs, left, alone):
-                breaks = 0
-                yield ended
             if left:
-                self._stop()
                 breaks += 1
+            else:
+                left, again, alone = again, left, True
             if breaks == MOST_BREAKS:
                 why = self._last_words(None)
                 raise NavbakeError(f"cannot start a worker process{f': {why}' if why else ''}")
-
-    def _start(self, count: int, alone: bool) -> None:
-        self._stop()
-        self._pool = ProcessPool(
-            max_workers=count,
-            max_tasks=1 if alone else 0,
-            initializer=_settle,
-            initargs=(self._setup,),
-            context=get_context("spawn"),
-        )
 
     def _stop(self) -> None:
         """End the workers."""
@@ -186,9 +153,21 @@ class Workers:
             self._pool.join()
             self._pool = None
 
-    def _in_pool(self, jobs: Sequence[Any], left: deque[int], alone: bool) -> Iterator[Ended]:
-        """Do jobs in a pool until none is left or it breaks; those that it had are left then."""
-        assert self._pool is not None
+    def _in_pool(
+        self, jobs: Sequence[Any], left: deque[int], alone: bool, on_event: OnEvent
+    ) -> Iterator[Ended]:
+        """Do jobs in a pool until none is left or it breaks; those that it had are left then.
+
+        A process does one job if they are to be `alone`.
+        """
+        if self._pool is None:
+            self._pool = ProcessPool(
+                max_workers=min(self._count, len(left)) if alone else self._count,
+                max_tasks=1 if alone else 0,
+                initializer=_settle,
+                initargs=(os.getpid(), self._folder, self._limits.memory, self._prepare),
+                context=get_context("spawn"),
+            )
         number_of: dict[Future[Any], int] = {}
         begun: dict[Future[Any], float] = {}
         limit = self._limits.seconds
@@ -211,7 +190,7 @@ class Workers:
             for future in number_of.keys() - begun.keys():
                 if future.running() or future in done:
                     begun[future] = before
-                    self._on_event(BEGUN, Ended(number_of[future], "", ""))
+                    on_event(BEGUN, Ended(number_of[future], "", ""))
             for future in done:
                 number = number_of.pop(future)
                 taken = time.time() - begun.pop(future)
@@ -245,7 +224,7 @@ class Workers:
         """The last line that a worker, or any, wrote on stderr, where libraries say why."""
         text = b""
         with suppress(OSError):
-            for path in self._setup.folder.glob(str(pid or "[0-9]*")):
+            for path in self._folder.glob(str(pid or "[0-9]*")):
                 text = path.read_bytes()[-16 * MOST_TEXT :] or text
         lines = [line.strip() for line in text.decode(errors="replace").splitlines()]
         return printable(next((line for line in reversed(lines) if line), "")[:MOST_TEXT])
@@ -273,23 +252,25 @@ def _ctrl_c_waits() -> Iterator[None]:
 # ---------------------------------------------------------------- in the worker
 
 
-def _settle(setup: _Setup) -> None:
+def _settle(
+    parent: int, folder: Path, memory: float | None, prepare: Callable[[], None] | None
+) -> None:
     """Leave Ctrl-C, the terminal and the end of the parent to the parent; get ready."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    end_with_parent(setup.parent)
+    end_with_parent(parent)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
-    words = os.open(setup.folder / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    words = os.open(folder / str(os.getpid()), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     os.dup2(words, 2)
-    tempfile.tempdir = str(setup.folder)  # so what a killed worker leaves there is removed
-    if setup.prepare is not None:
-        setup.prepare()
+    tempfile.tempdir = str(folder)  # so what a killed worker leaves there is removed
+    if prepare is not None:
+        prepare()
     global _unlimited
-    _unlimited = limit_memory(setup.memory)
+    _unlimited = limit_memory(memory)
 
 
 _unlimited: Callable[[], None] = lambda: None  # noqa: E731 ends this worker's limit of memory

@@ -81,7 +81,9 @@ app = Typer(
     rich_markup_mode=None,
 )
 for command in (command for group in COMMANDS.values() for command in group):
-    app.command(cls=Command)(prepared(command))
+    # a place may begin with a minus
+    settings = {"ignore_unknown_options": command is why}
+    app.command(cls=Command, context_settings=settings)(prepared(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -89,7 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names of geoms and files may hold what the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    logging.getLogger("navbake.compiled").handlers[:] = [_LogPrinter()]
+    for name in ("navbake.compiled", "navbake.formats"):
+        logging.getLogger(name).handlers[:] = [_LogPrinter()]
     try:
         try:
             app(None if arguments is None else list(arguments), prog_name="navbake")
@@ -112,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 class _LogPrinter(logging.Handler):
-    """Prints what is told of compiling, one line on stderr each."""
+    """Prints what is logged of compiling and of files, one line on stderr each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print_error(record.getMessage())

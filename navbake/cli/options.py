@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
@@ -21,8 +20,9 @@ from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
 from navbake import files
-from navbake.cli.printing import volume
+from navbake.cli.printing import say_unless_quiet, volume
 from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -55,23 +55,9 @@ def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str,
     return {key: value for key, _, value in pairs}
 
 
-def check_scene(given: Any) -> Any:
-    """Refuse a grid where a scene is expected."""
-    for path in given if isinstance(given, list) else [given]:
-        if path is not None and path.name.lower().endswith((".grid.json", ".json.gz")):
-            raise BadParameter(
-                f"{path} is a grid, not a scene: `navbake info {path}` describes it, `navbake "
-                f"inflate {path} RADIUS -o FILE` makes another one of it"
-            )
-    return given
-
-
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
 SceneOrConfig = Annotated[
-    Path,
-    Argument(
-        metavar="SCENE|CONFIG", callback=check_scene, help="A scene file, or settings (YAML)."
-    ),
+    Path, Argument(metavar="SCENE|CONFIG", help="A scene file, or settings (YAML).")
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -150,6 +136,15 @@ def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
         plot_grid(grid, output, **drawn)
 
 
+def write_output(data: bytes, output: Path) -> None:
+    """Write a file, or its content to stdout; a file is named on stdout unless --quiet is given."""
+    if output == STDOUT:
+        write_stdout(data)
+    else:
+        write_bytes(data, output)
+        say_unless_quiet(output)
+
+
 def write_stdout(data: bytes) -> None:
     """Write a file's content to stdout."""
     if sys.stdout is None:
@@ -174,27 +169,19 @@ class Command(TyperCommand):
     """A command whose help calls values by their metavars alone, and has --output first.
 
     typer prints the Python type of an argument, too, as ``<list[str]>``. Its errors of values that
-    don't fit an option leave out what was given; here they end with it.
+    are no numbers leave out what was given.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the arguments apart."""
-        if any(each.name == "place" for each in self.params):  # it may begin with a minus
-            places = [
-                word
-                for before, word in zip(["", *args], args, strict=False)
-                if SPELLED.fullmatch(word) and not before.startswith("--")
-            ]
-            args = [word for word in args if word not in places] + ["--" for _ in places[:1]]
-            args += places
+        words = [part for word in args for part in word.split("=", 1)]
         try:
-            return list(super().parse_args(ctx, [*args]))
+            return list(super().parse_args(ctx, args))
         except BadParameter as error:
-            names = error.param.opts if error.param else []
-            words = [part for word in args for part in word.split("=", 1)]
-            value = next((word for name, word in pairwise(words) if name in names), "")
-            if value not in error.message:
-                error.message = f"{error.message}, got {value!r}"
+            for name in error.param.opts if error.param else ():
+                given = words[words.index(name) + 1] if name in words[:-1] else ""
+                if given not in error.message:
+                    error.message += f", got {given!r}"
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -260,8 +247,11 @@ def parse_place(text: str, option: str) -> GivenPlace:
     """Read a place that was given to an option; what is none is a BadParameter."""
     found = SPELLED.fullmatch(text)
     if not found:
+        hint = (
+            f"; a room is written room:{text}" if text.isidentifier() and option != "--at" else ""
+        )
         raise BadParameter(
-            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}",
+            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}",
             param_hint=option,
         )
     x, y, z = (None if number is None else float(number) for number in found.groups()[:3])

@@ -1,4 +1,4 @@
-"""Settings as Python's keywords, which replace those of a file."""
+"""Settings that are laid over others: Python's keywords over a file, a scene's over a batch's."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from typing import Any, TypedDict
 
 import numpy as np
 
+from navbake.config.field_types import show_value
 from navbake.config.settings import (
     SECTIONS,
     YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    find_source,
     memory_path,
     parse_config,
 )
 from navbake.config.yaml_text import read_yaml
-from navbake.errors import ConfigError
+from navbake.errors import ConfigError, shorten
 
 
 class SettingKeywords(TypedDict, total=False):
@@ -37,11 +39,35 @@ class SettingKeywords(TypedDict, total=False):
     output: str | PathLike[str] | None
 
 
-def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
-    """Settings in any form that `as_config` takes, with keywords laid over them.
+def merge(
+    below: Mapping[str, Any], above: Mapping[str, Any], place: str, section: str = ""
+) -> dict[str, Any]:
+    """Lay settings over others, key by key; a section without keys changes nothing.
 
-    A section's keys are replaced one by one, everything else as a whole. Tuples count as lists,
-    and NumPy's numbers as Python's. Raises a ConfigError for wrong settings.
+    Raises:
+        ConfigError: there are keys above for what is a value below, as ``rooms: none``. They would
+            undo it. The message names the `place` of the settings.
+    """
+    merged = dict(below)
+    for key, value in above.items():
+        under, name = merged.get(key), f"{section}.{key}".lstrip(".")
+        if isinstance(under, Mapping) and (value is None or isinstance(value, Mapping)):
+            merged[key] = merge(under, value or {}, place, name)
+        elif under is None or not isinstance(value, Mapping):
+            merged[key] = value
+        elif value:
+            raise ConfigError(
+                f"`{name}` is {show_value(under)}, so there is no key for "
+                f"`{shorten(f'{name}.{next(iter(value))}')}` in {place}: write the first as keys, "
+                "too, or leave one of the two out"
+            )
+    return merged
+
+
+def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
+    """Settings in any form that `as_config` takes, with keywords laid over them, see `merge`.
+
+    Tuples count as lists, and NumPy's numbers as Python's. Raises a ConfigError for wrong settings.
     """
     if not isinstance(config, BakeConfig | str | PathLike | Mapping):
         raise ConfigError(
@@ -54,13 +80,13 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
     if isinstance(config, BakeConfig):
         config = config.model_dump(by_alias=True, exclude_unset=True)
     elif not isinstance(config, Mapping):
-        path = Path(config)
+        path = find_source(config)
         source, config = f"{path} with the keywords", {"scene": {"path": path}}
         if path.suffix.lower() in YAML_SUFFIXES:
             config, folder = read_yaml(path), path.parent
             if not isinstance(config, Mapping):
                 return as_config(path)  # which says what is wrong with it
-    return parse_config(_lay_over(config, keywords), source, folder=folder)
+    return parse_config(merge(config, _checked(keywords), source), source, folder=folder)
 
 
 def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
@@ -68,18 +94,20 @@ def memory_config(name: str, keywords: Mapping[str, Any]) -> BakeConfig:
 
     A `scene.path` among the keywords is what the grid names; nothing is read from there.
     """
-    return parse_config(_lay_over({"scene": {"path": memory_path(name)}}, keywords), "the keywords")
+    settings: Mapping[str, Any] = {"scene": {"path": memory_path(name)}}
+    return parse_config(merge(settings, _checked(keywords), "the keywords"), "the keywords")
 
 
-def _lay_over(settings: Mapping[str, Any], keywords: Mapping[str, Any], at: str = "") -> Any:
-    """Settings with others in their place: those of sections key by key."""
-    laid = dict(settings)
-    for key, value in keywords.items():
-        value, where, below = _plain(value), f"{at}.{key}".lstrip("."), laid.get(key)
-        if where in SECTIONS and isinstance(value, Mapping) and isinstance(below, Mapping):
-            value = _lay_over(below, value, where)
-        laid[key] = value
-    return laid
+def _checked(keywords: Mapping[str, Any]) -> Any:
+    """The keywords as YAML has them; a ConfigError says in which section a key of one belongs."""
+    for key in keywords.keys() - BakeConfig.model_fields:
+        for section, model in SECTIONS.items():
+            name = key.removeprefix(f"{section}_")
+            if name in model.model_fields and section in BakeConfig.model_fields:
+                raise ConfigError(
+                    f'write `{section}={{"{name}": …}}` in place of the keyword `{key}`'
+                )
+    return _plain(keywords)
 
 
 def _plain(value: Any) -> Any:

@@ -25,6 +25,7 @@ from pydantic import (
     model_validator,
 )
 
+from navbake import samples
 from navbake.config.field_types import (
     FilePath,
     Name,
@@ -45,7 +46,7 @@ from navbake.config.field_types import (
 )
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular
+from navbake.files import check_regular, readable_stem
 from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
@@ -66,7 +67,7 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 def stem_of(path: str | PathLike[str]) -> str:
     """The stem of a scene file's name, or the name of a scene in memory."""
-    return str(path)[1:-1] if is_memory_path(path) else Path(path).stem
+    return str(path)[1:-1] if is_memory_path(path) else readable_stem(path)
 
 
 ScenePath = Annotated[
@@ -120,7 +121,7 @@ class SceneSettings(Settings):
     scan: bool = setting(
         False,
         "whether the mesh is a scan: true (up: level where the file says no axis, "
-        "floors.fill: 2.0) or false",
+        "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
@@ -463,14 +464,29 @@ class BakeConfig(Settings):
         return isinstance(other, BakeConfig) and self.__dict__ == other.__dict__
 
 
+def find_source(path: str | PathLike[str]) -> Path:
+    """The scene or settings at a path; those of a sample at its bare name, if no file has it.
+
+    Raises:
+        ConfigError: it is a grid.
+    """
+    if str(path).lower().endswith((".grid.json", ".json.gz")):
+        raise ConfigError(
+            f"{path} is a grid, not a scene: `navbake info {path}` describes it, `navbake inflate "
+            f"{path} RADIUS -o FILE` makes another one of it, navbake.load reads it in Python"
+        )
+    return samples.find(path)
+
+
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is taken for a scene. `scene.path` is relative to the
+    A path that does not end in .yaml or .yml is taken for a scene; the bare name of a sample, where
+    there is no such file, for its settings. `scene.path` is relative to the
     YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
     a setting is a ConfigError.
     """
-    path = Path(path)
+    path = find_source(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
         return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)

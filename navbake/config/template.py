@@ -53,9 +53,10 @@ def template_for(scene: Path, folder: Path) -> tuple[str, str]:
     """The name of a YAML for a scene, and its text, the commented defaults, for a folder."""
     if scene.suffix.lower() in YAML_SUFFIXES:
         raise ConfigError(f"expected a scene, got the settings file {scene}")
+    scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
         raise SceneError(f"no such file: {scene}")
-    scene_id, scene = load_config(scene).scene.id, scene.resolve()
+    scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))
     text = render_template(parse_config({"scene": {"path": scene, "id": scene_id}}))

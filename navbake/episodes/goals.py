@@ -25,10 +25,12 @@ from navbake.episodes.episode import (
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
+from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import Shared, UserData, names_in
 from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
+from navbake.runtime.places import snap
 from navbake.types import Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -131,8 +133,8 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     points = points or [p for p in [goal.position] if p]
     if not points:
         return np.empty(0, dtype=np.int64)
-    near = finder.many.snap(np.array(points), same_level=False, max_distance=max(SNAP, goal.radius))
-    cells = flat.cells_at(near[~np.isnan(near[:, 0])])
+    p, reach = check_positions(points, flat.num_levels), max(SNAP, goal.radius)
+    _, cells = snap(flat, flat.free, p, same_level=False, max_distance=reach)
     return np.unique(cells[cells >= 0])
 
 
@@ -150,7 +152,7 @@ def path_through(
         if path is None:
             return {}
         steps = np.linspace(0.0, path.length, math.ceil(path.length / SPACING) + 1)
-        points += [path.at(distance).tolist() for distance in steps]
+        points += path.at(steps).tolist()
         rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
         doors += path.doors
         here = path.positions[-1]

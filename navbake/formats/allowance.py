@@ -140,11 +140,9 @@ def plain(value: Any, place: JsonPath) -> Any:
     for _ in range(MAX_DEPTH):
         if set(map(type, layer)) <= LEAVES:
             return value
-        others = (v for v in layer if type(v) not in ALL)
-        if not all(
-            math.isfinite(v) if isinstance(v, float) else isinstance(v, JSON) for v in others
-        ):
-            _find_odd(value, place)
+        for other in (v for v in layer if type(v) not in ALL):
+            if not (math.isfinite(other) if isinstance(other, float) else isinstance(other, JSON)):
+                _find_odd(value, place)
         # all keys, then all children, of one depth: no Python call for each value
         objects = [v for v in layer if isinstance(v, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:

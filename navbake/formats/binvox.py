@@ -38,7 +38,7 @@ NEAR = 1e-4  # relative; AirSim writes six digits
 # of each line of the header, how many numbers, and of what kind: `dim` is nx, nz, ny, `translate`
 # and `scale` are in metres, and `scale` in AirSim's layout [1/m]
 LINES: dict[str, tuple[int, type]] = {
-    "version": (1, int),
+    "#binvox": (1, int),
     "dim": (3, int),
     "translate": (3, float),
     "scale": (1, float),
@@ -203,53 +203,57 @@ def _looks_like_airsim(dim: list[int], translate: list[float], scale: float) -> 
     return not math.isclose(scale / max(dim), sizes[0] / nx, rel_tol=NEAR)
 
 
-def read_header(data: bytes, source: str) -> tuple[dict[str, list[str]], int]:
-    """Read the lines before the data of a binvox or OctoMap file, and where the data begin.
+def read_header(
+    data: bytes, source: str, numbers: Mapping[str, tuple[int, type]]
+) -> tuple[dict[str, list[str]], list[list[Any]], int]:
+    """Read the lines before the data of a binvox or OctoMap file.
 
-    By the first word of each line its other words, comments (``#``) included.
+    `numbers` says of some lines how many numbers they have, and of what kind.
+
+    Returns:
+        By the first word of each line its other words, comments (``#``) included; the numbers; and
+        where the data begin.
     """
-    lines: dict[str, list[str]] = {}
+    lines: dict[str, list[str]] = {"translate": ["0"] * 3, "scale": ["1"]}  # may be missing
     start = 0
-    while (end := data.find(b"\n", start, MAX_HEADER)) >= 0:
+    while "data" not in lines:
+        end = data.find(b"\n", start, MAX_HEADER)
+        if end < 0:
+            raise FormatError(f"no line `data` ends the header of {source}")
         first, *words = data[start:end].decode("ascii", errors="replace").split() or [""]
-        start = end + 1
-        if first == "data":
-            return lines, start
-        lines[first] = words
-    raise FormatError(f"no line `data` ends the header of {source}")
-
-
-def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
-    """The numbers of `LINES`, and where the data begin."""
-    lines, end = read_header(data, source)
-    lines = {"translate": ["0"] * 3, "scale": ["1"]} | lines  # both may be missing
-    lines["version"] = lines.pop("#binvox", [])
-    unknown = sorted(name for name in lines if name not in LINES and name[:1] not in ("#", ""))
-    if unknown:
-        raise FormatError(f"unknown line {unknown[0][:40]!r} in the header of {source}")
-    found: dict[str, Any] = {}
-    for name, (count, kind) in LINES.items():
+        lines[first], start = words, end + 1
+    found = []
+    for name, (count, kind) in numbers.items():
         if name not in lines:
             raise FormatError(f"no line `{name}` in the header of {source}")
         try:
-            found[name] = [kind(word) for word in lines[name]]
-            is_good = len(found[name]) == count and all(map(math.isfinite, found[name]))
+            values = [kind(word) for word in lines[name]]
+            is_good = len(values) == count and all(map(math.isfinite, values))
         except (ValueError, OverflowError):  # OverflowError: a whole number beyond all floats
             is_good = False
         if not is_good:
             what = ("whole " * (kind is int)) + "number" + "s" * (count > 1)
-            where = f"at `{name}` in the header of {source}"
-            got = repr(" ".join(lines[name])[:60])
+            where, got = f"at `{name}` in the header of {source}", repr(" ".join(lines[name])[:60])
             raise FormatError(f"expected {count} {what} {where}, got {got}")
-    (version,), dim, (x, y, z), (scale,) = (found[name] for name in LINES)
+        found.append(values)
+    return lines, found, start
+
+
+def _read_header(data: bytes, source: str) -> tuple[int, list[int], list[float], float, int]:
+    """The numbers of `LINES`, and where the data begin."""
+    lines, found, end = read_header(data, source, LINES)
+    (version,), dim, translate, (scale,) = found
+    unknown = [n for n in lines if n not in LINES and n[:1] not in ("#", "") and n != "data"]
+    if unknown:
+        raise FormatError(f"unknown line {unknown[0][:40]!r} in the header of {source}")
     if version not in (1, 2):
         raise FormatError(f"expected binvox version 1 or 2, got {version} in {source}")
     if min(dim) < 1:
         raise FormatError(f"expected `dim` of numbers >= 1, got {dim} in {source}")
     if not scale > 0:
         raise FormatError(f"expected `scale` > 0, got {scale:g} in {source}")
-    if max(abs(x), abs(y), abs(z), scale) > FARTHEST:
-        far = f"({x:g}, {y:g}, {z:g}) and {scale:g}"
+    if max(*map(abs, translate), scale) > FARTHEST:
+        far = f"({', '.join(f'{v:g}' for v in translate)}) and {scale:g}"
         expected = f"`translate` and `scale` up to {FARTHEST:g} m"
         raise FormatError(f"expected {expected}, got {far} in {source}")
-    return version, dim, [x, y, z], scale, end
+    return version, dim, translate, scale, end

@@ -28,7 +28,7 @@ import yaml
 
 from navbake.errors import FormatError
 from navbake.formats.convert import chosen_levels
-from navbake.formats.source import Files
+from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Json
@@ -103,6 +103,7 @@ def encode_mjcf(
         )
     settings = _settings(grid, path, lattice, levels, stacked)
     settings_path = path.with_suffix(".yaml")
+    check_named(path)
     text = yaml.safe_dump(settings, sort_keys=False, default_flow_style=None, allow_unicode=True)
     head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
     lines = _scene_lines(grid.scene_id or path.stem, parts, settings, settings_path.name)
@@ -135,8 +136,10 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
 
 def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
     """Boxes over cells, one for a rectangle of the same heights: (n, 2, 3), both corners [m]."""
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     spans = np.stack([low[mask], high[mask]], axis=1)
     heights, labels = np.unique(spans, axis=0, return_inverse=True)
     cells = np.zeros(mask.shape, dtype=np.int32)

@@ -137,14 +137,15 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
 def _mesh_level(
     grid: NavGrid, number: int, names: dict[tuple[int, int], str], tolerance: float, steepest: float
 ) -> LevelMesh:
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     level = grid.levels[number]
     lattice, size = level.lattice, level.lattice.cell_size
-    z = np.where(np.isnan(level.floor), level.ground, level.floor)
     index = level.room_index.astype(np.int32)
     labels = np.where(level.free, index + 1, 0)
-    bounds, planes = cover_planes(labels, z, tolerance, steepest * size)
+    bounds, planes = cover_planes(labels, level.floor_or_ground, tolerance, steepest * size)
     room = index[bounds[:, 0], bounds[:, 1]]
     order = np.argsort(room, kind="stable")
     bounds, planes, room = bounds[order], planes[order], room[order]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -399,11 +400,10 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
     networkx = import_extra("networkx")
     graph = make_room_graph(grid).to_networkx()
 
-    def allowed(text: Any) -> Any:
+    def allowed(value: Any) -> Any:
         """What XML 1.0 can't hold, control characters, become replacement characters."""
-        if not isinstance(text, str):
-            return text
-        return "".join(c if c >= " " and c not in "\ufffe\uffff" else "\ufffd" for c in text)
+        is_text = isinstance(value, str)
+        return re.sub("[\0-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
     named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
     for entry in (*dict(named.nodes(data=True)).values(), *(e for *_, e in named.edges(data=True))):

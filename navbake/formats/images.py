@@ -6,6 +6,7 @@ import io
 import warnings
 from collections.abc import Mapping
 from os import PathLike
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
 
+NO_TEXTS: Mapping[str, str] = MappingProxyType({})
 BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 
 
@@ -67,17 +69,16 @@ def read_pixels(source: str | PathLike[str]) -> Pixels:
     return Pixels(light, 255, channels[..., 3] if has_opacity else None)
 
 
-def encode_pgm(grey: NDArray[np.uint8]) -> bytes:
-    """A binary PGM of grey values, shape (height, width), row 0 at the top."""
-    height, width = grey.shape
-    return b"P5\n%d %d\n255\n" % (width, height) + grey.tobytes()
+def encode_image(
+    pixels: NDArray[np.uint8], kind: str, texts: Mapping[str, str] = NO_TEXTS
+) -> bytes:
+    """A ``PNG`` of pixels, (height, width) or (height, width, 3 or 4), with texts by keyword.
 
-
-def encode_png(pixels: NDArray[np.uint8], texts: Mapping[str, str] | None = None) -> bytes:
-    """A PNG of pixels, (height, width) or (height, width, 3 or 4), with texts by keyword."""
+    Or a binary PGM of grey values, which is a ``PPM`` to Pillow, (height, width). Row 0 is the top.
+    """
     notes = PngImagePlugin.PngInfo()
-    for keyword, text in (texts or {}).items():
+    for keyword, text in texts.items():
         notes.add_text(keyword, text)
     file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(file, "PNG", pnginfo=notes)
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, kind, pnginfo=notes)
     return file.getvalue()

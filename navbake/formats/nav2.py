@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,10 +29,10 @@ from numpy.typing import NDArray
 
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular
+from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
-from navbake.formats.images import Pixels, encode_pgm, encode_png, read_pixels
+from navbake.formats.images import Pixels, encode_image, read_pixels
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import (
     FREE,
@@ -45,7 +46,7 @@ from navbake.formats.occupancy import (
     values_of,
 )
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.source import Files, check_path, path_name, read_bytes
+from navbake.formats.source import Files, check_named, check_path, path_name, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.polygon import cover_cells
@@ -141,6 +142,7 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
         grey = np.where(unknown, 127, grey)
         pixels = np.stack([grey, grey, grey, np.where(unknown, 0, 255)], axis=-1)
     image_path = path.with_suffix(f".{image}")
+    check_named(image_path)
     x_min, y_min, _, _ = level.lattice.bounds
     # in mode scale, a pixel between the thresholds is spread over 0 to 100: so that none is lost
     occupied, free = (1.0, 0.0) if mode == "scale" else (OCCUPIED_THRESHOLD, FREE_THRESHOLD)
@@ -155,8 +157,8 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
         "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # nav2 passes over it
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    encode = encode_pgm if image == "pgm" else encode_png
-    return {image_path: encode(pixels.astype(np.uint8)), path: text.encode()}
+    kind = {"pgm": "PPM", "png": "PNG"}[image]
+    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
 
 
 def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
@@ -186,7 +188,7 @@ def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
     values = read_values(read_pixels(rules.image), rules)
     values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
     stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}
-    metadata = {"sceneId": Path(path).stem, "nav2": stated}
+    metadata = {"sceneId": readable_stem(path), "nav2": stated}
     level = level_from_values(values, rules.resolution, (x, y, rules.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
@@ -279,38 +281,24 @@ Zone = tuple[tuple[str, ...], int, int | Bool]
 index of a room, or the mask of a polygon."""
 
 
-def encode_keepout(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the keepout filter, see `encode_mask`; all polygons count if no `zone`.
-
-    `zone` has names, ids or numbers of rooms, and names of polygons.
-    """
-    return encode_mask(grid, path, False, **options)
-
-
-def encode_speed(grid: NavGrid, path: Path, **options: Any) -> Files:
-    """Make the masks of the speed filter, see `encode_mask`.
-
-    `zone` has ``NAME=PERCENT`` each, from 1 to 100; where several overlap, the least counts.
-    """
-    return encode_mask(grid, path, True, **options)
-
-
 def encode_mask(
     grid: NavGrid,
     path: Path,
-    has_limits: bool,
     *,
+    has_limits: bool,
     level: int | None = None,
     image: str | None = None,
     zone: Sequence[str] | None = None,
     zones: str | PathLike[str] | None = None,
 ) -> Files:
-    """Make the masks of a filter, one for each level.
+    """Make the masks of the keepout filter, or of the speed filter, one for each level.
 
     Args:
         path, level, image: as of `encode_nav2`; in mode ``raw``.
         has_limits: whether it is the speed filter, whose zones have limits.
-        zone: which rooms and polygons.
+        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
+            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where several overlap.
+            Of the keepout filter all polygons if None.
         zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
 
     Raises:
@@ -349,6 +337,10 @@ def encode_mask(
                 values[target.room_index == cells if is_room else cells] = value
         files |= _encode_map(target, values, yaml_path, "raw", image)
     return files
+
+
+encode_keepout = partial(encode_mask, has_limits=False)
+encode_speed = partial(encode_mask, has_limits=True)
 
 
 def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:

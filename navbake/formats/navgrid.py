@@ -10,8 +10,10 @@ a level ends without making objects of it, and user data stay text until they ar
 
 import gzip
 import io
+import logging
 import math
 import os
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -21,7 +23,8 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from navbake.errors import FormatError
+from navbake._version import __version__
+from navbake.errors import FormatError, printable
 from navbake.formats.allowance import (
     MISSING,
     Allowance,
@@ -35,6 +38,7 @@ from navbake.formats.allowance import (
     whole_number,
 )
 from navbake.formats.arrays import decode_array, encode_array
+from navbake.formats.convert import FORMATS
 from navbake.formats.source import (
     Files,
     Source,
@@ -53,6 +57,8 @@ if TYPE_CHECKING:
     import msgspec
 else:
     msgspec = lazy("msgspec")
+
+LOG = logging.getLogger("navbake.formats")
 
 SCENE_FIELDS = (
     *("type", "metadata", "weights", "userData", "tileAttributes", "width", "height"),
@@ -92,10 +98,10 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     allowance = Allowance(num_bytes, "max_cells", max_cells)
     kind = content.get("type", MISSING)
     if kind == "MultiLevelGrid":
-        return read_levels(content, top, allowance)
+        return warned_of_newer(read_levels(content, top, allowance), top)
     if kind != "SceneGrid2D":
         top["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", kind)
-    return checked_grid(read_level(content, top, allowance), top)
+    return warned_of_newer(checked_grid(read_level(content, top, allowance), top), top)
 
 
 def _parse(content: bytes, top: JsonPath) -> Json:
@@ -265,6 +271,21 @@ def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
     return grid
 
 
+def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> NavGrid:
+    """Log a warning where a file's metadata, or its format, are of a newer navbake; the grid."""
+
+    def numbers(version: str) -> list[int]:
+        return [int(part) for part in re.findall("[0-9]{1,9}", version)[:3]]
+
+    stated = grid.navbake.get("version")
+    is_stated = isinstance(stated, str) and numbers(stated) > numbers(__version__)
+    if is_newer or is_stated:
+        by = f"navbake {shown(stated)[1:-1]}" if is_stated else "a newer navbake"
+        LOG.warning("%s is by %s, this is %s: parts of it may be unknown here",
+                    printable(top.file), by, __version__)  # fmt: skip
+    return grid
+
+
 # ---------------------------------------------------------------- writing
 
 
@@ -272,9 +293,17 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
     Raises:
-        FormatError: the grid holds what the format can't, or the path can't be written.
+        FormatError: the grid holds what the format can't, the name ends as one of another format
+            does, or the path can't be written.
     """
-    [(file, content)] = encode_files(grid, Path(check_path(path))).items()
+    name = check_path(path)
+    others = [form.name for form in FORMATS[1:] if name.lower().endswith(form.endings)]
+    ways = [f"grid.convert(path) writes {others[0]}"] if others else []
+    ways += ["grid.plot(path) draws a picture"] if name.lower().endswith((".png", ".svg")) else []
+    if ways:
+        expected = "a name that ends in .json or .json.gz, which grid.save writes"
+        raise FormatError(f"expected {expected}, got {name}: {', '.join(ways)}")
+    [(file, content)] = encode_files(grid, Path(name)).items()
     write_bytes(content, file)
 
 

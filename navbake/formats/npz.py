@@ -44,6 +44,7 @@ from navbake.formats.navgrid import (
     read_level,
     read_levels,
     read_metadata,
+    warned_of_newer,
 )
 from navbake.formats.source import Files, parse_json, read_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -254,20 +255,20 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
             raise FormatError(f"expected {expected}, {top.file} has no array `{GRID}`{hint}")
         document = json_object(parse_json(archive.text(GRID, top), top), top)
         version = whole_number(document.get("version", MISSING), top["version"], 1)
-        if version > VERSION:
-            top["version"].refuse(f"{VERSION} at most: a newer navbake wrote it", version)
         stated, kind = document.get("levels", MISSING), document.get("type", MISSING)
         if not isinstance(stated, list) or not stated:
             top["levels"].refuse("a list of levels", stated)
         levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
         if kind == "MultiLevelGrid":
             whole = _with_extra(document, MultiLevelGrid, top)
-            return read_levels({**whole, "grids": levels}, top, allowance, "levels")
+            house = read_levels({**whole, "grids": levels}, top, allowance, "levels")
+            return warned_of_newer(house, top, version > VERSION)
         if kind != "SceneGrid2D" or len(stated) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
         _ = _with_extra(document, SceneGrid2D, top)
         whole = {"metadata": read_metadata(document, top)}
-        return checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
+        level = checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
+        return warned_of_newer(level, top, version > VERSION)
 
 
 def _content(archive: _Archive, k: int, value: object) -> Json:

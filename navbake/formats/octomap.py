@@ -154,8 +154,10 @@ def read_octomap(
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
-    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # as above
 
+    ensure_compiled("formats.kernels.octree.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     kind, size, res, end = _read_header(data, name)
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
@@ -216,19 +218,13 @@ def _read_header(data: bytes, source: str) -> tuple[str, int, float, int]:
     kind = next((kind for kind, line in FIRST_LINES.items() if first == line), None)
     if kind is None:
         raise FormatError(f"expected an OctoMap file (bt or ot), got {source}")
-    lines, end = read_header(data, source)
-    fields = {name: " ".join(words) for name, words in lines.items()}
-    if fields.get("id") != "OcTree":
-        raise FormatError(f"expected a tree of id OcTree in {source}, got {fields.get('id')!r}")
-    numbers = []
-    for name in ("size", "res"):
-        try:
-            number = float(fields[name])
-        except (KeyError, ValueError):
-            number = math.nan  # refused below
-        if not math.isfinite(number) or number < 0 or (name == "res" and number == 0):
-            got = repr(fields.get(name, "none"))
-            where = f"at `{name}` in the header of {source}"
-            raise FormatError(f"expected a number > 0 {where}, got {got}")
-        numbers.append(number)
-    return kind, int(numbers[0]), numbers[1], end
+    lines, ((size,), (res,)), end = read_header(
+        data, source, {"size": (1, float), "res": (1, float)}
+    )
+    if lines.get("id") != ["OcTree"]:
+        got = " ".join(lines.get("id", ["none"]))
+        raise FormatError(f"expected a tree of id OcTree in {source}, got {got!r}")
+    if size < 0 or not res > 0:
+        where = f"`size` and `res` in the header of {source}"
+        raise FormatError(f"expected numbers > 0 as {where}, got {size:g} and {res:g}")
+    return kind, int(size), res, end

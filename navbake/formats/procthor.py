@@ -21,12 +21,12 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.files import readable_stem
 from navbake.formats.convert import level_paths
-from navbake.formats.images import encode_png, open_image
+from navbake.formats.images import encode_image, open_image
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
-from navbake.navgrid.rooms import measure_rooms
 from navbake.types import Float, Json
 
 MAX_ROOMS = 255  # that a byte can number
@@ -74,7 +74,7 @@ def encode_procthor(
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
         }
         notes = {key: orjson.dumps(text).decode() for key, text in texts.items()}
-        files[own_path] = encode_png(pixels, notes)
+        files[own_path] = encode_image(pixels, "PNG", notes)
     return files
 
 
@@ -111,7 +111,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
             "occupancy": (~free).astype(np.uint8),
             "roomIndex": rooms,
         },
-        metadata={"sceneId": Path(path).stem},
+        metadata={"sceneId": readable_stem(path)},
     )
     text = image.info.get("room_ids_to_name")
     stated = {} if text is None else _parse(text, "room_ids_to_name", path)
@@ -122,7 +122,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         for key, name in (stated or {}).items()
         if key.isdecimal() and len(key) < 10 and isinstance(name, str)
     }
-    table = [{**room.to_json(), "name": names.get(room.index)} for room in measure_rooms(level, 0)]
+    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
     level.metadata["navbake"] = {"rooms": table}
     return level
 

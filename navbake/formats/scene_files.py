@@ -7,6 +7,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote
@@ -41,27 +42,24 @@ class Files(Protocol):
         """Make a file that is there ready for reading."""
 
 
-class _Regular:
-    """The files of this machine; a pipe or a device that a scene names is an error."""
-
-    def has(self, path: Path) -> bool:
-        try:
-            check_regular(path)
-        except OSError as error:
-            raise SceneError(f"cannot read {path}: {error.strerror}") from error
-        return os.path.isfile(path)
-
-    def bring(self, path: Path) -> None:
-        """All are there."""
-
-
 def check_inputs(scene: Path) -> None:
-    """Refuse a scene that names a pipe or a device, which MuJoCo would wait for, for ever.
+    """Refuse what MuJoCo can't be given: names that are not UTF-8, and pipes and devices.
 
     Raises:
-        SceneError: it does, itself or by way of a file that it includes.
+        SceneError: the scene's path is such a name, or the scene names a pipe or a device, for
+            which MuJoCo would wait for ever, itself or by way of a file that it includes.
     """
-    find_inputs(scene, _Regular(), looks=True)
+    if os.fsencode(scene).decode(errors="replace") != str(scene):
+        raise SceneError(f"MuJoCo reads paths in UTF-8 only, got {scene}: rename it")
+    find_inputs(scene, looks=True)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        check_regular(path)
+    except OSError as error:
+        raise SceneError(f"cannot read {path}: {error.strerror}") from error
+    return os.path.isfile(path)
 
 
 _Element = tuple[str, dict[str, str]]  # tag and attributes
@@ -83,19 +81,20 @@ def find_inputs(
         files: where to look for the others; on this machine if None.
         looks: whether textures and skins count as well.
         missing: whether to list, of a file that is nowhere, all places where it may be.
+
+    Raises:
+        SceneError: it names a pipe or a device of this machine, which would keep its reader.
     """
-    has = os.path.isfile if files is None else files.has
+    has = _is_file if files is None else files.has
 
     def read(path: Path) -> bytes:
         """The content of a file; none where it can't be read."""
-        if not has(path):
-            return b""
-        if files is not None:
-            files.bring(path)
-        try:
-            return path.read_bytes()
-        except OSError:
-            return b""
+        if has(path):
+            with suppress(OSError):
+                if files is not None:
+                    files.bring(path)
+                return path.read_bytes()
+        return b""
 
     elements = _parse_elements(read(scene)) if scene.suffix.lower() in XML_SUFFIXES else []
     found: set[Path] = set()
@@ -138,10 +137,14 @@ def _places_in_mjcf(
     """For each file that MJCF names, all places where it may be."""
     named: list[tuple[list[Path], str]] = []  # folders that the name may count from, and the name
     folders = {""}
-    left = [(scene, elements, scene.parent)]
-    seen = {_identity(scene, scene.parent)}
+    left, seen = [(scene, elements, scene.parent)], set[tuple[str, ...]]()
     while left:
         file, own, home = left.pop()
+        # another one is XML by its file, and by the folders that its names count from
+        identity = tuple(map(os.path.realpath, (file, file.parent, home)))
+        if identity in seen:
+            continue
+        seen.add(identity)
         bases = [*dict.fromkeys((scene.parent, home, file.parent))]
         for tag, attributes in own:
             keys = LOOK_FOLDERS if looks else FOLDERS
@@ -156,17 +159,10 @@ def _places_in_mjcf(
                 if tag not in MODELS and Path(name).suffix.lower() not in XML_SUFFIXES:
                     continue
                 for path in _places(bases, [""], name):
-                    inner_home = home if tag == "include" else path.parent
-                    identity = _identity(path, inner_home)
-                    if identity not in seen and (content := read(path)):
-                        seen.add(identity)
+                    if content := read(path):
+                        inner_home = home if tag == "include" else path.parent
                         left.append((path, _parse_elements(content), inner_home))
     return [_places(bases, sorted(folders), name) for bases, name in named]
-
-
-def _identity(file: Path, home: Path) -> tuple[str, str, str]:
-    """What makes XML another one: its file, and the folders that its names count from."""
-    return os.path.realpath(file), os.path.realpath(file.parent), os.path.realpath(home)
 
 
 def _places(bases: Iterable[Path], folders: Iterable[str], name: str) -> list[Path]:

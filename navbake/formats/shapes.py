@@ -6,11 +6,8 @@ x, y in metres, not the longitude and latitude that RFC 7946 is about.
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,24 +17,26 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError, QueryError
+from navbake.files import encode_csv
 from navbake.formats.allowance import shown
 from navbake.formats.source import Files, import_extra, path_name, read_object
+from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import find_fault
-from navbake.types import Float, Json
+from navbake.types import Float, Int, Json
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
+
+ndimage = lazy("scipy.ndimage")
 
 ROOM, WALKABLE, DOOR = "room", "walkable", "door"
 KINDS = (ROOM, WALKABLE, DOOR)
 DECIMALS = 9  # of coordinates: a nanometre
 SMALLEST = 1e-6  # cells with an edge below this keep all digits [m]
 COLUMNS = ("kind", "level", "levelName", "height", "id", "name", "area")
-
-Ring = list[list[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,38 +159,65 @@ def trace_polygons(labels: NDArray[Any], lattice: Lattice) -> dict[int, list[lis
         By ascending label, its parts by their first cells in reading order; of each its rings, the
         outer one first, then the holes, as `Shape.parts` has them, to a nanometre.
     """
-    from navbake.formats.kernels.outlines import trace_rings  # numba loads slowly
-    from navbake.navgrid.kernels.connect import number_parts  # as above
+    own = np.asarray(labels, dtype=np.int32)
+    found: dict[int, list[list[Float]]] = {}
+    for label, window in enumerate(ndimage.find_objects(own), 1):
+        if window is None:
+            continue
+        numbers, count = ndimage.label(own[window] == label)
+        parts: list[list[Float]] = [[] for _ in range(count)]
+        for part, corners in _trace_rings(numbers):
+            row, col = (corners + [first.start for first in window]).T
+            points = np.stack([lattice.x_min + col * lattice.cell_size,
+                               lattice.y_max - row * lattice.cell_size], axis=-1)  # fmt: skip
+            if lattice.cell_size > SMALLEST:
+                points = np.round(points, DECIMALS)
+            parts[part - 1].append(points + 0.0)  # no -0.0
+        found[label] = parts
+    return found
 
-    own = np.ascontiguousarray(labels, dtype=np.int32)
-    cell = np.arange(own.size).reshape(own.shape)
-    right, down = own[:, 1:] == own[:, :-1], own[1:] == own[:-1]
-    pairs = np.stack([np.append(cell[:, 1:][right], cell[1:][down]),
-                      np.append(cell[:, :-1][right], cell[:-1][down])])  # fmt: skip
-    numbers = np.where(own, number_parts(pairs, own.size).reshape(own.shape) + 1, 0)
-    numbers = np.pad(numbers.astype(np.int32), 1)
-    inner = numbers[1:-1, 1:-1]
-    beside = numbers[:-2, 1:-1], numbers[2:, 1:-1], numbers[1:-1, :-2], numbers[1:-1, 2:]
-    num_sides = sum(np.count_nonzero((inner != other) & (inner > 0)) for other in beside)
-    corners, start, part = trace_rings(numbers, num_sides)
-    label_of = np.zeros(int(numbers.max()) + 1, dtype=np.int32)
-    label_of[inner] = own
-    # twice the areas of rings, by the shoelace formula; rows run against y
-    row, col = corners.astype(np.int64).T
-    after = np.arange(1, len(corners) + 1)
-    after[start[1:] - 1] = start[:-1]  # of a ring's last corner, its first one
-    cross = row * col[after] - col * row[after]
-    is_hole = np.add.reduceat(cross, start[:-1]) < 0 if len(part) else np.zeros(0, np.bool_)
-    x, y = lattice.x_min + col * lattice.cell_size, lattice.y_max - row * lattice.cell_size
-    points = np.stack([x, y], axis=-1)
-    if lattice.cell_size > SMALLEST:
-        points = np.round(points, DECIMALS)
-    rings = np.split(points + 0.0, start[1:-1])  # no -0.0
-    found: dict[int, dict[int, list[Float]]] = {}
-    for k in np.lexsort((is_hole, part, label_of[part])).tolist():
-        parts = found.setdefault(int(label_of[part[k]]), {})
-        parts.setdefault(int(part[k]), []).append(rings[k])
-    return {label: list(parts.values()) for label, parts in found.items()}
+
+def _trace_rings(parts: NDArray[np.int32]) -> Iterator[tuple[int, Int]]:
+    """The rings of parts of cells, (height, width), from 1: each its part, and its corners.
+
+    Contour following with crack codes (Freeman 1961; Rosenfeld and Kak, Digital Picture Processing,
+    1982). Each side between a cell and a neighbour of another part is a step that has its cell on
+    the left. A walk turns right where a cell of its part lies ahead on the right, also where it
+    touches its own by a corner alone, goes on where one lies ahead, and turns left else. The cells
+    of a part are connected by their sides, so what lies on both sides of such a corner isn't, and
+    no ring has a corner twice.
+
+    Corners are rows and columns, 0, 0 the upper left one of the first cell, shape (n, 2). Seen with
+    rows downwards, outer rings run anticlockwise and holes clockwise; of a part, the outer one is
+    first, then holes by their first sides below them in reading order.
+    """
+    padded = np.pad(parts, 1)
+    own, width = padded.ravel(), padded.shape[1]
+    # ways: east, north, west, south, along the south, east, north, west side; a left turn is + 1
+    ahead, right = np.array([1, -width, -1, width]), np.array([width, 1, -width, -1])
+    cell, way = np.divmod(np.arange(4 * own.size), 4)
+    steps = np.flatnonzero((own[cell] > 0) & (own[cell] != own[(cell + right[way]) % own.size]))
+    cell, way = cell[steps], way[steps]
+    here, beside = cell + ahead[way], cell + ahead[way] + right[way]
+    turns_right, goes_on = own[beside] == own[cell], own[here] == own[cell]
+    next_cell = np.where(turns_right, beside, np.where(goes_on, here, cell))
+    next_way = (way + np.where(turns_right, 3, np.where(goes_on, 0, 1))) % 4
+    after = np.searchsorted(steps, 4 * next_cell + next_way).tolist()
+    is_corner = (next_way != way).tolist()
+    # where a step ends, from the upper left corner of its cell, less the border
+    row, col = np.divmod(cell, width)
+    ends = np.stack([row + np.array([0, -1, -1, 0])[way], col + np.array([0, 0, -1, -1])[way]], 1)
+    done = np.zeros(len(steps), dtype=np.bool_)
+    for first in np.flatnonzero(way == 2).tolist():  # each ring has a side to the north
+        if done[first]:
+            continue
+        ring, step = [], first
+        while not done[step]:
+            done[step] = True
+            if is_corner[step]:
+                ring.append(step)
+            step = after[step]
+        yield int(own[cell[first]]), ends[ring]
 
 
 # ---------------------------------------------------------------- files
@@ -242,26 +268,11 @@ def encode_wkt(grid: NavGrid, path: Path) -> Files:
     GeoJSON of the grid have. Raises a MissingDependencyError without shapely.
     """
     shapely = import_extra("shapely")
-    text = io.StringIO()
-    # lines end as RFC 4180 has it; with other ends, csv leaves a name with such an end unquoted
-    table = csv.writer(text, lineterminator="\r\n")
-    table.writerow(["WKT", *COLUMNS])
+    rows: list[list[Any]] = [["WKT", *COLUMNS]]
     for shape in find_shapes(grid):
         wkt = shapely.to_wkt(shape.geometry, rounding_precision=DECIMALS)
-        properties = shape.properties
-        table.writerow([wkt, *(_plain_cell(properties[column]) for column in COLUMNS)])
-    return {path: text.getvalue().encode()}
-
-
-def _plain_cell(value: Any) -> Any:
-    """A value as a cell that no spreadsheet takes for a formula, without control characters.
-
-    Source: OWASP, "CSV Injection": an apostrophe goes before what begins a formula.
-    """
-    if not isinstance(value, str):
-        return value
-    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+        rows.append([wkt, *(shape.properties[column] for column in COLUMNS)])
+    return {path: encode_csv(rows)}
 
 
 def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
@@ -294,59 +305,55 @@ def _read_feature(feature: Any, where: str) -> Json | None:
 
     def check(is_good: bool, expected: str, value: Any) -> None:
         if not is_good:
-            raise FormatError(f"expected {expected}, got {_shown(value)} {where}")
+            raise FormatError(f"expected {expected}, got {_shown(value)} in {where}")
 
-    properties = feature.get("properties") if isinstance(feature, dict) else None
-    properties = {} if properties is None else properties
-    if isinstance(properties, dict) and properties.get("kind") in KINDS[1:]:
+    check(isinstance(feature, dict) and feature.get("type") == "Feature", "a Feature", feature)
+    stated = feature.get("properties")
+    properties: Json = {} if stated is None else stated
+    check(isinstance(properties, dict), "an object at `properties`", properties)
+    if properties.get("kind") in KINDS[1:]:
         return None
-    is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
-    number, where = where, f"as {where}"
-    check(is_feature, "a Feature", feature)
-    where = f"in {number}"
-    if not isinstance(properties, dict):
-        raise FormatError(f"expected an object at `properties`, got {shown(properties)} {where}")
     name, level = properties.get("name"), properties.get("level", 0)
-    check(name is None or (isinstance(name, str) and bool(name)), "text at `properties.name`", name)
+    outdoors, geometry = properties.get("outdoors"), feature.get("geometry")
+    check(name is None or (isinstance(name, str) and name != ""), "text at `properties.name`", name)
     if name is not None:
-        where = "in " + number.replace(" of ", f" ({name!r}) of ", 1)
+        where = where.replace(" of ", f" ({name!r}) of ", 1)
     level = int(level) if isinstance(level, float) and level.is_integer() else level
-    is_number = isinstance(level, int) and not isinstance(level, bool) and level >= 0
-    expected = "a level's number from 0, or its name, at `properties.level`"
-    check(is_number or (isinstance(level, str) and bool(level)), expected, level)
-    outdoors = properties.get("outdoors")
-    expected = "true or false at `properties.outdoors`"
-    check(outdoors is None or isinstance(outdoors, bool), expected, outdoors)
-    geometry = feature.get("geometry")
-    geometry = geometry if isinstance(geometry, dict) else {}
-    kind, polygons = geometry.get("type"), geometry.get("coordinates")
+    is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
+    check(is_level, "a level's number from 0, or its name, at `properties.level`", level)
+    is_flag = outdoors is None or isinstance(outdoors, bool)
+    check(is_flag, "true or false at `properties.outdoors`", outdoors)
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
     check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind)
+    polygons = geometry.get("coordinates")
     polygons = [polygons] if kind == "Polygon" else polygons
-    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
-        raise FormatError(f"expected lists of rings at `coordinates` {where}")
+    is_nested = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
+    check(is_nested, "lists of rings at `coordinates`", polygons)
     rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
-    if not rings:
-        raise FormatError(f"expected an outline, got none {where}")
+    check(rings != [], "an outline", None)
     about = {"name": name, "level": level, "outdoors": bool(outdoors)}
     return {**about, "points": rings[0], "rings": rings[1:]}
 
 
-def _read_ring(ring: Any, where: str) -> Ring:
-    def is_position(value: Any) -> bool:
-        is_list = isinstance(value, list) and len(value) >= 2
-        return is_list and all(type(v) in (int, float) and math.isfinite(v) for v in value[:2])
-
-    if not isinstance(ring, list) or not all(map(is_position, ring)):
-        raise FormatError(f"expected a ring of positions [x, y] {where}")
+def _read_ring(ring: Any, where: str) -> list[list[float]]:
+    if not isinstance(ring, list) or not all(
+        isinstance(position, list)
+        and len(position) >= 2
+        and all(type(value) in (int, float) for value in position[:2])
+        for position in ring
+    ):
+        raise FormatError(f"expected a ring of positions [x, y] in {where}")
     points = [[float(x), float(y)] for x, y, *_ in ring]
     if len(points) > 1 and points[0] == points[-1]:
         points.pop()
     if len(points) < 3:
-        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} {where}")
+        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
     if fault := find_fault(points):
-        raise FormatError(f"expected a simple outline, got {fault} {where}")
+        raise FormatError(f"expected a simple outline, got {fault} in {where}")
     return points
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, dict | list):
+        return shown(value)
     return "none" if value is None else (value if isinstance(value, str) else repr(value))[:60]

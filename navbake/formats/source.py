@@ -8,7 +8,6 @@ import importlib
 import io
 import logging
 import os
-import stat
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,7 +26,7 @@ Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
 """Files to be written, in this order: content, or pieces of it, by path."""
 
 LOG = logging.getLogger("navbake")
-CHUNK = 1 << 20  # of a stream whose length is unknown [bytes]
+CHUNK = 1 << 20  # that is read first [bytes]
 BOM = b"\xef\xbb\xbf"  # which some editors put before UTF-8
 GZIP = b"\x1f\x8b"
 PACKED: dict[bytes, tuple[str, Any]] = {
@@ -93,33 +92,22 @@ def read_bytes(
     """Read a file whole: its content, and its name for messages.
 
     `begins` is how such a file begins, or in which ways. No more than 1 MiB is read of what doesn't
-    begin so and has no length: it may be a device that never ends.
+    begin so: it may be a device that never ends.
     """
     with _opened(source) as (stream, name):
-        left = 0
-        if isinstance(stream, io.BufferedReader):
-            try:
-                status = os.fstat(stream.fileno())
-                is_plain = stat.S_ISREG(status.st_mode)
-                left = max(0, status.st_size - stream.tell()) if is_plain else 0
-            except OSError:  # a stream over no file, or one that can't tell where it is
-                pass
-        too_large = f"more than {MAX_BYTES >> 20} MiB of data"
-        if left > MAX_BYTES:
-            JsonPath(name).fail(too_large)
-        data = stream.read(max(left, CHUNK))
+        data = stream.read(CHUNK)
         if not isinstance(data, bytes):
             got = "text" if isinstance(data, str) else shown_type(data)
             JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
         if not data.startswith(begins):
             JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
         pieces, size = [data], len(data)
-        while piece := stream.read(CHUNK):
+        while piece := stream.read(16 * CHUNK):
             pieces.append(piece)
             size += len(piece)
             if size > MAX_BYTES:
-                JsonPath(name).fail(too_large)
-        return data if len(pieces) == 1 else b"".join(pieces), name
+                JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
+        return b"".join(pieces), name
 
 
 def _beginning(text: bytes) -> str:
@@ -180,6 +168,12 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
         raise FormatError(message) from error
 
 
+def check_named(path: Path) -> None:
+    """Refuse a file that another file is to name in UTF-8, and can't."""
+    if path.name != os.fsencode(path.name).decode(errors="replace"):
+        raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
+
+
 def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
     """Write a file, given as bytes or pieces, as a whole or not at all."""
     check_path(path)
@@ -207,10 +201,10 @@ def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
         raise FormatError(f"cannot write {names}: {why}") from error
 
 
-def import_extra(name: str, extra: str = "convert") -> Any:
-    """Load a library of an extra of navbake, or say how to install it."""
+def import_extra(name: str, extra: str = "convert", what: str = "this") -> Any:
+    """Load a library of an extra, or say `what` needs it and how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        message = f'this needs {name}: pip install "navbake[{extra}]"'
+        message = f'{what} needs {name.partition(".")[0]}: pip install "navbake[{extra}]"'
         raise MissingDependencyError(message) from error

@@ -4,18 +4,18 @@ import json
 import os
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import msgspec
 
 from navbake.errors import FormatError
-from navbake.formats.allowance import JsonPath
 from navbake.formats.binvox import IdMapping, encode_binvox, read_binvox, with_mapping
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.npz import encode_npz, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.source import check_path, read_object, write_bytes
+from navbake.formats.source import check_path, path_name, read_bytes, write_bytes
 from navbake.voxels.grid import VoxelGrid
 
-MAX_DIGITS = 10  # of an ID
 RULE = "0 is empty; where several meet a voxel, the least ID is its"
 
 
@@ -72,17 +72,19 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
         return read_octomap(path, max_voxels=max_voxels)
     grid, beside = read_binvox(path, max_voxels=max_voxels), names_path(path)
     if grid.is_segmented and os.path.lexists(beside):
-        table, _ = read_object(beside, expected="a table of IDs")
-        ids, place = table.get("ids") if isinstance(table, dict) else None, JsonPath(str(beside))
-        if not isinstance(ids, dict):
-            place.fail("expected a table of IDs, it can't be read: no object at `ids`")
-        for number, name in ids.items():
-            if not (number.isascii() and number.isdecimal() and len(number) <= MAX_DIGITS):
-                place["ids"].refuse("an ID as key", number)
-            if not isinstance(name, str):
-                place["ids"][number].refuse("a name", name)
-        grid.names = {int(number): name for number, name in ids.items()}
+        content, name = read_bytes(beside)
+        try:
+            grid.names = msgspec.json.decode(content, type=_Names).ids
+        except msgspec.DecodeError as error:
+            message = f"expected a table of IDs, {path_name(name)} can't be read: {error}"
+            raise FormatError(message) from error
     return grid
+
+
+class _Names(msgspec.Struct):
+    """The table of what IDs stand for, as a file has it."""
+
+    ids: dict[Annotated[int, msgspec.Meta(ge=0, lt=2**32)], str]
 
 
 def _check_suffix(path: str | PathLike[str]) -> str:

@@ -7,36 +7,17 @@ is on it, on the one above.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK
+from navbake.navgrid.lattice import Cell as Cell
+from navbake.navgrid.lattice import Cells as Cells
 from navbake.types import Float, Int
 
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
-    from navbake.navgrid.grid_base import GridBase
-
 ROUNDING = 1e-6  # share of a height by which float32 may have moved it
-
-
-class Cell(NamedTuple):
-    """One cell of a grid: its level (0 is the lowest), row and column."""
-
-    level: int
-    row: int
-    col: int
-
-
-class Cells(NamedTuple):
-    """Cells of a grid: level, row and column of each, int64, of one shape; -1 for none."""
-
-    level: Int
-    row: Int
-    col: Int
 
 
 def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Cell | None:

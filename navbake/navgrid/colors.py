@@ -21,14 +21,15 @@ DOORWAY = "#ff9f5a"  # where it would, were it closed
 ROUTE = "#1864ab"
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")  # by kind
 
-OUTDOORS = "#e2ecba"
+OUTDOORS = "#e9ffc6"
 ROOMS = ("#a6ceb0", "#cec4f6", "#ecec88", "#60b09c", "#b092f6", "#c0f0f8")
 BLOCKED_SHARE = 0.55  # of `OCCUPIED` in the colour of a room where something stands in it
 DARKER = "#6b6f78"  # stands in the legend for all rooms' darker colours
 
 WALL = 0.6  # rooms with no more than this between them are neighbours [m]
 
-UP, DOWN, ACROSS = MARKS[1], MARKS[3], MARKS[0]  # where a link leads
+# where a link leads; seen on walls, too
+UP, DOWN, ACROSS = "#3bcb11", "#b870fd", "#889590"
 
 
 def rgb_of(color: str) -> tuple[int, int, int]:
@@ -76,24 +77,19 @@ def find_neighbours(index: NDArray[Any], reach: int) -> set[tuple[int, int]]:
     Returns:
         Pairs of two regions, the smaller number first.
     """
-    pairs: set[tuple[int, int]] = set()
+    found = [np.empty((0, 2), dtype=np.int64)]
     for lines in (index, index.T):
         line, place = np.nonzero(lines[:, 1:] != lines[:, :-1])
         before, after = lines[line, place], lines[line, place + 1]
-        touch = (before != 0) & (after != 0)
-        _collect(pairs, before[touch], after[touch])
         # a gap opens at one change and closes at the next one of the same line
-        gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (before[:-1] != 0)
-        gap &= np.diff(place) <= reach
-        _collect(pairs, before[:-1][gap], after[1:][gap])
-    return pairs
-
-
-def _collect(pairs: set[tuple[int, int]], one: NDArray[Any], other: NDArray[Any]) -> None:
-    apart = one != other
-    both = np.stack([one[apart], other[apart]], axis=1).astype(np.int64)
-    both.sort(axis=1)
-    pairs.update(map(tuple, np.unique(both, axis=0).tolist()))
+        gap = (line[1:] == line[:-1]) & (after[:-1] == 0) & (np.diff(place) <= reach)
+        found += [
+            np.stack([before, after], axis=1),
+            np.stack([before[:-1], after[1:]], axis=1)[gap],
+        ]
+    pairs = np.sort(np.concatenate(found), axis=1)
+    pairs = pairs[(pairs[:, 0] > 0) & (pairs[:, 0] < pairs[:, 1])]
+    return set(map(tuple, np.unique(pairs, axis=0).tolist()))
 
 
 def choose_colors(count: int, pairs: Iterable[tuple[int, int]], num_colors: int) -> Int:

@@ -8,23 +8,238 @@ metres; `SceneGrid2D.lattice` is the bridge.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from functools import partialmethod
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.navgrid.block_state import BLOCKED, CHANGING, BlockState
-from navbake.navgrid.grid_base import GridBase
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.metadata import cut_metadata
+from navbake.lazy import Method
+from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
+from navbake.navgrid.doors import Door, parse_doors
+from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
+from navbake.navgrid.metadata import Link, cut_metadata, describe_attributes, parse_links
+from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
 from navbake.navgrid.user_data import UserData
-from navbake.types import Bool, Float, Int, Json, Vector3
+from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+Table = TypeVar("Table")
+
+
+@dataclass(eq=False, kw_only=True)
+class GridBase:
+    """What grids of one level and of several have in common.
+
+    Attributes:
+        cell_size: edge of a cell [file units], > 0.
+        unit: metres per file unit, > 0.
+        metadata: as in the file.
+        timings: as in the file; two grids that differ in it only are the same grid.
+        extra: fields of the file that are not the format's own; they are written back.
+        found_islands: what `navbake.navgrid.islands.islands_of` found last, after its digest.
+    """
+
+    cell_size: float
+    unit: float = 1.0
+    metadata: Json = field(default_factory=dict, repr=False)
+    timings: Json = field(default_factory=dict, repr=False)
+    extra: Json = field(default_factory=dict, repr=False)
+    found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
+    _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
+
+    def __getstate__(self) -> Json:
+        """Copies and pickles leave out caches and blocks."""
+        return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
+
+    @property
+    def levels(self) -> list[SceneGrid2D]:
+        """The levels, lowest first."""
+        raise NotImplementedError
+
+    def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
+        """The same grid with other levels.
+
+        Args:
+            levels: as many as it has; see `SceneGrid2D.with_layers`.
+            metadata: of the new grid; as they are if None. Levels that had taken theirs over from
+                the grid take over these.
+        """
+        raise NotImplementedError
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether any cell is blocked now."""
+        return any(level.block_state and level.block_state.is_blocked for level in self.levels)
+
+    def without_blocks(self) -> Self:
+        """The grid as it is when nothing is blocked; itself if nothing is."""
+        if not self.is_blocked:
+            return self
+        return self.with_levels([level.unblocked() for level in self.levels])
+
+    @property
+    def scene_id(self) -> str | None:
+        """The scene's name, if the file gives one."""
+        name = self.metadata.get("sceneId")
+        return name if isinstance(name, str) else None
+
+    @property
+    def agent_height(self) -> float:
+        """Height of the agent that the grid is for [m]; 1.14 where the file states none."""
+        return self._metres("agentHeight") or 1.14
+
+    @property
+    def agent_radius(self) -> float:
+        """Radius of the agent that the grid was baked for [m]; 0 where the file states none."""
+        return self._metres("agentRadius") or 0.0
+
+    @property
+    def max_step(self) -> float:
+        """The highest step that the agent takes [m]; 0.25 where the file states none."""
+        stated = self._metres("traversableFloorHeight")
+        return 0.25 if stated is None else stated
+
+    def _metres(self, key: str) -> float | None:
+        """A length of the metadata [m]; None where they have none from 0 to 1e10 m."""
+        stated = self.metadata.get(key)
+        if not isinstance(stated, int | float) or not 0 <= stated * self.unit <= FARTHEST:
+            return None
+        return float(stated) * self.unit
+
+    @property
+    def navbake(self) -> Json:
+        """What navbake wrote into the metadata; {} in files of other programs."""
+        own = self.metadata.get("navbake")
+        return own if isinstance(own, dict) else {}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the bake warned of, one line each; empty where it warned of nothing.
+
+        It is about the whole scene, and as the bake left it: a level of several has the warnings
+        of all, and no later change of the grid (`inflate`, `with_doors`) adds or removes any.
+        """
+        stated = self.navbake.get("warnings")
+        lines = stated if isinstance(stated, list) else []
+        return tuple(line for line in lines if isinstance(line, str))
+
+    @property
+    def rooms(self) -> tuple[Room, ...]:
+        """The rooms by level and index.
+
+        Of a file without a room table, they are measured from `room_index`.
+
+        Raises:
+            FormatError: the file's room table is broken.
+        """
+        stated = self.stated_rooms
+        if stated is not None:
+            return stated
+        rooms = (level.measure_rooms(number) for number, level in enumerate(self.levels))
+        return tuple(chain.from_iterable(rooms))
+
+    @property
+    def stated_rooms(self) -> tuple[Room, ...] | None:
+        """The rooms as the file's table has them, None where it has no table."""
+        if self.navbake.get("rooms") is None:
+            return None
+        return self._table("rooms", lambda stated: parse_rooms(stated, len(self.levels)))
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """The doors, as the file lists them.
+
+        Raises:
+            FormatError: the file's table of doors is broken.
+        """
+        if "doors" not in self.navbake:
+            return ()
+        return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The steps from level to level, and between neighbours on steep ramps; see `Link`.
+
+        Raises:
+            FormatError: the metadata name a level or a cell that does not exist.
+        """
+        return tuple(Link(*row) for row in self.link_array.tolist())
+
+    @property
+    def link_array(self) -> Int:
+        """`links` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+        return self._table("links", lambda stated: parse_links(stated, self._num_cells))
+
+    @property
+    def _num_cells(self) -> list[int]:
+        return [level.width * level.height for level in self.levels]
+
+    def _table(self, name: str, parse: Callable[[Any], Table]) -> Table:
+        """A table of navbake's metadata, parsed once for each object that stands there."""
+        stated = self.navbake.get(name)
+        if name not in self._tables or self._tables[name][0] is not stated:
+            self._tables[name] = (stated, parse(stated))
+        found: Table = self._tables[name][1]
+        return found
+
+    @property
+    def level_names(self) -> list[str]:
+        """The levels' names, lowest first; ``level 0``, ``level 1``, … where none is stated."""
+        stated = self.navbake.get("levels")
+        entries = stated if isinstance(stated, list) else []
+        names = [f"level {number}" for number in range(len(self.levels))]
+        for number, entry in enumerate(entries[: len(names)]):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            names[number] = name if isinstance(name, str) and name else names[number]
+        return names
+
+    @property
+    def cell_attributes(self) -> list[Json]:
+        """What the metadata say of each attribute, completed where they say nothing."""
+        return describe_attributes(self.metadata, [level.attributes for level in self.levels])
+
+    # Functions of modules above that take the grid first, loaded when a method is first looked at;
+    # signature and docstring are theirs.
+    cell_at = Method[Cell | None]("navbake.navgrid.cells:cell_at")
+    cells_at = Method[Cells]("navbake.navgrid.cells:cells_at")
+    position_of = Method[Float]("navbake.navgrid.cells:position_of")
+    with_doors = Method[Any]("navbake.navgrid.door_states:with_doors")
+    at = Method[Any]("navbake.runtime.place:place_at")
+    values_at = Method[NDArray[Any]]("navbake.runtime.place:values_at")
+    find_path = Method[Any]("navbake.runtime.path_finder:plan_path")
+    inflate = Method[Any]("navbake.runtime.inflation:inflate")
+    inflate_footprint = Method[list[Bool]]("navbake.runtime.inflation:inflate_footprint")
+    block = Method[Any]("navbake.runtime.blocks:block")
+    tensors = Method[Any]("navbake.tensors.build:make_tensors")
+    describe_cell = Method[Json]("navbake.views.describe:describe_cell")
+    save = Method[None]("navbake.formats.navgrid:write_navgrid")
+    convert = Method[list[Path]]("navbake.formats.convert:write_as")
+    to_nav2: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="nav2")
+    to_procthor: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="procthor")
+    to_npz: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="npz")
+    to_mjcf: ClassVar[partialmethod[list[Path]]] = partialmethod(convert, to="mjcf")
+    to_mesh = Method[Any]("navbake.formats.floor_mesh:make_floor_mesh")
+    to_polygons = Method[list[Any]]("navbake.formats.shapes:find_shapes")
+    to_geojson = Method[Json]("navbake.formats.shapes:to_geojson")
+    to_graph = Method[Any]("navbake.formats.graphs:make_graph")
+    plot = Method[Any]("navbake.views.plot:plot")
+    _repr_html_ = Method[str]("navbake.views.notebook:show_html")
+    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_png")
+
+    def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
+        """The names of what blocks the cell at a position, sorted; [] where nothing does.
+
+        Takes and raises what `describe_cell` does.
+        """
+        return list(self.describe_cell(x, y, level)["blockers"])
 
 
 @dataclass(eq=False, kw_only=True)
@@ -104,6 +319,18 @@ class SceneGrid2D(GridBase):
             metadata=self.metadata if metadata is None else metadata,
         )
 
+    def unblocked(self) -> Self:
+        """The level as it is when nothing blocks it; itself if nothing does."""
+        state = self.block_state
+        if state is None or not state.is_blocked:
+            return self
+        occupied = {
+            name: np.where(state.held(OCCUPIED), clean, self.attributes[name])
+            for name, clean in state.occupied.items()
+        }
+        weights = np.where(state.held(BLOCKED), state.weights, self.weights)
+        return self.with_layers(weights=weights, attributes=occupied)
+
     @property
     def uses_cell_floors(self) -> bool:
         """Whether cells have floors of their own: there are some, and the metadata don't deny it.
@@ -155,16 +382,19 @@ class SceneGrid2D(GridBase):
         return self.floor_height[rows, cols].astype(np.float64) * self.unit
 
     @property
+    def floor_or_ground(self) -> Float:
+        """World z of the floor, of the level's ground where there is none [m]; as `floor`."""
+        floor = self.floor
+        return np.where(np.isnan(floor), self.ground, floor)
+
+    @property
     def occupancy(self) -> NDArray[np.uint8]:
         """1 where something stands in the agent's way, shape (height, width), uint8.
 
         A file without ``occupancy`` is occupied where weights are infinite; one that keeps it
         in another dtype, where it is not 0. Read-only unless it is the attribute itself.
         """
-        stored = self.attributes.get("occupancy")
-        if stored is None:
-            return _derived((~self.free).astype(np.uint8))
-        return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+        return _flags(self.attributes.get("occupancy", ~self.free))
 
     @property
     def solid(self) -> NDArray[np.uint8]:
@@ -177,7 +407,7 @@ class SceneGrid2D(GridBase):
         stored = self.attributes.get("solid")
         if stored is None or not self.navbake:  # other programs may call anything so
             return self.occupancy
-        return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
+        return _flags(stored)
 
     @property
     def free_for_point(self) -> Bool:
@@ -191,7 +421,7 @@ class SceneGrid2D(GridBase):
             return free
         by_radius = self.occupancy != 0
         if self.block_state is not None:
-            by_radius |= self.block_state.held(self, BLOCKED)
+            by_radius |= self.block_state.held(BLOCKED)
         return np.asarray(free | (by_radius & (self.solid == 0)))
 
     @property
@@ -207,6 +437,12 @@ class SceneGrid2D(GridBase):
         if stored.dtype == np.uint16:
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
+
+    def measure_rooms(self, number: int = 0) -> list[Room]:
+        """Describe the rooms of the level, the `number`-th of a grid, from `room_index` alone."""
+        if not self.room_index.any():  # as in maps of other programs, which may be large
+            return []
+        return measure_rooms(self.room_index, self.floor_or_ground, self.lattice, number)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -248,6 +484,11 @@ class MultiLevelGrid(GridBase):
             for number, level in enumerate(levels)
         ]
         return replace(self, grids=grids, metadata=self.metadata if metadata is None else metadata)
+
+
+def _flags(stored: NDArray[Any]) -> NDArray[np.uint8]:
+    """A layer as uint8, 1 where it is not 0; itself if it is of that dtype."""
+    return stored if stored.dtype == np.uint8 else _derived((stored != 0).astype(np.uint8))
 
 
 def _derived(array: NDArray[Any]) -> NDArray[Any]:

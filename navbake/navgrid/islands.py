@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from hashlib import blake2b
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Bool, Float, Int, Int32
-
-if TYPE_CHECKING:
-    from navbake.navgrid.block_state import Window
-    from navbake.navgrid.grid import SceneGrid2D
-    from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.block_state import Window
+from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # metres that a step may be over the highest one
-FEW_CELLS = 2_000_000  # plain numpy is done with these while numba still loads
 TOO_MANY = 65535  # the island that all further ones share in a file
 
 
@@ -40,68 +35,63 @@ def find_islands(grid: GridBase) -> list[Int32]:
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     # one row of cells for all levels, so that links join cells like edges do
     links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
-    cells = start, width, free, floor, step_limit(grid), links
-    if "numba" not in sys.modules and len(free) <= FEW_CELLS:
-        islands = label_plainly(*cells)
-    else:
-        from navbake.navgrid.kernels.connect import label_islands  # numba loads slowly
-
-        islands = label_islands(*cells)[0]
-    return [islands[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
+    island = label_islands(start, width, free, floor, step_limit(grid), links)
+    return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
-def label_plainly(
-    start: Int, width: Int, free: Bool, floor: Float, limit: float, links: Int
+def label_islands(
+    start: Int, width: Int, free: Bool, floor: NDArray[Any], limit: float, links: Int
 ) -> Int32:
-    """Number the parts in plain numpy, for processes that have not loaded numba.
+    """Number the parts by the rule of `find_islands`, of cells by flat id.
 
-    Connected components (Shiloach and Vishkin, 1982): cells of a row that are connected make one
-    run. Each run points at the lowest run that it is known to be connected with, at first itself.
-    Then, in turns, the ends of all pairs of connected runs are hooked, the higher to the lower, and
-    all pointers are followed to their ends, until no pair is left whose ends differ.
+    Connected components by runs of cells along rows. Each run points at the lowest run that it is
+    known to be connected with, at first itself. In turns, the ends of all pairs of connected runs
+    are hooked, the higher to the lower, and all pointers are followed to their ends, until no pair
+    is left whose ends differ (Shiloach and Vishkin, 1982).
 
-    Takes and returns what `navbake.navgrid.kernels.connect.label_islands` does, but for the sizes.
+    Args:
+        start: the first flat id of each level, and their number, shape (levels + 1,).
+        width: cells in a row of each level, shape (levels,).
+        free, floor: of each cell, shape (n,).
+        limit: by how much floors of neighbours may differ, in the unit of `floor`.
+        links: pairs of cells that are connected anyway, shape (m, 2).
+
+    Returns:
+        The number of each cell's part, shape (n,), int32, 0 where it isn't free.
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
-    begins, below = free.copy(), [np.zeros((0, 2), dtype=np.int64)]
+    begins, pairs = free.copy(), [links[free[links].all(axis=1)]]
     for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
-        shape = (-1, int(columns))
-        is_free, height = free[first:last].reshape(shape), floor[first:last].reshape(shape)
-        cell = np.arange(first, last).reshape(shape)
-        right = is_free[:, 1:] & is_free[:, :-1] & _are_level(height[:, 1:], height[:, :-1], limit)
-        begins[first:last].reshape(shape)[:, 1:] &= ~right
-        down = is_free[1:] & is_free[:-1] & _are_level(height[1:], height[:-1], limit)
-        below.append(np.stack([cell[:-1][down], cell[1:][down]], axis=1))
+        own = slice(first, last)
+        is_free, height, is_first = (a[own].reshape(-1, columns) for a in (free, floor, begins))
+        # where a floor isn't known, it is level with its neighbours
+        right = is_free[:, 1:] & is_free[:, :-1]
+        right &= ~(np.abs(height[:, 1:] - height[:, :-1]) > limit)
+        is_first[:, 1:] &= ~right
+        down = is_free[1:] & is_free[:-1] & ~(np.abs(height[1:] - height[:-1]) > limit)
+        # of cells side by side in the same two runs, the first will do
+        down[:, 1:] &= ~down[:, :-1] | is_first[1:, 1:] | is_first[:-1, 1:]
+        upper = np.flatnonzero(down) + first
+        pairs.append(np.stack([upper, upper + columns], axis=1))
     run = np.cumsum(begins) - 1
-    links = links[free[links].all(axis=1)]
-    root = _join(int(np.count_nonzero(begins)), run[np.concatenate([*below, links])])
+    ends = run[np.concatenate(pairs)]
+    root = np.arange(np.count_nonzero(begins))
+    while len(ends):
+        ends = root[ends]
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        np.minimum.at(root, ends.max(axis=1), ends.min(axis=1))
+        while (root[root] != root).any():
+            root = root[root]
     parts, number = np.unique(root, return_inverse=True)
-    size = np.bincount(number[run[free]], minlength=len(parts))
+    number = number[run[free]]
+    size = np.bincount(number, minlength=len(parts))
     rank = np.empty(len(parts), dtype=np.int32)
     # stable, so that equal parts stay in the order of their first cells
     rank[np.argsort(-size, kind="stable")] = np.arange(1, len(parts) + 1)
     island = np.zeros(len(free), dtype=np.int32)
-    island[free] = rank[number[run[free]]]
+    island[free] = rank[number]
     return island
-
-
-def _are_level(one: Float, other: Float, limit: float) -> Bool:
-    """Whether floors differ by at most a limit; where one isn't known, they do."""
-    return np.asarray(~(np.abs(one - other) > limit))
-
-
-def _join(num: int, pairs: Int) -> Int:
-    """For each of some items, the lowest one that it is connected with over pairs."""
-    root = np.arange(num)
-    while len(pairs):
-        ends = root[pairs]
-        pairs = pairs[ends[:, 0] != ends[:, 1]]
-        low, high = (function(root[pairs], axis=1) for function in (np.min, np.max))
-        np.minimum.at(root, high, low)
-        while (root[root] != root).any():
-            root = root[root]
-    return root
 
 
 def islands_of(grid: GridBase) -> list[Int32]:

@@ -20,13 +20,29 @@ LEAST_EDGE = 1e-9  # of a cell [m]
 CELL_SLACK = 1e-6  # of a cell: an extent this little over n cells still makes n cells
 
 
-def num_cells(extent: float, cell_size: float) -> int:
+class Cell(NamedTuple):
+    """One cell of a grid: its level (0 is the lowest), row and column."""
+
+    level: int
+    row: int
+    col: int
+
+
+class Cells(NamedTuple):
+    """Cells of a grid: level, row and column of each, int64, of one shape; -1 for none."""
+
+    level: Int
+    row: Int
+    col: Int
+
+
+def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 
-    An extent that exceeds a whole number of cells by less than 1e-6 of a cell, as rounding
-    makes it, does not open one more.
+    An extent that exceeds a whole number of cells by less than 1e-6 of a cell and `rounding` [m],
+    as rounding makes it, does not open one more.
     """
-    return max(1, math.ceil(extent / cell_size - CELL_SLACK))
+    return max(1, math.ceil((extent - rounding) / cell_size - CELL_SLACK))
 
 
 class Lattice(NamedTuple):
@@ -47,15 +63,17 @@ class Lattice(NamedTuple):
     height: int
 
     @classmethod
-    def cover(cls, bounds: Sequence[float], cell_size: float, margin: float = 0.0) -> Lattice:
+    def cover(
+        cls, bounds: Sequence[float], cell_size: float, margin: float = 0.0, rounding: float = 0.0
+    ) -> Lattice:
         """Make the lattice of a scene: ``ceil(extent / cell_size)`` cells an axis, centred.
 
         `bounds` are (x_min, y_min, x_max, y_max), world frame [m]; the margin [m] is added to each
-        side of them first.
+        side of them first. Extents may be larger by `rounding` [m] than they should be.
         """
         x0, y0, x1, y1 = bounds
-        width = num_cells(x1 - x0 + 2 * margin, cell_size)
-        height = num_cells(y1 - y0 + 2 * margin, cell_size)
+        width = num_cells(x1 - x0 + 2 * margin, cell_size, rounding)
+        height = num_cells(y1 - y0 + 2 * margin, cell_size, rounding)
         # what whole cells have too much is shared by both sides
         x_mid, y_mid = (x0 + x1) / 2, (y0 + y1) / 2
         x_min, y_max = x_mid - width * cell_size / 2, y_mid + height * cell_size / 2

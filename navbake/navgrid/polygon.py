@@ -10,7 +10,6 @@ from navbake.types import Bool, Float
 
 MAX_CORNERS = 10_000  # of one outline
 PAIRS = 1 << 18  # of sides that are compared at once, for the memory that it takes
-WIDE = 1e-6  # of an outline's length: one that is wider is no line
 
 
 def find_fault(points: ArrayLike) -> str | None:
@@ -25,29 +24,12 @@ def find_fault(points: ArrayLike) -> str | None:
         return f"{len(corners)} corners, more than {MAX_CORNERS}"
     if not np.abs(corners).max(initial=0.0) <= FARTHEST:
         return f"corners beyond {FARTHEST:g} m"
-    if _is_line(corners):
+    if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
     sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    crossing = _find_crossing(sides)
-    if crossing is None:
-        return None
-    named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[list(crossing)]]
-    return "sides that cross: " + " and ".join(named)
-
-
-def _is_line(corners: Float) -> bool:
-    """Whether corners have no area, as they do when all lie in a line."""
-    from_first = corners - corners[0]
-    x, y = from_first[np.argmax((from_first**2).sum(axis=1))]
-    if np.abs(x * from_first[:, 1] - y * from_first[:, 0]).max() > WIDE * (x * x + y * y):
-        return False  # which spares nearly all outlines the next line, which is slow
-    return bool(np.linalg.matrix_rank(from_first) < 2)
-
-
-def _find_crossing(sides: Float) -> tuple[int, int] | None:
-    """The first two sides that cross, None if none do: each has the other's ends on two sides."""
 
     def are_split(by: Float, sides: Float) -> Bool:
+        """Whether sides, (m, 4), have their ends on both sides of others, (n, 4); (n, m)."""
         x0, y0, x1, y1 = np.moveaxis(by, -1, 0)
         a, b, c, d = np.moveaxis(sides, -1, 0)
         turns = ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in ((a, b), (c, d)))
@@ -57,9 +39,11 @@ def _find_crossing(sides: Float) -> tuple[int, int] | None:
     rows = max(1, PAIRS // len(sides))
     for first in range(0, len(sides), rows):
         ones = sides[first : first + rows, None]
-        found = np.argwhere(are_split(ones, sides[None]) & are_split(sides[None], ones))
-        if len(found):  # by the first side, which comes before the other
-            return first + int(found[0, 0]), int(found[0, 1])
+        crossing = np.argwhere(are_split(ones, sides[None]) & are_split(sides[None], ones))
+        if len(crossing):  # by the first side, which comes before the other
+            pair = first + crossing[0, 0], crossing[0, 1]
+            named = [f"[{a:g}, {b:g}] to [{c:g}, {d:g}]" for a, b, c, d in sides[[*pair]]]
+            return "sides that cross: " + " and ".join(named)
     return None
 
 

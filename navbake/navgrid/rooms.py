@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.metadata import read_table
-from navbake.types import Json, Vector3
-
-if TYPE_CHECKING:
-    from navbake.navgrid.grid import SceneGrid2D
+from navbake.types import Float, Json, Vector3
 
 WHERE = "metadata.navbake.rooms"
 
@@ -85,27 +84,28 @@ def parse_rooms(stated: Any, num_levels: int) -> tuple[Room, ...]:
     return tuple(sorted(rooms, key=lambda room: (room.level, room.index)))
 
 
-def measure_rooms(level: SceneGrid2D, number: int) -> list[Room]:
-    """Describe the rooms of a level, the `number`-th of its grid, from its `room_index` alone.
+def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: int) -> list[Room]:
+    """Describe the rooms of a level, the `number`-th of its grid, from its cells alone.
 
     They are sorted by index, have the id ``level:index``, and neither name nor neighbours.
+
+    Args:
+        index: the room of each cell, 0 for none, shape (height, width).
+        floor: world z of each cell [m], shape (height, width).
+        lattice: where the cells lie.
     """
-    index = level.room_index.ravel()
-    if not index.any():  # as in maps of other programs, which may be large
-        return []
-    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
-    floor = level.floor
-    z = np.where(np.isnan(floor), level.ground, floor)
+    x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
+    index = index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
     count = np.bincount(index)
-    sums = [np.bincount(index, values.ravel()) for values in (x, y, z)]
+    sums = [np.bincount(index, values.ravel()) for values in (x, y, floor)]
     return [
         Room(
             index=int(room),
             id=f"{number}:{room}",
             name=None,
             level=number,
-            area=round(float(count[room]) * level.lattice.cell_size**2, 6),
+            area=round(float(count[room]) * lattice.cell_size**2, 6),
             centroid=_rounded(*(float(total[room] / count[room]) for total in sums)),
         )
         for room in np.flatnonzero(count)

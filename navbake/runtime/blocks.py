@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.navgrid.block_state import NUM_LAYERS, Block, Layers
+from navbake.navgrid.block import Block
+from navbake.navgrid.block_state import NUM_LAYERS, Layers
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import step_limit

@@ -19,8 +19,6 @@ from navbake.types import Bool, Int
 
 TRIES = 8  # random crowds that are drawn before one is packed
 DARTS = 32  # cells that are drawn at once
-MISSES = 2  # rounds of darts after which cells that are taken are sorted out
-CHUNK = 4096  # cells of a row that are looked at once
 SHIFTS = 3  # of the honeycomb, along each axis
 REMEDY = "expected fewer agents, or a smaller min_distance or clearance"
 
@@ -112,30 +110,25 @@ def _draw_crowd(
 ) -> Int:
     """Draw a cell for each agent from its part, or another one; fewer where none is left."""
     left, chosen = list(parts), np.empty(len(owner), dtype=np.int64)
-    full = np.zeros(len(parts), dtype=np.bool_)
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
-    for k, part in enumerate(owner.tolist()):
-        cell = -1
-        while cell < 0:
-            if full[part]:
-                others = np.flatnonzero(~full)
-                if not len(others):
-                    return chosen[:k]
-                part = int(others[rng.integers(len(others))])
-            cells = left[part]
-            for _ in range(MISSES if len(cells) else 0):
-                darts = cells[draw_cells(flat, cells, rng, DARTS)]
-                hits = darts[~taken[darts]]
-                if len(hits):
-                    cell = int(hits[0])
-                    break
-            else:
-                cells = left[part] = cells[~taken[cells]]
-                full[part] = not len(cells)
-                if len(cells):
-                    cell = int(cells[draw_cells(flat, cells, rng, 1)[0]])
-        chosen[k] = cell
-        _take(flat, apart, taken, cell)
+
+    def throw(cells: Int) -> Int:
+        """The darts that hit a cell which isn't taken."""
+        darts = cells[draw_cells(flat, cells, rng, DARTS)] if len(cells) else cells
+        return darts[~taken[darts]]
+
+    for k, own in enumerate(owner.tolist()):
+        for part in (own, *rng.permutation(len(parts)).tolist()):
+            hits = throw(left[part])
+            while not len(hits) and len(left[part]):
+                left[part] = left[part][~taken[left[part]]]
+                hits = throw(left[part])
+            if len(hits):
+                break
+        else:
+            return chosen[:k]
+        chosen[k] = hits[0]
+        _take(flat, apart, taken, int(hits[0]))
     return chosen
 
 
@@ -145,18 +138,12 @@ def _pack_crowd(
     """Place up to n agents line by line, from a random side, each in the first cell left."""
     swap, signs = rng.integers(2), rng.choice([-1.0, 1.0], size=2)
     p = flat.positions(cells)[:, :2] * signs
-    cells = cells[np.lexsort((p[:, swap], p[:, 1 - swap]))]
     taken = np.zeros(flat.num_cells, dtype=np.bool_)
     chosen: list[int] = []
-    first = 0
-    while len(chosen) < n and first < len(cells):
-        is_open = ~taken[cells[first : first + CHUNK]]
-        if not is_open.any():
-            first += CHUNK
-            continue
-        first += int(np.argmax(is_open))
-        chosen.append(int(cells[first]))
-        _take(flat, apart, taken, chosen[-1])
+    for cell in cells[np.lexsort((p[:, swap], p[:, 1 - swap]))].tolist():
+        if len(chosen) < n and not taken[cell]:
+            chosen.append(cell)
+            _take(flat, apart, taken, cell)
     return np.array(chosen, dtype=np.int64)
 
 

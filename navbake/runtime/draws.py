@@ -15,7 +15,7 @@ from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import find_blocked
-from navbake.types import Bool, Float, Int
+from navbake.types import Float, Int
 
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
 
@@ -87,9 +87,8 @@ class DrawQuestions(PlaceQuestions):
     ) -> Float:
         """Draw places near a position, else as `random_point` does.
 
-        Distances are those of the shortest path from it, which needs a position where an agent can
-        stand; or, if `straight`, on the map of its level, through walls as well. They are measured
-        to the cells' centres, from `min_distance` to `max_distance` [m].
+        Distances [m] to cells' centres are those of the shortest path, from a position where an
+        agent can stand; or, if `straight`, on the map of its level, through walls as well.
         """
         cells, limits = self._cells_near(position, (min_distance, max_distance), straight, level)
         if room is not None:
@@ -167,8 +166,8 @@ class DrawQuestions(PlaceQuestions):
         """Draw where many agents start: none meets anything, or another one.
 
         Places are centres of cells, drawn one after the other, evenly by area, from those that are
-        far enough from all before it (Poisson-disc sampling). Distances between agents are measured
-        on the map; agents on floors that are the agent's height or more apart don't count.
+        far enough from all before it, on the map (Poisson-disc sampling). Agents on floors that are
+        the agent's height or more apart don't count.
 
         Args:
             n: how many agents, >= 1.
@@ -179,9 +178,9 @@ class DrawQuestions(PlaceQuestions):
             min_distance: between the centres of any two agents [m]; in any case more than twice
                 the agent's radius, that of the grid's inflation, or else of its bake.
             facing: where all look: a position, or a heading [rad]; everywhere, if None.
-            stratify: ``area`` cuts the cells into n parts of one area and draws one agent in
-                each; ``room`` and ``island`` draw as many agents in each, give or take one, and
-                leave out cells in no room. Agents that don't fit into a part go to others.
+            stratify: ``area`` draws one agent in each of n parts of one area; ``room`` and
+                ``island`` as many in each, give or take one, and none in cells of no room. Agents
+                that don't fit into a part go to others.
 
         Raises:
             QueryError: they don't fit, with how many do at most where that can be proved at once.
@@ -191,7 +190,7 @@ class DrawQuestions(PlaceQuestions):
         if clearance is not None:
             check_radius(clearance, "clearance")
             clearance = float(clearance)
-        names = [] if rooms is None else [rooms] if isinstance(rooms, str | int) else list(rooms)
+        names = [rooms] if isinstance(rooms, str | int) else list(rooms or ())
         if rooms is not None and not names:
             raise QueryError("expected at least one room, got none")
         numbers = tuple(sorted({search.rooms.find(name) for name in names}))
@@ -203,9 +202,8 @@ class DrawQuestions(PlaceQuestions):
             raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
         if stratify not in (None, *STRATA):
             raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
-        least = 0.0 if min_distance is None else min_distance
+        least, radius = 0.0 if min_distance is None else min_distance, agent_radius(grid)
         check_distance(least, "min_distance")
-        radius = agent_radius(grid)
         if min_distance is None:
             radius = max(radius, clearance or 0.0)
         ids = [search.rooms.id_of(number) for number in numbers] or [grid.scene_id]
@@ -213,19 +211,15 @@ class DrawQuestions(PlaceQuestions):
         where += f" on level {level}" if level is not None else ""
         where += f" on island {island}" if island is not None else ""
 
-        def find_clear() -> Bool:
-            """Where a disc of the clearance meets nothing, as `grid.inflate` has it."""
-            ledges, radius = ledges_of(grid) if exact_radius(grid) else "avoid", clearance or 0.0
-            blocked = [find_blocked(grid, k, radius, ledges) for k in range(len(grid.levels))]
-            return ~np.concatenate([mask.ravel() for mask in blocked])
-
         def find() -> Int:
             """The cells that agents may start in, along Hilbert's curve."""
             allowed = search.allowed(level=level, island=island)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:
-                allowed = allowed & search.keep("clear for", clearance, find_clear, 1)
+            if clearance is not None:  # where a disc of it meets nothing, as `grid.inflate` has it
+                ledges, levels = ledges_of(grid) if exact_radius(grid) else "avoid", grid.levels
+                blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
+                allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
         cells = search.keep("spawns", (numbers, level, island, clearance), find)
@@ -261,13 +255,12 @@ class DrawQuestions(PlaceQuestions):
     def reachable_positions(
         self, start: ArrayLike, spacing: float = 0.25, *, level: int | None = None
     ) -> Float:
-        """List the positions that steps of one length along x and y lead to.
+        """List the positions that steps of one length along x and y lead to, as AI2-THOR does.
 
-        The positions are those of a square lattice through the start. A step is taken where
-        `try_step` gets to its end without sliding, over links to other levels as well, and where
-        the agent's disc meets no obstacle at its end. AI2-THOR calls these positions so.
-        The start, where an agent can stand, comes first, then the places of the fewest steps. The
-        spacing is a cell's size or more [m].
+        They are on a square lattice through the start. A step is taken where `try_step` gets to its
+        end without sliding, and where the agent's disc meets no obstacle at its end. The start,
+        where an agent can stand, comes first, then the places of the fewest steps. The spacing is a
+        cell's size or more [m].
         """
         flat, radius = self.search.flat, agent_radius(self.grid)
         cell = float(flat.layout.cell_size.max())
@@ -281,7 +274,7 @@ class DrawQuestions(PlaceQuestions):
         while len(places):
             at = (at[:, None] + STEPS).reshape(-1, 2)
             wanted = first[:2] + at * spacing
-            ends = self.many.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
+            ends = self.try_step(np.repeat(places, len(STEPS), axis=0), wanted, slide=False)
             arrived = (np.abs(ends[:, :2] - wanted) <= NEAR * cell).all(axis=1)
             at, places = at[arrived], ends[arrived]
             cells = flat.cells_at(places)
@@ -291,7 +284,7 @@ class DrawQuestions(PlaceQuestions):
             # at a free cell's centre the agent's disc meets nothing; beside it, that is measured
             off = np.abs(places - flat.positions(cells))[:, :2].max(axis=1)
             is_center = off <= NEAR * flat.layout.cell_size[flat.level_of(cells)]
-            clearance = self.many.clearance(places, max_distance=2.0 * radius + 1.0)
+            clearance = self.clearance(places, max_distance=2.0 * radius + 1.0)
             stands = is_center | (clearance >= radius * (1.0 - TOUCH))
             at, places = at[stands], places[stands]
             found.append(places)
@@ -323,11 +316,7 @@ class DrawQuestions(PlaceQuestions):
         return positions.reshape(3) if count is None else positions
 
     def _cells_near(
-        self,
-        position: ArrayLike,
-        distances: tuple[float, float],
-        straight: bool,
-        level: int | None,
+        self, position: ArrayLike, distances: tuple[float, float], straight: bool, level: int | None
     ) -> tuple[Int, dict[str, object]]:
         """The free cells so far from a position, and the limits as `_draw` takes them."""
         low, high = distances

@@ -17,8 +17,8 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import step_limit
-from navbake.navgrid.rooms import Room, measure_rooms
+from navbake.navgrid.islands import label_islands, step_limit
+from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.arrays import Floors, Layout, Links
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
-connect = lazy("navbake.navgrid.kernels.connect")
+compiled = lazy("navbake.compiled")
 places = lazy("navbake.runtime.kernels.places")
 
 REAL = int | float | np.integer | np.floating
@@ -36,9 +36,8 @@ REAL = int | float | np.integer | np.floating
 class FlatGrid:
     """All levels of a grid as one row of cells, and where steps lead from level to level.
 
-    The flat id of a cell is ``start[level] + row * width[level] + col``. Two neighbours on one
-    level are a step apart where both are free and their floors differ by at most `max_step`; two
-    that a link joins, whenever both are free.
+    The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
+    neighbours whose floors differ by at most `max_step`, and any two free cells that a link joins.
     """
 
     layout: Layout  # where the cells of each level lie
@@ -73,9 +72,7 @@ class FlatGrid:
         cells = np.asarray(cells, dtype=np.int64)
         level = self.level_of(cells)
         row, col = np.divmod(cells - self.layout.start[level], self.layout.width[level])
-        if (level < 0).any():
-            row, col = (np.where(level < 0, -1, v) for v in (row, col))
-        return Cells(level, row, col)
+        return Cells(level, *(np.where(level < 0, -1, v) for v in (row, col)))
 
     def cell(self, cell: int) -> Cell:
         """Level, row and column of one cell by its flat id."""
@@ -145,6 +142,7 @@ def as_points(p: Float, level: int | None) -> tuple[int, Float]:
 
 def flatten(grid: NavGrid) -> FlatGrid:
     """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
+    compiled.ensure_compiled("runtime.")
     levels = grid.levels
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
     width, height = width.astype(np.int64), height.astype(np.int64)
@@ -226,7 +224,7 @@ def map_rooms(grid: NavGrid) -> RoomMap:
                 numbers[room.index] = position
         # measuring rooms is slow: only where cells name a room that the table lacks
         if ((numbers[index] == 0) & (index > 0)).any():
-            for room in measure_rooms(level, number):
+            for room in level.measure_rooms(number):
                 if not numbers[room.index]:
                     rooms.append(room)
                     numbers[room.index] = len(rooms)
@@ -296,15 +294,12 @@ def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> Islan
             cells = np.flatnonzero(moves & bit)
             others = cells + layout.width[flat.level_of(cells)] + across
             links.append(np.stack([cells, others], axis=1))
-    number, sizes = connect.label_islands(
+    number = label_islands(
         layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
     )
-    # one size of cells on all levels is the rule; else each level's cells count by their own area
-    areas = sizes * layout.cell_size[0] ** 2
-    if len(set(layout.cell_size)) > 1:
-        areas = np.zeros(len(sizes))
-        for level, size in enumerate(layout.cell_size):
-            of_level = number[flat.cells_of(level)]
-            areas += np.bincount(of_level, minlength=len(sizes)) * size**2
-        areas[0] = 0.0
+    # cells count by the area of their level's, which is the same on all levels but in few files
+    areas = np.zeros(int(number.max(initial=0)) + 1)
+    for level, size in enumerate(layout.cell_size):
+        of_level = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
+        areas[1:] += of_level[1:] * size**2
     return IslandMap(number, areas)

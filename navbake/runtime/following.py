@@ -25,7 +25,7 @@ TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 CLOSER = (1.0, 0.5, 0.25)  # shares of the lookahead that are tried
 WORTH = 0.1  # a new path is taken where it is shorter than the rest of the old one by this share
 STANDSTILL = 0.01  # [m] to what is blocked: less is no way left
-IN_LINE = 1e-9  # metres that a point of a straight line may be off it
+LEAST = 1e-9  # [m] that a leg's length is divided by at least
 INSIDE = 1e-3  # share of a line by which its ends are moved in, off the edges of cells
 HALVINGS = 10  # of a blocked line, to find how far it is free
 
@@ -42,11 +42,10 @@ class Command:
 class Follower:
     """Follows a path; `PathFinder.follow` makes it.
 
-    It notices when cells of its grid were blocked or freed. Then it plans anew, and takes the new
-    path where the rest of its own is blocked, or a tenth longer. Where there is no path, it drives
-    on to where its own is blocked, and waits there until there is one. Its `path` is the one that
-    it follows now, its `state` ``driving``, ``waiting`` (there is no way on) or ``arrived``;
-    `num_replans` says how often it has taken a new path.
+    When cells of its grid are blocked or freed, it plans anew, and takes the new path where the
+    rest of its own is blocked, or a tenth longer. Without a path, it drives on to where its own is
+    blocked, and waits. Its `path` is the one that it follows now, its `state` ``driving``,
+    ``waiting`` or ``arrived``; `num_replans` counts the new paths that it took.
     """
 
     def __init__(self, search: Search, path: Path, limits: dict[str, float]) -> None:
@@ -138,52 +137,45 @@ class Follower:
         return find_path(self._search, start, self._goal, None, smooth=True) if cell >= 0 else None
 
     def _take(self, path: Path) -> None:
-        """Follow a path from its start on, as straight legs, seen from above.
+        """Follow a path from its start on, leg by leg, seen from above.
 
-        Points in one line are joined. The level of a leg is -1 for a step over a link. `_is_swept`
-        says whether the agent's disc can be swept along it; if not, it leads from centre to centre.
+        The level of a leg is -1 for a step over a link. `_is_swept` says whether the agent's disc
+        can be swept along it; if not, it leads from centre to centre.
         """
         self._search.update()
         self.path, self._version = path, self._search.version
-        p, levels = path.positions[:, :2], path.levels
+        self._points = p = path.positions[:, :2]
         self._run = run_of(path.positions)  # distances along the path of its points [m]
         self._length, self._distance = float(self._run[-1]), 0.0
-        kept: list[int] = [0]
-        for k in range(1, len(p) - 1):
-            before, after = p[k] - p[kept[-1]], p[k + 1] - p[k]
-            cross = before[0] * after[1] - before[1] * after[0]
-            is_straight = abs(cross) <= IN_LINE and float(before @ after) >= 0.0
-            if not is_straight or not levels[kept[-1]] == levels[k] == levels[k + 1]:
-                kept.append(k)
-        kept.append(len(p) - 1)
-        self._leg_ends, self._leg_run = p[kept], self._run[kept]
-        one, other = levels[kept[:-1]], levels[kept[1:]]
+        one, other = path.levels[:-1], path.levels[1:]
         self._leg_level = np.where(one == other, one, -1)
         self._is_swept = [
-            level >= 0 and self._search.can_pass(p[a], p[b], level)
-            for a, b, level in zip(kept[:-1], kept[1:], self._leg_level.tolist(), strict=True)
+            level >= 0 and self._search.can_pass(p[k], p[k + 1], level)
+            for k, level in enumerate(self._leg_level.tolist())
         ]
         self._free_until = self._find_free(0.0)
 
     def _nearest(self, position: Float) -> float:
-        """The distance along the path, within twice the lookahead, at which it is the nearest."""
+        """The distance along the path, within twice the lookahead, where a position is nearest."""
+        if self._length == 0.0:
+            return 0.0
         low, high = self._distance, min(self._distance + 2.0 * self._lookahead, self._length)
-        start, run = self._leg_ends[:-1], self._leg_run
-        ways, lengths = np.diff(self._leg_ends, axis=0), np.diff(run)
-        along = ((position[:2] - start) * ways).sum(axis=1) / np.maximum(lengths, IN_LINE)
+        start, run = self._points[:-1], self._run
+        ways, lengths = np.diff(self._points, axis=0), np.diff(run)
+        along = ((position[:2] - start) * ways).sum(axis=1) / np.maximum(lengths, LEAST)
         distance = np.clip(run[:-1] + np.clip(along, 0.0, lengths), low, high)
-        share = (distance - run[:-1]) / np.maximum(lengths, IN_LINE)
+        share = (distance - run[:-1]) / np.maximum(lengths, LEAST)
         off = np.hypot(*(start + share[:, None] * ways - position[:2]).T)
         off[(run[1:] < low) | (run[:-1] > high)] = np.inf
         return float(distance[int(np.argmin(off))])
 
     def _find_free(self, begin: float) -> float:
         """The distance along the path up to which it is free now, from `begin` on [m]."""
-        run = self._leg_run
+        run = self._run
         first = max(int(np.searchsorted(run, begin, side="right")) - 1, 0)
         for k in range(first, len(self._leg_level)):
             length = float(run[k + 1] - run[k])
-            low, high = max(begin - float(run[k]), 0.0) / max(length, IN_LINE), 1.0
+            low, high = max(begin - float(run[k]), 0.0) / max(length, LEAST), 1.0
             if self._is_free(k, low, high):
                 continue
             skipped = low
@@ -197,7 +189,7 @@ class Follower:
     def _is_free(self, leg: int, begin: float, end: float) -> bool:
         """Whether a leg is free now, from a share of it to another."""
         search, flat, level = self._search, self._search.flat, int(self._leg_level[leg])
-        start, way = self._leg_ends[leg], self._leg_ends[leg + 1] - self._leg_ends[leg]
+        start, way = self._points[leg], self._points[leg + 1] - self._points[leg]
         if level < 0:
             return True  # the legs before and after it end in the cells that the link joins
         if self._is_swept[leg]:
@@ -206,7 +198,7 @@ class Follower:
         count = max(round(float(np.abs(way).max()) / cell), 1)
         shares = np.clip(np.arange(count + 1) / count, INSIDE, 1.0 - INSIDE)
         # of the centres that it passes, the last before the part begins counts as well
-        shares = shares[(shares > begin - 1.0 / count) & (shares <= end + IN_LINE)]
+        shares = shares[(shares > begin - 1.0 / count) & (shares <= end + LEAST)]
         cells = flat.cells_at(start + shares[:, None] * way, level)
         is_diagonal = bool((np.abs(way) > cell / 4).all())
         free = search.free_diagonally if is_diagonal else flat.free

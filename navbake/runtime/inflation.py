@@ -29,9 +29,8 @@ from navbake.navgrid.polygon import find_fault
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Bool, Float, Int, Int32, Json
 
-kernels = lazy("navbake.runtime.kernels.inflation")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
@@ -62,14 +61,12 @@ def inflate(
     """The same grid for an agent of another radius; its metadata list it under ``inflation``.
 
     ``exact``: a cell stays free if the open disc of the radius round its centre meets no occupied
-    cell's square, and no floor more than a step higher or lower. So no baked geometry is ever hit,
-    and the radius replaces the baked one. See `navbake.runtime.surroundings` for steps, other
-    levels, the edges of the grid and cells without floor. ``minos``: the weights that the original
-    client's ``refine`` gives, cell for cell.
+    cell's square, and no floor more than a step higher or lower (see
+    `navbake.runtime.surroundings`). The radius replaces the baked one. ``minos``: the weights that
+    the original client's ``refine`` gives, cell for cell.
 
     A cell that isn't free stays so, unless only the baked disc closed it (see `SceneGrid2D.solid`;
-    or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked, so a grid can be
-    inflated again.
+    or in ``refine`` at radius 0 with a clearance). Occupancy stays as baked.
 
     Args:
         radius: of the agent [m], 0 to 10,000.
@@ -125,9 +122,9 @@ def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
     squares = steps[:, None] ** 2 + steps**2
     inner, outer = (_to_runs(np.argwhere(squares < size * size) - reach) for size in (radius, far))
     masks = (occupied, np.ones_like(occupied), ~np.isnan(level.floor_height))
-    hits, within, with_floor = (kernels.count_runs(mask, inner) for mask in masks)
+    hits, within, with_floor = (count_runs(mask, inner) for mask in masks)
     too_few = (within > 0) & (with_floor / np.maximum(within, 1) < surroundings.LEAST_FLOOR)
-    soft = np.where(kernels.count_runs(occupied, outer) > 0, STEP_COST, 1.0)
+    soft = np.where(count_runs(occupied, outer) > 0, STEP_COST, 1.0)
     return np.where((hits > 0) | too_few, np.inf, soft)
 
 
@@ -167,13 +164,7 @@ def check_word(value: str, known: tuple[str, ...], name: str) -> None:
 
 
 def check_arguments(
-    radius: float,
-    clearance: float | None,
-    mode: str,
-    *,
-    costs: str,
-    scaling: float,
-    ledges: str = "avoid",
+    radius: float, clearance: float | None, mode: str, *, costs: str, scaling: float, ledges: str
 ) -> None:
     """Raise a QueryError for what `inflate` can't do."""
     check_radius(radius)
@@ -251,7 +242,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
 
     Returns three masks over flat cells: (1) room for a diagonal step; (2) room at any position in
     the cell; (3) as 2, but also cells blocked only by occupied squares of their own level. False
-    beside a step of the floor, meaningless in cells that are not free. None if the radius is 0.
+    beside a step of the floor. None if the radius is 0.
     """
     radius = exact_radius(grid)
     if radius == 0.0:
@@ -325,7 +316,7 @@ def inflate_footprint(
             cos, sin, (x, y) = math.cos(angle), math.sin(angle), outline.T / level.lattice.cell_size
             offsets = _footprint_offsets(cos * x - sin * y, -(sin * x + cos * y))
             runs = _to_runs(offsets)
-            blocked = kernels.count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
+            blocked = count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
             surroundings.block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
@@ -357,7 +348,18 @@ def _footprint_offsets(x: Float, y: Float) -> Int:
                 enters = np.maximum(enters, np.minimum(*sides))
                 leaves = np.minimum(leaves, np.maximum(*sides))
         meets |= enters < leaves
-    return np.asarray(np.argwhere(meets | inside) + np.array([low, left]))
+    return np.ascontiguousarray(np.argwhere(meets | inside) + np.array([low, left]))
+
+
+def count_runs(mask: Bool, runs: Int) -> Int32:
+    """Count the marked cells that a shape of runs (row, first column, last column) covers."""
+    (rows, cols), pad = mask.shape, int(np.abs(runs).max(initial=0)) + 1
+    before = np.cumsum(np.pad(mask, pad), axis=1, dtype=np.int32)  # a run is one difference
+    count = np.zeros(mask.shape, dtype=np.int32)
+    for row, first, last in (runs + pad).tolist():
+        line = before[row : row + rows]
+        count += line[:, last : last + cols] - line[:, first - 1 : first - 1 + cols]
+    return count
 
 
 def _to_runs(offsets: Int) -> Int:

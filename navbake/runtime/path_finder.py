@@ -1,14 +1,18 @@
 """Plans paths on a grid, and answers questions about places on it."""
 
+import os
+from collections.abc import Sequence
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.lazy import resolve
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
 from navbake.runtime.passage import Passage, find_passage, why_not
 from navbake.runtime.paths import Goal, Path, find_field, find_path
-from navbake.runtime.places import ManyPlaces
 from navbake.runtime.search import Search
 from navbake.types import Float
 
@@ -26,7 +30,8 @@ class PathFinder(DrawQuestions):
       positions are on that level (0 is the lowest) and z is ignored. x, y are enough with `level`,
       or on a grid of one level;
     - a goal is a position, several of them (the one that is the cheapest to reach counts),
-      ``room:NAME``, or ``object:NAME`` with a name of the user data (the free cells next to it);
+      ``room:NAME``, or ``object:NAME`` with a name of the user data (the nearest free cells of each
+      island that comes within 1 m of it);
     - a room goes by its id or its name, an island by its number; 1 is the largest;
     - a place is world x, y and floor z [m], shape (3,), or (n, 3) for several, float64;
     - `rng` draws what is random; without one, another generator does each time. One with a seed
@@ -37,22 +42,38 @@ class PathFinder(DrawQuestions):
     One object serves one thread at a time.
 
     Args:
-        grid: a grid of one or several levels. What is written into its arrays later is not seen;
-            what `grid.block` blocks is.
+        grid: a grid of one or several levels, or its file. What is written into its arrays later is
+            not seen; what `grid.block` blocks is.
         cut_corners: let diagonal steps pass blocked corners.
 
     Raises:
         QueryError: a weight is negative.
+        FormatError: the file can't be read, or is no NavGrid.
     """
 
-    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+    def __init__(
+        self, grid: NavGrid | str | os.PathLike[str], *, cut_corners: bool = False
+    ) -> None:
         self._cut_corners = cut_corners
         self.use(grid)
 
-    def use(self, grid: NavGrid) -> None:
+    def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
         """Answer about another grid from now on, as after `Baker.update`."""
-        self.grid, self._search = grid, Search(grid, cut_corners=self._cut_corners)
-        self.many = ManyPlaces(self._search)
+        if isinstance(grid, str | os.PathLike):
+            self.grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
+        else:
+            self.grid = grid
+        self._search = Search(self.grid, cut_corners=self._cut_corners)
+
+    def __repr__(self) -> str:
+        count, area = self.islands.count, self.navigable_area
+        return f"PathFinder({self.grid.scene_id!r}, {area:.1f} m² free, islands: {count})"
+
+    def _repr_html_(self) -> str:
+        return self.grid._repr_html_()
+
+    def _repr_png_(self) -> bytes:
+        return self.grid._repr_png_()
 
     def find_path(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
@@ -66,11 +87,11 @@ class PathFinder(DrawQuestions):
         return find_path(self.search, start, goal, level, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
-        """Say why there is no path: in one sentence, with positions and figures; None if there is.
+        """Say in one sentence why there is no path; None if there is one.
 
-        It names a start or goal that isn't free, and the nearest cell that is; or else the islands
-        of both, and the first of these between them: cells that are blocked for now, doors, a gap
-        that is too narrow, steps between levels that can't be taken, names of what stands there.
+        It names a start or goal that isn't free, and the nearest cell that is; or the islands of
+        both, and the first of these between them: cells that are blocked for now, doors, a gap that
+        is too narrow, steps between levels that can't be taken, names of what stands there.
         """
         return why_not(self.search, start, goal, level)
 
@@ -79,21 +100,36 @@ class PathFinder(DrawQuestions):
     ) -> list[Float]:
         """Find what the cheapest path from every cell to the goal costs.
 
-        If `weighted`, steps count by their weights, as in `find_path`; else by their lengths alone,
-        so that the shortest path counts [m]. One array a level, shape (height, width), float64, inf
-        where no path leads to the goal; read-only. The last few goals' fields are kept.
+        If `weighted`, as in `find_path`; else the length of the shortest path [m]. One array a
+        level, shape (height, width), float64, inf where no path leads to the goal; read-only.
         """
         field, flat = find_field(self.search, goal, level, weighted=weighted), self._search.flat
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
 
     def distances(
-        self, starts: ArrayLike, goal: Goal, *, level: int | None = None, weighted: bool = True
+        self,
+        starts: ArrayLike,
+        goal: Goal | None = None,
+        *,
+        goals: Sequence[Goal] | None = None,
+        level: int | None = None,
+        weighted: bool = True,
     ) -> Float:
-        """Look up `distance_field` at positions of shape (..., 3); shape (...), inf for no path.
+        """Look up `distance_field` at starts of shape (..., 3): shape (...), inf where none leads.
 
-        `many.distances` has those to several goals, one by one.
+        Of a goal of several positions, the cheapest to reach counts. With `goals`, m of them, the
+        distances from each start to each goal: shape (..., m). The last few goals' fields are kept.
         """
-        return self.many.distances(starts, [goal], level=level, weighted=weighted)[..., 0]
+        if goal is not None and goals is None:
+            return self.distances(starts, goals=[goal], level=level, weighted=weighted)[..., 0]
+        if goal is not None or goals is None:
+            raise QueryError("expected a goal, or goals=[…], one of them")
+        cells = self.search.flat.cells_at(starts, level)
+        found = np.full((*cells.shape, len(goals)), np.inf)
+        for k, one in enumerate(goals):
+            field = find_field(self._search, one, level, weighted=weighted)
+            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
+        return found
 
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"
@@ -101,10 +137,10 @@ class PathFinder(DrawQuestions):
         """Find the widest agent that gets from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for none that is larger; `ledges` as there. What is blocked now counts. On an inflated grid,
-        the answer is that of the grid before, if it can be told from the file. None where no agent
-        gets there, however narrow. Raises QueryError where start or goal is beside the grid or in
-        something, and where the goal is an object.
+        for none that is larger; `ledges` as there. What is blocked now counts. An inflated grid
+        answers as the grid before, if the file tells. None where no agent gets there, however
+        narrow. Raises QueryError where start or goal is beside the grid or in something, and where
+        the goal is an object.
         """
         return find_passage(self.search, start, goal, level, ledges)
 
@@ -121,8 +157,7 @@ class PathFinder(DrawQuestions):
         """Follow a path with a mobile base: velocities or waypoints, step by step.
 
         The base keeps to the path within some centimetres, so plan it on a grid that is inflated
-        for a radius by so much larger than the base's. Call `command` or `waypoint` of what is
-        returned as often as the base is steered.
+        for a radius by so much larger than the base's.
 
         Args:
             path: that `find_path` of this finder has found.
@@ -139,3 +174,13 @@ class PathFinder(DrawQuestions):
             "lookahead": lookahead, "tolerance": tolerance,
         }  # fmt: skip
         return Follower(self._search, path, limits)
+
+
+def plan_path(
+    grid: NavGrid, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
+) -> Path | None:
+    """Find the cheapest path on a grid, see `PathFinder.find_path`.
+
+    Each call prepares the whole grid; a `PathFinder` does it once for many questions.
+    """
+    return PathFinder(grid).find_path(start, goal, level=level, smooth=smooth)

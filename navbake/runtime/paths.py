@@ -1,7 +1,7 @@
 """Paths: what one may lead to, how it is planned, and what it goes through."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.lazy import lazy
+from navbake.lazy import Method, lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.user_data import NAMES, names_in
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_on
 from navbake.runtime.search import Search
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
@@ -27,25 +27,39 @@ NOWHERE = np.full(2, np.nan)
 MAX_REACH = 1.0  # metres that a place next to an object may be away from it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Path:
-    """A path on the floor."""
+    """A path on the floor; a notebook shows its picture."""
 
-    positions: Float = field(repr=False)
+    positions: Float
     """World x, y, z [m], shape (n, 3), n >= 1; z is the floor's height. Straight in between."""
-    levels: Int = field(repr=False)  #: Level of each position, shape (n,), int64.
-    cells: Int = field(repr=False)
+    levels: Int  #: Level of each position, shape (n,), int64.
+    cells: Int
     """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path leaves
     the route's cells where that is shorter and costs no more."""
     length: float  #: Of the path, seen from above [m].
     cost: float  #: Of the route: of each step [m] times the weight of the cell that it leads to.
     rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors on the way, in order.
+    grid: NavGrid | None = None  #: On which it was found.
 
-    def at(self, distance: float) -> Float:
-        """The position, world x, y, z [m], at a distance [m] from the start, seen from above."""
-        run = run_of(self.positions)
-        return np.array([np.interp(distance, run, axis) for axis in self.positions.T])
+    _repr_png_ = Method[bytes | None]("navbake.views.notebook:draw_path")
+
+    def __repr__(self) -> str:
+        text = f"Path({self.length:.2f} m, cost {self.cost:.2f}, {len(self.positions)} points"
+        for kind, names in (("rooms", self.rooms), ("doors", self.doors)):
+            text += f", {kind} {' '.join(names)}" if names else ""
+        return f"{text})"
+
+    @property
+    def points(self) -> Float:
+        """The `positions`."""
+        return self.positions
+
+    def at(self, distance: ArrayLike) -> Float:
+        """World x, y, z [m] at distances [m] from the start, seen from above: shape (..., 3)."""
+        run, along = run_of(self.positions), np.asarray(distance, dtype=np.float64)
+        return np.stack([np.interp(along, run, axis) for axis in self.positions.T], axis=-1)
 
 
 def run_of(positions: Float) -> Float:
@@ -75,7 +89,7 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
         if kind == "room":
             return Target(f"room {name!r}", search.rooms.cells(name))
         if kind == "object":
-            return Target(f"object {name!r}", cells_around(search.grid, flat, name))
+            return Target(f"object {name!r}", cells_around(search, name))
         raise QueryError(f"expected a position, room:NAME or object:NAME, got {goal!r}")
     p = check_positions(goal, flat.num_levels, level)
     if p.ndim > 2 or not p.size:
@@ -85,47 +99,54 @@ def find_target(search: Search, goal: Goal, level: int | None = None) -> Target:
     return Target(name, flat.cells_at(p, level), p)
 
 
-def cells_around(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
+def cells_around(search: Search, name: str) -> Int:
     """The free cells next to an object, or on it where it is no obstacle; flat ids, ascending.
 
-    On each level they are looked for ring by ring from the cells that carry the name, over cells
-    in which nothing stands: the nearest ring with a free cell and the one after it, at most 1 m
-    away. From what is shut in by other objects, as on a table, they are looked for over these, too.
+    On each level they are looked for ring by ring from the cells that carry the name, up to 1 m
+    away, over cells in which nothing stands; from what is shut in by other objects, as on a table,
+    over these, too. Of each island, the nearest ring that it has a cell in counts, and the next.
     """
-    named, found = cells_named(grid, flat, name), []
+    grid, flat, islands, found = search.grid, search.flat, search.islands.number, []
+    named = cells_named(grid, flat, name)
     for number, level in enumerate(grid.levels):
         part = flat.cells_of(number)
         cells = named[(named >= part.start) & (named < part.stop)] - part.start
-        if len(cells):
-            free = flat.free[part].reshape(level.shape)
-            passable = (level.solid == 0) | free
-            ring = _nearest_ring(level, cells, free, passable)
-            if not len(ring):
-                ring = _nearest_ring(level, cells, free, passable | _holds_objects(level))
-            found.append(part.start + ring)
+        if not len(cells):
+            continue
+        reach = math.ceil(MAX_REACH / level.lattice.cell_size)
+        rows, cols = (
+            np.arange(max(v.min() - reach, 0), min(v.max() + reach + 1, size))
+            for v, size in zip(np.divmod(cells, level.width), level.shape, strict=True)
+        )
+        ids = rows[:, None] * level.width + cols
+        island, own = islands[part.start + ids], np.isin(ids, cells)
+        passable = own | (island > 0) | (level.solid.take(ids) == 0)
+        is_goal = np.zeros(ids.shape, dtype=np.bool_)
+        for over_objects in (False, True):
+            if is_goal.any():
+                break
+            if over_objects:
+                passable |= _hold_objects(UserData.of(level.user_data).find(ids.ravel()), ids.shape)
+            ring = np.where(own, 0, -1)
+            for step in range(1, reach + 1):
+                ring[ndimage.binary_dilation(ring >= 0) & passable & (ring < 0)] = step
+            is_near = (ring >= 0) & (ring < reach)
+            for one in np.unique(island[is_near & (island > 0)]):
+                first = ring[is_near & (island == one)].min()
+                is_goal |= (island == one) & (ring >= 0) & (ring <= first + 1)
+        found.append(part.start + ids[is_goal])
     return np.concatenate(found)
 
 
-def _holds_objects(level: SceneGrid2D) -> Bool:
-    """The cells in which objects stand, or that only objects block, and no wall."""
-    walls = {name for entry in level.user_data.values() for name in names_in(entry, "walls")}
-    holds = np.zeros(level.shape, dtype=np.bool_)
-    for cell, entry in level.user_data.items():
-        in_way = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
-        holds.flat[cell] = bool(in_way) and not names_in(entry, "walls") and not in_way & walls
-    return holds
-
-
-def _nearest_ring(level: SceneGrid2D, cells: Int, free: Bool, passable: Bool) -> Int:
-    """The free cells of the first ring over passable cells that has any, and of the next one."""
-    reached = np.zeros(level.shape, dtype=np.bool_)
-    reached.flat[cells] = True
-    passable = passable | reached
-    for _ in range(math.ceil(MAX_REACH / level.lattice.cell_size)):
-        if (reached & free).any():
-            return np.flatnonzero(ndimage.binary_dilation(reached) & passable & free)
-        reached = ndimage.binary_dilation(reached) & passable
-    return np.empty(0, dtype=np.int64)
+def _hold_objects(entries: list[Json], shape: tuple[int, ...]) -> Bool:
+    """Whether cells hold objects, or are blocked by objects alone, and by no wall."""
+    walls = {name for entry in entries for name in names_in(entry, "walls")}
+    in_way = [{*names_in(entry, "objects"), *names_in(entry, "blockers")} for entry in entries]
+    holds = [
+        bool(names) and not names_in(entry, "walls") and not names & walls
+        for entry, names in zip(entries, in_way, strict=True)
+    ]
+    return np.array(holds).reshape(shape)
 
 
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
@@ -175,6 +196,7 @@ def find_path(
         cost=cost,
         rooms=[str(rooms.id_of(int(n))) for n in entered if n],
         doors=doors_on(search.doors, route),
+        grid=search.grid,
     )
 
 

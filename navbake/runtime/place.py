@@ -50,7 +50,7 @@ class Place:
         """Whether `grid.block` blocks the cell now."""
         level, row, col = self.cell
         state = self.grid.levels[level].block_state
-        return state is not None and bool(state.held(self.grid.levels[level], BLOCKED)[row, col])
+        return state is not None and bool(state.held(BLOCKED)[row, col])
 
 
 def place_at(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Place | None:

@@ -1,12 +1,10 @@
 """Places: can an agent stand there, what is near, what is in sight, where does a step lead.
 
-Everything is answered for arrays of positions; the answer for one is that for an array of one.
+The answer for one position is that for an array of one.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +16,7 @@ from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime import flat_grid
 from navbake.runtime.flat_grid import REAL, FlatGrid
-from navbake.runtime.paths import Goal, Path, cells_named, find_field, find_path
+from navbake.runtime.paths import cells_named
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
@@ -27,7 +25,6 @@ walks = lazy("navbake.runtime.kernels.walks")
 
 MAX_DROP = 0.5  # [m], see `navbake.runtime.kernels.places`, which loads numba
 FIRST_LOOK = 1.0  # metres round a position that are searched first for what is in sight
-MAX_PIXELS = 1 << 28
 SLACK = 1e-9  # metres
 NO_ROOMS = np.empty(0, dtype=np.int32)
 
@@ -40,116 +37,11 @@ class Obstacle:
     position: Float  #: World x, y, z [m], shape (3,); z is the floor's at the position asked about.
 
 
-class ManyPlaces:
-    """Asks of many positions what `PathFinder` asks of one; each answer is the same, bit for bit.
-
-    Positions are world x, y, z [m], shape (..., 3), or (..., 2) as in `PathFinder`. With `level`,
-    all of them are on that level. QueryError names the first position that has no answer.
-    """
-
-    def __init__(self, search: Search) -> None:
-        self._search = search
-
-    def snap(
-        self,
-        positions: ArrayLike,
-        *,
-        level: int | None = None,
-        same_level: bool = True,
-        room: str | None = None,
-        island: int | None = None,
-        max_distance: float = math.inf,
-    ) -> Float:
-        """`PathFinder.snap` of each: shape (..., 3), NaN where there is no such place."""
-        self._search.update()
-        flat_grid.check_distance(max_distance)
-        flat, allowed = self._search.flat, self._search.allowed(room=room, island=island)
-        p = check_positions(positions, flat.num_levels, level)
-        return snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)[0]
-
-    def clearance(
-        self, positions: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> Float:
-        """`PathFinder.clearance` of each: distances [m], shape (...), float64."""
-        self._search.update()
-        p = check_positions(positions, self._search.flat.num_levels, level)
-        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
-        return np.where(cells < 0, max_distance, distances).reshape(p.shape[:-1])
-
-    def try_step(
-        self, starts: ArrayLike, ends: ArrayLike, *, slide: bool = True, level: int | None = None
-    ) -> Float:
-        """`PathFinder.try_step` from each start to its end, or all to one: shape (..., 3)."""
-        self._search.update()
-        flat = self._search.flat
-        p = check_positions(starts, flat.num_levels, level)
-        q = check_positions(ends, flat.num_levels, 0)  # wherever the way leads, its level follows
-        if q.shape[:-1] not in (p.shape[:-1], ()):
-            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
-            raise QueryError(f"expected an end for each start, {counts}")
-        on, points = flat_grid.as_points(p, level)
-        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
-        found, bad = walks.step_each(
-            flat.layout, flat.links, flat.floors, flat.free, on, points,
-            np.ascontiguousarray(to), slide,
-        )  # fmt: skip
-        if bad >= 0:
-            flat.free_cell_at(points[bad], level)  # says which one, and what to do
-        return np.asarray(found.reshape(*p.shape[:-1], 3))
-
-    def find_path(
-        self, starts: ArrayLike, goals: Goal, *, level: int | None = None, smooth: bool = True
-    ) -> list[Path | None]:
-        """`PathFinder.find_path` from each start, shape (n, 3); None where there is none.
-
-        `goals` are a position for each start, shape (n, 3); or one for all: a position,
-        ``room:NAME`` or ``object:NAME``.
-        """
-        num_levels = self._search.flat.num_levels
-        p = check_positions(starts, num_levels, level)
-        if p.ndim != 2:
-            raise QueryError(f"expected starts of shape (n, 3) [m], got {p.shape}")
-        targets: list[Goal] = [goals] * len(p)
-        if not isinstance(goals, str):
-            q = check_positions(goals, num_levels, level)
-            if q.ndim > 2 or (q.ndim == 2 and len(q) != len(p)):
-                wanted = f"expected one goal, or goals of shape ({len(p)}, 3) as there are starts"
-                raise QueryError(f"{wanted}, got shape {q.shape}")
-            targets = list(np.broadcast_to(q, (len(p), q.shape[-1])))
-        self._search.update()
-        return [
-            find_path(self._search, start, goal, level, smooth=smooth)
-            for start, goal in zip(p, targets, strict=True)
-        ]
-
-    def distances(
-        self,
-        starts: ArrayLike,
-        goals: Sequence[Goal],
-        *,
-        level: int | None = None,
-        weighted: bool = True,
-    ) -> Float:
-        """`PathFinder.distances` from each start to each of several goals, one field a goal.
-
-        Each of the `goals` is one as in `PathFinder`: of an array of shape (m, 3), each row.
-        Returns shape (..., m), float64, for starts of shape (..., 3), inf where no path leads.
-        """
-        self._search.update()
-        cells = self._search.flat.cells_at(starts, level)
-        found = np.full((*cells.shape, len(goals)), np.inf)
-        for k, goal in enumerate(goals):
-            field = find_field(self._search, goal, level, weighted=weighted)
-            found[..., k] = np.where(cells >= 0, field[cells], np.inf)
-        return found
-
-
 class PlaceQuestions:
     """Islands, rooms, places where an agent can stand, and what is round them."""
 
     grid: NavGrid
     _search: Search
-    many: ManyPlaces  #: The same questions about many positions at once: `snap` and others.
 
     @property
     def search(self) -> Search:
@@ -166,11 +58,6 @@ class PlaceQuestions:
     def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the cells that are free now: ``count``, ``areas`` [m²]."""
         return self.search.islands
-
-    @property
-    def occupied(self) -> Bool:
-        """Where something stands now or there is no floor, see `Search.occupied`."""
-        return self.search.occupied
 
     @property
     def navigable_area(self) -> float:
@@ -233,33 +120,21 @@ class PlaceQuestions:
 
     def is_navigable(
         self, position: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> bool:
-        """Whether an agent can stand at a position.
+    ) -> bool | Bool:
+        """Whether an agent can stand at a position; of many, shape (..., 3), that of each, bool.
 
         It can where the cell is free and its floor is at most `max_drop` below the position [m].
         """
-        found = self.are_navigable(position, level=level, max_drop=max_drop)
-        if found.ndim:
-            raise QueryError("expected one position: ask are_navigable for many")
-        return bool(found)
-
-    def are_navigable(
-        self, positions: ArrayLike, *, level: int | None = None, max_drop: float = MAX_DROP
-    ) -> Bool:
-        """`is_navigable` of each of many positions, shape (..., 3); shape (...), bool."""
         flat_grid.check_distance(max_drop, "max_drop")
         flat = self.search.flat
-        p: NDArray[Any] = positions if isinstance(positions, np.ndarray) else np.empty(0)
-        if level is not None or p.dtype != np.float64 or p.ndim != 2 or p.shape[1] != 3:
-            p = check_positions(positions, flat.num_levels, level)
-        if level is not None or p.shape[-1] == 2:
-            cells = flat.cells_at(p, level)
-            return np.asarray((cells >= 0) & flat.free[cells])
-        _, points = flat_grid.as_points(p, level)
-        answers, bad = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
-        if bad >= 0:
-            check_positions(points[bad], flat.num_levels)  # says what is wrong with it
-        return np.asarray(answers.reshape(p.shape[:-1]))
+        p = check_positions(position, flat.num_levels, level)
+        on, points = flat_grid.as_points(p, level)
+        if on >= 0:
+            cells = places.locate(flat.layout, flat.floors, on, points)
+            answers = (cells >= 0) & flat.free[cells]
+        else:
+            answers = places.stand_on(flat.layout, flat.floors, flat.free, float(max_drop), points)
+        return bool(answers[0]) if p.ndim == 1 else answers.reshape(p.shape[:-1])
 
     def cell_at(self, position: ArrayLike, *, level: int | None = None) -> Cell | None:
         """The cell that a position is in; see `navbake.navgrid.cells.cell_at`."""
@@ -279,60 +154,77 @@ class PlaceQuestions:
         in_sight: bool = False,
         max_distance: float = math.inf,
     ) -> Float | None:
-        """Find the nearest place where an agent can stand.
+        """Find the nearest place where an agent can stand; for many positions, that of each.
 
         Where the position's own cell is allowed, and its floor is at most 0.5 m below, that is
-        the position itself, put on the floor. Else it is the centre of a cell: of the one whose
-        centre is the nearest on the map on the position's level, or in space on any level. None
-        where there is no such place.
+        the position itself, put on the floor. Else it is the nearest centre of a cell: on the map
+        on the position's level, or in space on any level. Where there is no such place: None, or
+        of many positions a row of NaN. `same_room` and `in_sight` take one position.
 
         Args:
-            same_level: stay on its level. A position that is on none is snapped to the nearest
-                floor in space.
+            same_level: stay on its level. A position on none goes to the nearest floor in space.
             same_room: stay in its room; None where it is in none.
             room, island: go there.
-            in_sight: nothing may stand between, such as a wall. The position may be in something:
-                then the line has to come out of it without leaving its room.
+            in_sight: nothing may stand between, such as a wall. From within something, the line
+                has to come out of it without leaving its room.
             max_distance: go no farther [m].
         """
+        search = self.search
+        flat = search.flat
+        flat_grid.check_distance(max_distance)
+        if same_room or in_sight:
+            p = flat.check_one(position, level)
+        else:
+            p = check_positions(position, flat.num_levels, level)
         if same_room:
-            here = self.room_at(position, level=level)
+            here = self.room_at(p, level=level)
             if here is None or self.rooms.find(room or here) != self.rooms.find(here):
                 return None
             room = here
-        search = self.search
-        p = search.flat.check_one(position, level)
+        allowed = search.allowed(room=room, island=island)
         if in_sight:
-            flat_grid.check_distance(max_distance)
-            allowed = search.allowed(room=room, island=island)
             return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
-        limits = {"room": room, "island": island, "max_distance": max_distance}
-        found = self.many.snap(p, level=level, same_level=same_level, **limits)  # type: ignore[arg-type]
-        return None if np.isnan(found[0]) else found
+        found, cells = snap(
+            flat, allowed, p, level, same_level=same_level, max_distance=max_distance
+        )
+        return None if p.ndim == 1 and cells < 0 else found
 
     def try_step(
         self, start: ArrayLike, end: ArrayLike, *, slide: bool = True, level: int | None = None
     ) -> Float:
         """Move straight from a position towards another, and stop where cells are not free.
 
-        The way runs over the map from cell to cell, over the edge that it meets, so no wall is
-        too thin for it. Steps are at most `traversable_floor_height` high; links lead to other
-        levels. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
+        Many starts, shape (..., 3), have an end each, or one in common.
+
+        The way runs over the map from cell to cell, up steps and over links, so no wall is too thin
+        for it. It may end anywhere in a free cell, so up to half a cell nearer to obstacles than at
         its centre. The end's z is ignored. Raises QueryError where no agent can stand at the start.
 
-        Sliding goes on from where the straight way ends, to the point that is the nearest to the
-        end among those that a walk leads to which is no longer than what is left of the way.
+        Sliding goes on from where the straight way ends, to the point nearest to the end among
+        those that a walk leads to which is no longer than what is left of the way.
         """
-        flat = self._search.flat
-        p, q = flat.check_one(start, level), flat.check_one(end, 0, "end")
-        return self.many.try_step(p, q, slide=slide, level=level)
+        flat = self.search.flat
+        p = check_positions(start, flat.num_levels, level)
+        q = check_positions(end, flat.num_levels, 0)  # wherever the way leads, its level follows
+        if q.shape[:-1] not in (p.shape[:-1], ()):
+            counts = f"{p.shape[:-1]} of them, got {q.shape[:-1]}"
+            raise QueryError(f"expected an end for each start, {counts}")
+        on, points = flat_grid.as_points(p, level)
+        to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
+        found, bad = walks.step_each(
+            flat.layout, flat.links, flat.floors, flat.free, on, points,
+            np.ascontiguousarray(to), slide,
+        )  # fmt: skip
+        if bad >= 0:
+            flat.free_cell_at(points[bad], level)  # says which one, and what to do
+        return np.asarray(found.reshape(*p.shape[:-1], 3))
 
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions meets nothing that is occupied.
 
-        The line runs over the map, from cell to cell, and through a corner of four where one of
-        the two beside it is clear. It changes levels where links lead; heights are not compared.
-        False also where one of the two is beside the grid, or in something itself.
+        The line runs over the map, from cell to cell and over links, and through a corner of four
+        where one of the two beside it is clear; heights are not compared. False also where one of
+        the two is beside the grid, or in something itself.
         """
         search = self.search
         (p, one), (q, other) = (search.flat.locate(end, level) for end in (a, b))
@@ -362,18 +254,22 @@ class PlaceQuestions:
 
     def clearance(
         self, position: ArrayLike, *, level: int | None = None, max_distance: float = math.inf
-    ) -> float:
-        """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`."""
-        p = self._search.flat.check_one(position, level)
-        return float(self.many.clearance(p, level=level, max_distance=max_distance))
+    ) -> float | Float:
+        """Distance to the nearest obstacle [m], at most `max_distance`; see `nearest_obstacle`.
+
+        Of many positions, shape (..., 3), that of each: shape (...), float64.
+        """
+        p = check_positions(position, self.search.flat.num_levels, level)
+        _, cells, distances = _find_obstacles(self._search, p, level, max_distance)
+        found = np.where(cells < 0, max_distance, distances)
+        return float(found[0]) if p.ndim == 1 else found.reshape(p.shape[:-1])
 
     def top_down(self, level: int, metres_per_pixel: float | None = None) -> NDArray[np.uint8]:
         """Draw where on a level an agent can stand, as an array.
 
         Red, green and blue, shape (rows, cols, 3), uint8, in the colours of ``navbake plot``: free,
-        blocked, no floor. The first row is the largest y, the first column the smallest x, as in
-        the grid's arrays. A pixel shows the cell that its middle is in; without `metres_per_pixel`,
-        > 0, there is one for each cell.
+        blocked, no floor; rows and columns run as in the grid's arrays. A pixel shows the cell that
+        its middle is in; without `metres_per_pixel`, > 0, there is one for each cell.
         """
         flat = self.search.flat
         if level is None:
@@ -386,11 +282,8 @@ class PlaceQuestions:
             if not (isinstance(metres_per_pixel, REAL) and 0 < metres_per_pixel < math.inf):
                 raise QueryError(f"expected metres_per_pixel > 0, got {metres_per_pixel!r}")
             each = metres_per_pixel / float(flat.layout.cell_size[level])
-            pixels = [math.ceil(n / each - 1e-6) for n in shape]
-            if math.prod(pixels) > MAX_PIXELS:
-                raise QueryError(f"{pixels[1]} × {pixels[0]} pixels are too many: make them larger")
-            middles = (((np.arange(count) + 0.5) * each).astype(int) for count in pixels)
-            at = (np.minimum(m, n - 1) for m, n in zip(middles, shape, strict=True))
+            middles = ((np.arange(math.ceil(n / each - 1e-6)) + 0.5) * each for n in shape)
+            at = (np.minimum(m.astype(int), n - 1) for m, n in zip(middles, shape, strict=True))
             kind = kind[np.ix_(*at)]
         palette = np.array([rgb_of(FREE), rgb_of(OCCUPIED), rgb_of(NO_FLOOR)], dtype=np.uint8)
         return palette[kind]
@@ -475,11 +368,7 @@ def _find_obstacles(
 
 
 def cells_in_annulus(
-    flat: FlatGrid,
-    level: int,
-    point: Float,
-    distances: tuple[float, float],
-    allowed: Bool,
+    flat: FlatGrid, level: int, point: Float, distances: tuple[float, float], allowed: Bool
 ) -> Int:
     """The allowed cells of a level whose centres are so far from a point on the map, ascending."""
     layout = flat.layout

@@ -33,10 +33,9 @@ Kept = TypeVar("Kept")
 class Search:
     """The cells of all levels of a grid, searches over them, and what follows from them.
 
-    What `grid.block` blocks is seen at each `update`, by which `version` grows; what is written
-    into the grid's arrays isn't. Not to be shared by threads. `flat` are the cells, `graph` are the
-    steps between them; `free_diagonally`, by flat id, are the free cells with room for a diagonal
-    step; `off_center` is where a line may run beside the centres.
+    `update` takes over what `grid.block` blocks, by which `version` grows. Not to be shared by
+    threads. `flat` are the cells, `graph` the steps between them; `free_diagonally`, by flat id,
+    the free cells with room for a diagonal step; `off_center` where a line may be off the centres.
     """
 
     def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
@@ -149,8 +148,9 @@ class Search:
 
     @property
     def sight(self) -> tuple[Any, ...]:
-        """What a line of sight runs through, as kernels take it: layout, links, floors whose
-        heights don't count, and by cell whether nothing stands there.
+        """Layout, links, floors without a limit of steps, and by cell whether nothing stands there.
+
+        A line of sight is walked over these.
         """
         clear = self.keep("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
@@ -163,9 +163,8 @@ class Search:
         allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
-            on_level = np.zeros_like(allowed)
-            on_level[self.flat.cells_of(level)] = True
-            allowed = allowed & on_level
+            inside, allowed = self.flat.cells_of(level), np.zeros_like(allowed)
+            allowed[inside] = self.flat.free[inside]
         if room is not None:
             allowed = allowed & (self.rooms.number == self.rooms.find(room))
         if island is not None:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.inflation import Storeys
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+compiled = lazy("navbake.compiled")
 kernels = lazy("navbake.runtime.kernels.inflation")
 ndimage = lazy("scipy.ndimage")
 
@@ -54,9 +55,9 @@ def find_blocked(
 ) -> Bool:
     """Find the cells of a level where an agent of a radius [m] can't stand; see the module's head.
 
-    Cells that are not free before may be either. Unless `by_own`, the level's own occupied cells
-    don't block, and those of others do wherever they have a floor.
+    Unless `by_own`, the level's own occupied cells don't block, and all others with a floor do.
     """
+    compiled.ensure_compiled("runtime.kernels.inflation.")
     cells = radius / grid.levels[number].lattice.cell_size
     storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
     occupied = storeys.occupied[storeys.level]
@@ -91,8 +92,7 @@ def block_by_others(
 ) -> None:
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
-    `offsets` are the steps from an agent's cell to those that it meets; the radius [m] is the
-    agent's, or of a circle around it.
+    `offsets` are the steps from an agent's cell to those that it meets, within the radius [m].
     """
     level = grid.levels[number]
     # of the disc that is part of `occupied`; 0 where the squares alone are in a layer `solid`
@@ -107,9 +107,8 @@ def block_by_others(
     pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
     floor = np.pad(storeys.floor, pads, constant_values=np.nan)
     tiles = floor.reshape(len(floor), floor.shape[1] // tile, tile, -1, tile)
-    for extreme, of_window, beyond in (
-        (np.fmin, ndimage.minimum_filter, none), (np.fmax, ndimage.maximum_filter, -none),
-    ):  # fmt: skip
+    filters = ndimage.minimum_filter, ndimage.maximum_filter
+    for extreme, of_window, beyond in zip((np.fmin, np.fmax), filters, (none, -none), strict=True):
         here = extreme.reduce(tiles, axis=(2, 4))
         here = np.where(np.isnan(here), beyond, here).astype(np.float64)
         ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
@@ -192,8 +191,8 @@ def _find_slopes(
     slopes = np.zeros(floor.shape, dtype=np.uint8)
     toward = np.zeros((3, 3), dtype=np.uint8)  # by step down and across, the middle is none
     toward[[1, 0, 1, 2], [2, 1, 0, 1]] = arrays.EAST, arrays.NORTH, arrays.WEST, arrays.SOUTH
+    one, other = one[:, is_slope], other[:, is_slope]
     for here, there in ((one, other), (other, one)):
-        here, there = here[:, is_slope], there[:, is_slope]
         np.bitwise_or.at(slopes, tuple(here), toward[tuple((there - here)[1:] + 1)])
     return slopes
 

@@ -12,6 +12,7 @@ from navbake.tensors.grid_tensors import GridTensors
 from navbake.tensors.questions import (
     clearance,
     distance_to_goal,
+    distances,
     floor,
     heights,
     is_navigable,
@@ -27,6 +28,7 @@ __all__ = [
     "GridTensors",
     "clearance",
     "distance_to_goal",
+    "distances",
     "floor",
     "heights",
     "is_navigable",

@@ -88,7 +88,6 @@ def make_tensors(
         dtype=of_library,
         index=make(np.zeros(1, dtype=np.int64)).dtype,
         shape=shape,
-        same_lattice=all(len({v.lattice for v in grid.levels}) == 1 for grid in several),
         num_rooms=num_rooms,
         rooms=rooms,
         goals=tuple(str(goal) for goal in per_grid[0]),
@@ -147,24 +146,20 @@ def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
     found["x_edge"] = np.zeros((*num, shape.cols + 1), dtype=dtype)
     found["y_edge"] = np.zeros((*num, shape.rows + 1), dtype=dtype)
     found |= {name: np.zeros(num, dtype=np.int32) for name in ("num_rows", "num_cols")}
-    for at in np.ndindex(num):
-        if at[1] >= len(grids[at[0]].levels):
-            continue
-        grid = grids[at[0]]
-        x_min, y_max, size, width, height = grid.levels[at[1]].lattice
-        ends = np.array([x_min, x_min + width * size, y_max, y_max - height * size])
-        farthest = np.abs(ends).max()
+    for at in ((s, k) for s, grid in enumerate(grids) for k in range(len(grid.levels))):
+        x_min, y_max, size, width, height = grids[at[0]].levels[at[1]].lattice
+        farthest = np.abs([x_min, x_min + width * size, y_max, y_max - height * size]).max()
         if np.spacing(farthest.astype(dtype)) > size / FINEST:
             raise QueryError(
                 f"{dtype} can't tell cells of {size:g} m apart at x, y up to {farthest:g} m in "
-                f"{grid.scene_id!r}: use float64"
+                f"{grids[at[0]].scene_id!r}: use float64"
             )
         x_edge = first_in_cell(x_min, size, width, dtype)
         y_edge = -first_in_cell(-y_max, size, height, dtype)  # to the last bit the same formula
         found["x_edge"][at][: width + 1], found["y_edge"][at][: height + 1] = x_edge, y_edge
+        found["num_rows"][at], found["num_cols"][at] = height, width
         sides = x_edge[0], x_edge[-1], y_edge[0], y_edge[-1]
-        values = zip(names, (x_min, y_max, 1 / size, *sides), strict=True)
-        for name, value in (*values, ("num_rows", height), ("num_cols", width)):
+        for name, value in zip(names, (x_min, y_max, 1 / size, *sides), strict=True):
             found[name][at] = value
     return {name: value.ravel() for name, value in found.items()}
 
@@ -236,11 +231,10 @@ def _orders(room: NDArray[Any], island: NDArray[Any], num_rooms: int, shape: Sha
     return found
 
 
-# --- numbers at which an answer changes --------------------------------------------------------
 # The run time finds a position's cell in float64: ``floor((x - x_min) / cell_size)``. In float32
-# the same formula gives another cell near an edge. So for each edge the smallest number is
-# searched, of the dtype that positions have, for which the formula in float64 gives the next cell.
-# One comparison with that number then decides as float64 does. Floors and drops are treated alike.
+# the same formula gives another cell near an edge. So for each edge the smallest number of the
+# dtype is searched for which the formula in float64 gives the next cell: one comparison with it
+# decides as float64 does. Floors and drops are treated alike.
 
 
 def smallest_true(
@@ -248,7 +242,6 @@ def smallest_true(
 ) -> NDArray[np.floating]:
     """The smallest number of a dtype for which each of monotone conditions holds, by bisection."""
     false, true = low.astype(dtype), high.astype(dtype)
-    assert not holds(false.astype(np.float64)).any() and holds(true.astype(np.float64)).all()
     while True:
         middle = false + (true - false) / 2
         is_open = (middle > false) & (middle < true)

@@ -45,7 +45,6 @@ class GridTensors:
     dtype: Any  # of positions and of all values in metres: float32 or float64 of the library
     index: Any  # the integer dtype that ids are computed in
     shape: Shape  # padded
-    same_lattice: bool  # whether all levels of each scene have their cells at the same x, y
     num_rooms: int  # the most rooms that a scene has
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
     goals: tuple[str, ...]  # what `goal` of `distance_to_goal` numbers, as it was given
@@ -70,7 +69,7 @@ class GridTensors:
     floor: Array  # by cell [m], NaN for no floor
     ground: Array  # by level, z of its ground [m]
     room: Array  # by cell, int32, 0 for no room
-    island: Array  # by cell, int32, counted through all scenes from 1; 0 where it isn't free
+    island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
     cost: Array  # at ``goal * n + cell``, what the cheapest path to the goal costs
     # likewise, int32, the id of that path's next cell; itself at the goal, -1 for no path
@@ -84,10 +83,7 @@ class GridTensors:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
 
-STATIC: tuple[str, ...] = (
-    "xp", "dtype", "index", "shape", "same_lattice", "num_rooms", "rooms", "goals",
-)  # fmt: skip
-ARRAYS = tuple(f.name for f in fields(GridTensors) if f.name not in STATIC)
+STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "goals")
 
 
 def register_pytree(xp: Any) -> None:
@@ -96,36 +92,27 @@ def register_pytree(xp: Any) -> None:
         return
     from jax import tree_util  # the caller handed over JAX
 
-    def flatten(t: GridTensors) -> tuple[tuple[Array, ...], tuple[Any, ...]]:
-        return tuple(getattr(t, n) for n in ARRAYS), tuple(getattr(t, n) for n in STATIC)
-
-    def unflatten(static: tuple[Any, ...], arrays: tuple[Array, ...]) -> GridTensors:
-        return GridTensors(**dict(zip(STATIC + ARRAYS, (*static, *arrays), strict=True)))
-
+    arrays = [f.name for f in fields(GridTensors) if f.name not in STATIC]
     with suppress(ValueError):  # registered before
-        tree_util.register_pytree_node(GridTensors, flatten, unflatten)
+        tree_util.register_dataclass(GridTensors, data_fields=arrays, meta_fields=list(STATIC))
 
 
 def locate(
     t: GridTensors, positions: Array, scene_id: Array | int | None
 ) -> tuple[Array, Array, Array]:
     """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
-    xp, shape = t.xp, t.shape
+    xp, first = t.xp, first_level(t, scene_id)
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
-    first = first_level(t, scene_id)
     if scene_id is not None:
         z = xp.where(scene_id >= 0, z, xp.nan)  # in no scene, so nowhere
-    cell, inside = on_level(t, x, y, first)
-    if shape.levels == 1:  # none is to be chosen
+    best = level = xp.zeros_like(x, dtype=t.index)
+    if t.shape.levels == 1:  # none is to be chosen
+        cell, inside = on_level(t, x, y, first)
         inside = inside & (z >= t.reach[cell]) & (z < FAR)
-        return xp.where(inside, cell, 0), xp.zeros_like(cell), inside
-    best, level = xp.zeros_like(cell), xp.zeros_like(cell)
-    highest = xp.full_like(cell, -1)  # the rank of the best floor
-    for k in range(shape.levels):
-        if k and t.same_lattice:
-            cell = cell + shape.rows * shape.cols
-        elif k:
-            cell, inside = on_level(t, x, y, first + k)
+        return xp.where(inside, cell, 0), level, inside
+    highest = best - 1  # the rank of the best floor
+    for k in range(t.shape.levels):
+        cell, inside = on_level(t, x, y, first + k)
         rank = t.rank[cell]
         better = inside & (z >= t.reach[cell]) & (z < FAR) & (rank > highest)
         best = xp.where(better, cell, best)
@@ -155,9 +142,7 @@ def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Ar
 
 def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
     """The number of the first level of each scene, among those of all scenes."""
-    if scene_id is None:
-        return 0
-    return t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
+    return 0 if scene_id is None else t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
 
 def split(t: GridTensors, cell: Array) -> tuple[Array, Array, Array]:

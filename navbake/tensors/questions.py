@@ -58,7 +58,11 @@ def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) 
 
 
 def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
-    """The connected part that each position is on, int32, of all scenes together; 0 for none."""
+    """The connected part that each position is on, int32, 0 for none.
+
+    Parts are numbered through all scenes: those of a scene follow those of the scenes before it. In
+    tensors of one grid, the numbers are `PathFinder.island_at`'s.
+    """
     return _value(t, t.island, 0, positions, scene_id)
 
 
@@ -77,8 +81,9 @@ def clearance(
 ) -> Array:
     """How far the nearest cell that isn't free is from each position [m]; NaN beside the grid.
 
-    Of each cell that is free, `navbake.navgrid.islands.clearance`: from its centre to the nearest
-    centre of another that isn't, less half a cell. Of the others 0.
+    Not `PathFinder.clearance`, which measures from the position itself to what is occupied. Here
+    each free cell has one value, `navbake.navgrid.islands.clearance`: from its centre to the
+    nearest centre of a cell that isn't free, less half a cell; all others have 0.
 
     The mode ``"nearest"`` gives the value of the position's cell, as ``grid.values_at`` does;
     ``"bilinear"`` interpolates between the centres of the four cells round the position, on the
@@ -154,13 +159,11 @@ def heights(
 ) -> Array:
     """Floor heights at a pattern of points round each agent, turned with it: a height scan.
 
-    Each point takes the nearest floor below its agent, by the rule of `level_at`, so that an agent
-    on the ground doesn't see the floor above. `yaw` are the agents' headings [rad], 0 along x,
-    counted towards y, shape (...); `pattern` are points in the agents' frames, x ahead, y to the
-    left [m], shape (k, 2). World z [m], shape (..., k); NaN where there is no floor.
+    Each point takes the nearest floor below its agent, by the rule of `level_at`. `yaw` are the
+    agents' headings [rad], 0 along x, counted towards y, shape (...); `pattern` are points in their
+    frames, x ahead, y to the left [m], shape (k, 2). World z [m], shape (..., k); NaN for no floor.
     """
-    points = _turned(t, positions, yaw, pattern)
-    return floor(t, points, _per_point(t, scene_id, points.shape[:-2]))
+    return floor(t, *_turned(t, positions, yaw, pattern, scene_id))
 
 
 def patch(
@@ -174,11 +177,11 @@ def patch(
 ) -> Array:
     """Cut an egocentric picture of a layer round each agent, which looks up in it.
 
-    The first row is the farthest ahead and the first column the leftmost; the agent is in the
-    middle of all. Each pixel, of a size `cell` [m], shows the grid's cell that its middle is in, by
-    the rule of `level_at` at the agent's z. The layer is ``free`` (bool), ``floor`` (world z [m]),
-    ``clearance`` ([m]), ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows,
-    columns); False, NaN or 0 where there is nothing.
+    The first row is the farthest ahead, the first column the leftmost, the agent in the middle.
+    Each pixel, of a size `cell` [m], shows the grid's cell that its middle is in, by the rule of
+    `level_at` at the agent's z. The layer is ``free`` (bool), ``floor``, ``clearance`` (both [m]),
+    ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows, columns); False, NaN or
+    0 where there is nothing.
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
@@ -190,15 +193,15 @@ def patch(
     xp, device, cell = t.xp, device_of(t), float(cell)
     ahead = (xp.arange(rows, dtype=t.dtype, device=device) - (rows - 1) / 2) * -cell
     left = (xp.arange(cols, dtype=t.dtype, device=device) - (cols - 1) / 2) * -cell
-    axes = ahead[:, None], left[None, :]
-    grid = xp.stack([xp.broadcast_to(axis, (rows, cols)) for axis in axes], axis=-1)
-    points = _turned(t, positions, yaw, xp.reshape(grid, (-1, 2)))
-    values = LAYERS[layer](t, points, _per_point(t, scene_id, points.shape[:-2]))
+    grid = xp.reshape(xp.stack(xp.meshgrid(ahead, left, indexing="ij"), axis=-1), (-1, 2))
+    values = LAYERS[layer](t, *_turned(t, positions, yaw, grid, scene_id))
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
 
 
-def _turned(t: GridTensors, positions: Array, yaw: Array, pattern: Array) -> Array:
-    """World positions of a pattern's points round agents, shape (..., k, 3)."""
+def _turned(
+    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Array | int | None
+) -> tuple[Array, Array]:
+    """World positions of a pattern's points round agents, shape (..., k, 3), and their scenes."""
     xp = t.xp
     p, turn, points = check_positions(t, positions), as_array(t, yaw), as_array(t, pattern)
     if points.ndim != 2 or points.shape[-1] != 2:
@@ -209,26 +212,18 @@ def _turned(t: GridTensors, positions: Array, yaw: Array, pattern: Array) -> Arr
     cos, sin = xp.cos(turn)[..., None], xp.sin(turn)[..., None]
     x = p[..., 0, None] + cos * points[:, 0] - sin * points[:, 1]
     y = p[..., 1, None] + sin * points[:, 0] + cos * points[:, 1]
-    return xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
-
-
-def _per_point(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Any:
-    """The scenes of agents, shape (...), as scenes of their points, shape (..., 1)."""
+    world = xp.stack([x, y, xp.broadcast_to(p[..., 2, None], x.shape)], axis=-1)
     scenes = check_scenes(t, scene_id, shape)
-    return None if scenes is None else scenes[..., None]
+    return world, None if scenes is None else scenes[..., None]
 
 
 def distance_to_goal(
-    t: GridTensors,
-    positions: Array,
-    goal: Array | int = 0,
-    scene_id: Array | int | None = None,
+    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
 ) -> Array:
     """What the cheapest path from each position to a goal costs, as `PathFinder.distances` has it.
 
-    `goal` is its place among those that the tensors were made with; an integer, or integers that
-    fit the shape (...). Costs are metres times weights; inf where no path leads to the goal, NaN
-    beside the grid.
+    `goal` is its number among those of the tensors: an integer, or integers that fit the shape
+    (...). Costs are metres times weights; inf where no path leads there, NaN beside the grid.
     """
 
     def answer(p: Array, first: Array | int, scenes: Array) -> Array:
@@ -238,11 +233,28 @@ def distance_to_goal(
     return _ask_goal(t, answer, positions, goal, scene_id)
 
 
+def distances(
+    t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Array | int | None = None
+) -> Array:
+    """`distance_to_goal` from each start to each of several goals, shape (..., m).
+
+    `goals` are their numbers, shape (m,); all goals of the tensors in their order unless given.
+    """
+    count, num_cells = _num_goals(t), int(t.floor.shape[0])
+    given = list(range(count)) if goals is None else goals
+    numbers = check_numbers(t, given, "goal", count, (len(given),))
+
+    def answer(p: Array, scenes: Array) -> Array:
+        cell, _, inside = locate(t, p, scenes)
+        first = t.xp.where(numbers >= 0, numbers, 0) * num_cells
+        known = inside[..., None] & (numbers >= 0)
+        return t.xp.where(known, t.cost[first + cell[..., None]], t.xp.nan)
+
+    return _ask(t, answer, starts, scene_id)
+
+
 def path_step(
-    t: GridTensors,
-    positions: Array,
-    goal: Array | int = 0,
-    scene_id: Array | int | None = None,
+    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
 ) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
@@ -275,18 +287,22 @@ def _ask_goal(
     goal: Array | int,
     scene_id: Array | int | None,
 ) -> Array:
-    xp, p, count = t.xp, check_positions(t, positions), len(t.goals)
-    if not count:
-        raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
-    shape, num_cells = p.shape[:-1], int(t.floor.shape[0])
+    xp, p, num_cells = t.xp, check_positions(t, positions), int(t.floor.shape[0])
+    shape = p.shape[:-1]
     if isinstance(goal, int | np.integer):
-        first = check_number(goal, "goal", count) * num_cells
+        first = check_number(goal, "goal", _num_goals(t)) * num_cells
     else:
-        goals = check_numbers(t, goal, "goal", count, shape)
+        goals = check_numbers(t, goal, "goal", _num_goals(t), shape)
         p = xp.where((goals >= 0)[..., None], p, xp.nan)  # to no goal, so from nowhere
         first = xp.where(goals >= 0, goals, 0) * num_cells
     # `first` is where the goal's cells begin in `cost` and `onward`
     return answer_all(t, answer, p, first, check_scenes(t, scene_id, shape))
+
+
+def _num_goals(t: GridTensors) -> int:
+    if not t.goals:
+        raise QueryError("the tensors know no goals: name them when they are made, goals=[…]")
+    return len(t.goals)
 
 
 def sample(

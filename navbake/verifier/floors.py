@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from navbake.config.settings import BakeConfig, FloorSettings
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase
 from navbake.types import Vector3
 from navbake.verifier.lines import AROUND, FACES_UP, RIM, Lines
 from navbake.verifier.report import FLOOR_OFF, PLACE_LOST, Finding, LevelCounts
@@ -63,7 +63,7 @@ class FloorCheck:
         self._are_asked = not leaves_out or all(np.isnan(floor).all() for floor, *_ in self._levels)
         self._stride = max(1, round(STRIDE / self._lattice.cell_size))
         self._edge = self._stride * self._lattice.cell_size
-        self._seen: set[Node] = set()
+        self._seen, self._lost = set[Node](), set[Node]()
         self.num_left, self.area_left = 0, 0.0
         self._line_at = lru_cache(200_000)(lambda row, col: lines.at(*self._center(row, col)))
         self._standable_at = lru_cache(200_000)(
@@ -78,6 +78,7 @@ class FloorCheck:
         Columns whose floor is off, or beside the centre, are not asked for more.
         """
         findings, shift = list[Finding](), shift_between(sample.level.lattice, self._lattice)
+        unknown: list[tuple[int, int, float]] = []  # places that no level has
         # floors over holes of a scan are no surfaces
         unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
@@ -93,6 +94,7 @@ class FloorCheck:
                 row, col = int(sample.rows[k]) + shift[0], int(sample.cols[k]) + shift[1]
                 for s in standable:
                     if not self._is_known(row, col, s.z):
+                        unknown.append((row, col, s.z))
                         findings += self._look_from(row, col, (x, y, s.z), sample, k)
             elif self._lines.faces_up_beside(place, off, self._settings.crack, min_up=min_up):
                 counts.in_cracks += 1
@@ -103,8 +105,13 @@ class FloorCheck:
                 off_by = f"{nearest:.4f} m off the nearest surface" if gaps else "over no surface"
                 text = f"has its floor at {z:.4f} m, {off_by}"
                 findings.append(sample.finding(FLOOR_OFF, k, text, None, nearest))
-        counts.lost += sum(found.kind == PLACE_LOST for found in findings)
+        counts.lost += sum(self._is_lost(*place) for place in unknown)
         return findings
+
+    def _is_lost(self, row: int, col: int, z: float) -> bool:
+        """Whether a place, or the one beside it at which a search looked, was found to be lost."""
+        looked_at = (row, col), (row - row % self._stride, col - col % self._stride)
+        return any((*cell, self._near(*cell, z)) in self._lost for cell in looked_at)
 
     def _look_from(
         self, row: int, col: int, place: Vector3, sample: LevelSample, k: int
@@ -154,6 +161,7 @@ class FloorCheck:
         else:
             self.num_left, self.area_left = self.num_left + 1, self.area_left + area
             return []
+        self._lost |= own
         geom = self._lines.obstacles.name(first.number)
         text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {how}"
         found = sample.finding(PLACE_LOST, k, text, geom, round(area, 6))

@@ -22,7 +22,7 @@ from scipy.spatial import QhullError
 from navbake.baker.scene.scene import Scene
 from navbake.errors import SceneError
 from navbake.lazy import lazy
-from navbake.types import Float, Int, Json
+from navbake.types import Bool, Float, Int, Json
 
 trimesh = lazy("trimesh")
 
@@ -264,6 +264,33 @@ def _surface(vertices: Float, faces: Int) -> Any:
     return shape
 
 
+def _find_turned(vertices: Float, faces: Int, edge: Int, way: Int, part: Int) -> Bool:
+    """The triangles that are wound against most of the area of their parts.
+
+    Edge and direction are those of each corner. In a graph that has each triangle twice, as it is
+    and turned, neighbours over an edge of two triangles are joined where they wind alike.
+    """
+    order = np.argsort(edge, kind="stable")
+    pair = order[:-1][np.diff(edge[order]) == 0]
+    pair = np.stack([pair, order[1:][np.diff(edge[order]) == 0]])
+    pair = pair[:, np.bincount(edge)[edge[pair[0]]] == 2]
+    one, other, count = *pair // 3, len(faces)
+    other = other + count * (way[pair[0]] == way[pair[1]])
+    ends = (
+        np.concatenate([one, (one + count)]),
+        np.concatenate([other, (other + count) % (2 * count)]),
+    )
+    shape = 2 * count, 2 * count
+    graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape)
+    label = connected_components(graph, directed=False)[1]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    first = label[np.unique(part, return_index=True)[1]][part]
+    differs = label[:count] != first
+    turned = np.bincount(part, np.where(differs, area, -area)) > 0
+    return np.asarray(differs != turned[part])
+
+
 def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
     """The vertices that faces use, and the faces by these."""
     used, corners = np.unique(faces, return_inverse=True)
@@ -305,8 +332,9 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
     """The parts of a mesh, by kind and faces; all sheets as one.
 
     A part is what hangs together over edges. It encloses a volume where each of its edges is met
-    as often in one direction as in the other. What only might enclose one (edges that are met
-    twice, but in one direction) is unclear: there, only its surface is judged.
+    as often in one direction as in the other, once triangles that are wound against most of the
+    part's area are turned. What only might enclose one (an edge is open) is unclear: there, only
+    its surface is judged.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.reshape(-1)[faces]
@@ -324,7 +352,13 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
     graph = coo_array((np.ones(len(face), np.int8), (face, len(faces) + edge)), (nodes, nodes))
     count, label = connected_components(graph, directed=False)
     part, of_edge = np.split(label, [len(faces)])
-    surplus = np.bincount(edge, np.where(first < second, 1, -1))
+    way = np.where(first < second, 1, -1)
+    if np.bincount(edge, way).any():
+        is_open = np.bincount(of_edge, met % 2, count) > 0
+        turned = _find_turned(vertices, faces, edge, way, part) & ~is_open[part]
+        faces = np.where(turned[:, None], faces[:, ::-1], faces)
+        way = np.where(turned[face], -way, way)
+    surplus = np.bincount(edge, way)
     is_turned = np.bincount(of_edge, surplus != 0, count) > 0
     open_edges, all_edges = np.bincount(of_edge, met % 2, count), np.bincount(of_edge)
     # volume as seen from the first corner of each part [m³], and area [m²]

@@ -10,8 +10,7 @@ import numpy as np
 
 from navbake.auditor.facts import find_wrong_sizes, is_within, read_inflations
 from navbake.errors import FormatError, QueryError, shorten
-from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
 from navbake.verifier.probes import Column

@@ -25,7 +25,7 @@ from navbake.config.settings import (
 )
 from navbake.errors import ConfigError, QueryError
 from navbake.navgrid.doors import Door
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase
 
 SCENES = "scenes"  # a folder in which scenes often are, as those of the samples
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any

@@ -15,8 +15,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.floors import FloorCheck
 from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import UNCLEAR, Obstacles

@@ -255,11 +255,16 @@ def _show_free(
     """Shows values where an agent can stand, and what is there elsewhere; high costs are dark."""
 
     def show(grid: NavGrid, number: int) -> Panel:
-        level = grid.levels[number]
-        shown = np.where(level.free, values_of(level), np.nan).astype(np.float32)
-        scale = linear_scale(shown[np.isfinite(shown)], label, dark_high="cost" in label)
+        level, is_cost = grid.levels[number], "cost" in label
+        values = values_of(level)
+        finite = values[level.free].astype(np.float32)
+        scale = linear_scale(finite[np.isfinite(finite)], label, dark_high=is_cost)
+        # the usual cost looks like free floor
+        is_shown = level.free & ~(is_cost & (values == 1))
+        shown = np.where(is_shown, values, np.nan).astype(np.float32)
         rgb, legend = _occupancy(level)
-        return Panel(_titled(title, scale), rgb, shown, scale, legend[1:])
+        usual = (("cost 1", colors.FREE),) if is_cost else ()
+        return Panel(_titled(title, scale), rgb, shown, scale, (*usual, *legend[1:]))
 
     return show
 
@@ -307,11 +312,13 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     index, free, no_floor = level.room_index, level.free, np.isnan(level.floor_height)
     doors, doorways = (doorway_cells(grid, number, blocked=blocked) for blocked in (True, False))
+    outdoors = [r.index for r in grid.rooms if r.level == number and r.outdoors]
     entries = {
-        ("no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
+        ("outdoors", colors.OUTDOORS): np.isin(index, outdoors),
+        ("occupied, no room", colors.OCCUPIED): (index == 0) & ~free & ~no_floor,
         ("no floor", colors.NO_FLOOR): no_floor,
         ("free, no room", colors.FREE): (index == 0) & free,
-        ("darker: occupied", colors.DARKER): (index > 0) & ~free,
+        ("greyer: occupied in a room", colors.DARKER): (index > 0) & ~free,
         ("door", colors.DOOR): doors,
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }

@@ -11,11 +11,15 @@ import math
 from base64 import b64encode
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from navbake.errors import printable
+from navbake.navgrid.colors import ROUTE
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.lattice import Lattice
+from navbake.runtime.paths import Path
 from navbake.views.layers import paint_rooms
+from navbake.voxels.grid import VoxelGrid
 
 PICTURE_SIDE = 800  # longest side of the picture of all levels [pixels]
 LEVEL_SIDE = 400  # longest side of a level's picture in HTML [pixels]
@@ -66,6 +70,25 @@ def draw_png(grid: NavGrid) -> bytes:
     return encode_png(draw_levels(grid, PICTURE_SIDE))
 
 
+def draw_voxels(grid: VoxelGrid) -> bytes:
+    """Voxels from above as PNG, the higher a column's topmost one, the lighter; white for none."""
+    filled, num_z = grid.occupied, grid.shape[2]
+    top = num_z - np.argmax(filled[:, :, ::-1], axis=2)
+    shade = np.where(filled.any(axis=2), 40 + 170 * top // num_z, 255).astype(np.uint8)
+    longest = max(shade.shape)
+    image = Image.fromarray(shade.T[::-1]).reduce(-(-longest // PICTURE_SIDE))
+    pixels = max(PICTURE_SIDE // longest, 1)
+    size = image.width * pixels, image.height * pixels
+    return encode_png(image.resize(size, Image.Resampling.NEAREST))
+
+
+def draw_path(path: Path) -> bytes | None:
+    """The picture of a path's grid with the path on it; None where it knows of no grid."""
+    if path.grid is None:
+        return None
+    return encode_png(draw_levels(path.grid, PICTURE_SIDE, path))
+
+
 def draw_thumbnail(grid: NavGrid) -> bytes:
     """A small picture of the levels as PNG, of at most `THUMBNAIL_COLORS` colours.
 
@@ -78,14 +101,20 @@ def draw_thumbnail(grid: NavGrid) -> bytes:
     return encode_png(image)
 
 
-def draw_levels(grid: NavGrid, side: int) -> Image.Image:
-    """The levels on one picture, row by row from the lowest: at most `side` pixels long."""
+def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Image:
+    """The levels on one picture, row by row from the lowest: at most `side` pixels long.
+
+    A path is drawn on them, with a dot where it begins.
+    """
     count = min(len(grid.levels), MAX_LEVELS)
     columns = math.ceil(math.sqrt(count))
     # a gap of one hundredth between levels
     gap = max(side // 100, 1) if count > 1 else 0
     scale = _scale_for(grid, (side - (columns - 1) * gap) // columns)
     levels = [_draw_level(grid, number, scale) for number in range(count)]
+    if path is not None:
+        for number, picture in enumerate(levels):
+            _lay_path(picture, grid.levels[number].lattice, path, number)
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
     size = (columns * width - gap, math.ceil(count / columns) * height - gap)
@@ -122,6 +151,21 @@ def _draw_level(grid: NavGrid, number: int, scale: tuple[int, int]) -> Image.Ima
     pixels, cells = scale
     image = Image.fromarray(paint_rooms(grid, number)).reduce(cells)
     return image.resize((image.width * pixels, image.height * pixels), Image.Resampling.NEAREST)
+
+
+def _lay_path(picture: Image.Image, lattice: Lattice, path: Path, number: int) -> None:
+    """Draw what a path has on a level on the level's picture."""
+    col = (path.positions[:, 0] - lattice.x_min) / lattice.cell_size
+    row = (lattice.y_max - path.positions[:, 1]) / lattice.cell_size
+    scale = picture.width / lattice.width, picture.height / lattice.height
+    pixels = (np.stack([col, row], axis=1) * scale).tolist()
+    pencil = ImageDraw.Draw(picture)
+    for color, width in (("white", 5), (ROUTE, 3)):
+        for k in range(len(pixels) - 1):
+            if path.levels[k] == path.levels[k + 1] == number:
+                pencil.line([*pixels[k], *pixels[k + 1]], fill=color, width=width)
+    if path.levels[0] == number:
+        pencil.circle(pixels[0], 5, fill=ROUTE, outline="white")
 
 
 def _short(name: str) -> str:

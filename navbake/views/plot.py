@@ -24,27 +24,23 @@ from navbake.views.layers import ColorScale, Label, Panel, color_kinds, make_pan
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
-FORMATS = (".png", ".svg")
 DEFAULT_LAYERS = ("occupancy", "floor")
 DPI = 150  # of a PNG: 1.5 pixels for each of a README's
-MAX_PIXELS = 65_000  # Agg draws at most 65,536 a side
-MAX_CELLS = 1800  # along a side; of more, several are drawn as one, in their mean colour
 MAX_COLUMNS = 3
 WIDE = 2.4  # maps so much wider than high lie below each other
+LONGEST = 40.0  # times its other side that a map is long at most: the world goes on beside it
 
 # Lengths in inches. A picture is 8.3 inches wide at most, 830 pixels of a README at 100 an inch:
 # letters of 8 points are 11 pixels high there.
 WIDTH, MAX_HEIGHT, MIN_WIDTH = 8.3, 290.0, 4.6
-MARGIN, HEADING = 0.12, 0.4
-LEFT, RIGHT, BELOW, TITLE = 0.42, 0.14, 0.3, 0.27  # round a map
-BAR, BAR_GAP, BAR_NUMBERS = 0.1, 0.08, 0.46  # the bar of a colour scale and its numbers
-MAX_MAP_HEIGHT, MIN_MAP, MIN_PANEL = 5.6, 0.02, 2.3
+MAX_MAP_HEIGHT, AROUND_X, AROUND_Y = 5.6, 1.1, 0.65  # AROUND: ticks, title and colour bar
+LINE = 0.2  # a line of the heading or the legend
+LETTERS = 13  # of a title or a legend in an inch
 
 HEADING_POINTS, TITLE_POINTS, LEGEND_POINTS, TICK_POINTS = 10.5, 9.0, 8.0, 7.5
 NAME_POINTS, NUMBER_POINTS = (9.0, 8.0, 7.0), (8.0, 7.0, 6.0)  # sizes that are tried
 POINT = 12  # half a side of what a point's name keeps clear of [pixels]
 MOST_LETTERS, MOST_KEYS = 40, 40  # of a name on a map; names in the key to numbers
-KEY_LETTERS = 130  # a line of the key
 FONT = "DejaVu Sans"  # comes with matplotlib
 INK, FAINT = "#222222", "#9aa0a8"
 STROKES = {  # colours and widths [points] of lines, from below
@@ -72,6 +68,18 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     form = "svg" if path.name.lower().endswith(".svg") else "png"
     write_bytes(render_picture(grid, form, **drawn), path)
     return path
+
+
+def plot(
+    grid: NavGrid, path: str | PathLike[str] | None = None, **drawn: Any
+) -> Image.Image | Path:
+    """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
+
+    With a path, the picture is written there, and the path returned; see `plot_grid`.
+    """
+    if path is not None:
+        return plot_grid(grid, path, **drawn)
+    return Image.open(io.BytesIO(render_picture(grid, **drawn)))
 
 
 def render_picture(
@@ -105,6 +113,7 @@ def render_picture(
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.transforms import Bbox
     except ImportError as error:
         message = 'plots need matplotlib: pip install "navbake[plot]"'
         raise MissingDependencyError(message) from error
@@ -127,11 +136,11 @@ def render_picture(
     settings |= {"font.family": families, "text.color": INK}
     with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
-        figure: Any = Figure(facecolor="white")
+        figure: Any = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
         axes = add_axes(figure, view, panels, len(layers))
-        _write_heading(figure, grid)
-        keys: dict[str, None] = {}
+        name = wrap(grid.scene_id or "grid", figure.get_figwidth())
+        figure.suptitle(name, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, (number, panel) in zip(axes, shown, strict=True):
             _draw_panel(ax, panel, grid.levels[number].lattice.bounds)
             if route is not None:
@@ -140,17 +149,27 @@ def render_picture(
                 if mark.level in (number, -1):
                     style = {"color": kinds[mark.kind], "markersize": 5, "mew": 1.2}
                     ax.plot(mark.x, mark.y, "s", markerfacecolor="none", **style)
+        legend = _draw_legend(figure, panels, kinds, route is not None)
+        figure.draw_without_rendering()  # the layout: names need to know how large rooms are
+        figure.set_layout_engine("none")
+        keys: dict[str, None] = {}
+        for ax, panel in zip(axes, panels, strict=True):
             labels = [
                 label._replace(text=label.fallback) if missing & {*label.text} else label
                 for label in panel.labels
             ]
             keys |= dict.fromkeys(write_names(ax, labels))
-        _draw_legend(figure, panels, kinds, list(keys), route is not None)
+        more = [f"and {len(keys) - MOST_KEYS} more"] if len(keys) > MOST_KEYS else []
+        entries = [e.replace(" ", "\N{NO-BREAK SPACE}") for e in [*keys][:MOST_KEYS] + more]
+        facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
+        text = wrap("   ".join([facts, *entries]), figure.get_figwidth() * 1.2, lines=99)
+        legend.set_title(text, {"size": LEGEND_POINTS})
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
-        # the legend hangs below the figure, which grows by it
-        box = figure.get_tightbbox().padded(MARGIN)
-        figure.savefig(content, format=form, dpi=figure.dpi, metadata=metadata, bbox_inches=box)
+        # lines of the key hang below the figure, which grows by them
+        low = min(0.0, legend.get_window_extent().y0 / DPI - LINE / 2)
+        box = Bbox([[0, low], figure.get_size_inches()])
+        figure.savefig(content, format=form, metadata=metadata, bbox_inches=box)
     return content.getvalue()
 
 
@@ -174,9 +193,10 @@ def find_fonts(text: str) -> tuple[list[str], set[str]]:
     return families, missing
 
 
-def _bar_of(panel: Panel) -> ColorScale | None:
-    """The scale of values that a panel shows beside its map."""
-    return panel.scale if panel.scale is not None and len(panel.scale.ticks) > 1 else None
+def wrap(text: str, width: float, lines: int = 3) -> str:
+    """A text in a few lines that are so wide [inches]."""
+    letters = max(int(width * LETTERS), 8)
+    return textwrap.fill(printable(text), letters, max_lines=lines, placeholder="…")
 
 
 def add_axes(
@@ -187,80 +207,49 @@ def add_axes(
     Levels of one layer lie beside each other. Corridors lie below each other, as wide as the
     picture.
     """
-    wide, high = view[2] - view[0], view[3] - view[1]
+    sides = np.array([view[2] - view[0], view[3] - view[1]])
+    wide, high = sides = np.maximum(sides, max(sides.max() / LONGEST, 1e-3))
+    middle = np.array(view).reshape(2, 2).mean(axis=0)
     in_line = num_layers if num_layers > 1 else len(panels)
     columns = 1 if wide > WIDE * high else min(in_line, MAX_COLUMNS)
     rows_each = math.ceil(in_line / columns)  # of a level, or of all
-    rows, around_y = rows_each * (len(panels) // in_line), TITLE + BELOW
-    around_x = np.full(columns, LEFT + RIGHT)
-    for number, panel in enumerate(panels):
-        if _bar_of(panel):
-            around_x[number % in_line % columns] = LEFT + RIGHT + BAR_GAP + BAR + BAR_NUMBERS
-    most_wide = (WIDTH - 2 * MARGIN - around_x.sum()) / columns
-    most_high = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - HEADING) / rows - around_y)
-    scale = min(most_wide / wide, max(most_high, MIN_MAP) / high)
-    size = max(wide * scale, MIN_MAP), max(high * scale, MIN_MAP)
-    slots = np.maximum(size[0] + around_x, min(MIN_PANEL, (WIDTH - 2 * MARGIN) / columns))
-    width = max(slots.sum(), MIN_WIDTH - 2 * MARGIN)
-    height = rows * (size[1] + around_y) + HEADING
-    figure.set_size_inches(width, height)
-    figure.set_dpi(min(DPI, MAX_PIXELS / max(width, height)))
+    rows = rows_each * (len(panels) // in_line)
+    most_wide = WIDTH / columns - AROUND_X
+    most_high = min(MAX_MAP_HEIGHT, (MAX_HEIGHT - 1.0) / rows - AROUND_Y)
+    map_wide, map_high = sides * min(most_wide / wide, most_high / high)
+    width = min(max(columns * (map_wide + AROUND_X), MIN_WIDTH), WIDTH)
+    figure.set_size_inches(width, rows * (map_high + AROUND_Y) + 1.0)
+    figure.set_layout_engine("compressed", w_pad=0.05, h_pad=0.05)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    x_limits, y_limits = zip(middle - sides / 2, middle + sides / 2, strict=True)
     axes = []
     for number in range(len(panels)):
         row, column = divmod(number % in_line, columns)
-        row += number // in_line * rows_each
-        left, top = slots[:column].sum() + LEFT, height - HEADING - row * (size[1] + around_y)
-        bottom = top - TITLE - size[1]
-        place = left / width, bottom / height, size[0] / width, size[1] / height
-        axes.append(figure.add_axes(place, xlim=view[::2], ylim=view[1::2]))
-        axes[-1].panel_width = slots[column] - LEFT - RIGHT  # what its title has
+        ax = grid[number // in_line * rows_each + row, column]
+        ax.set(xlim=x_limits, ylim=y_limits, aspect="equal")
+        ax.panel_width = width / columns - 0.5  # what its title has [inches]
+        ax.pixels = 0.9 * map_wide * DPI / wide  # of a metre, at least
+        axes.append(ax)
+    for ax in {*grid.flat} - {*axes}:
+        ax.remove()
     return axes
-
-
-def _write_heading(figure: Any, grid: NavGrid) -> None:
-    style = {"y": 1 - HEADING / 2 / figure.get_figheight(), "va": "center_baseline"}
-    facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
-    figure.text(1, s=facts, ha="right", fontsize=TICK_POINTS, **style)
-    name = printable(grid.scene_id or "grid")
-    written = figure.text(0, s=name, fontsize=HEADING_POINTS, fontweight="bold", **style)
-    _cut(written, figure.get_figwidth() - 2.6)
-
-
-def _cut(text: Any, width: float) -> None:
-    """Leave out the end of a text that is wider than so much [inches]."""
-    whole, dpi = text.get_text(), text.get_figure().dpi
-    kept = len(whole)
-    while kept > 1 and text.get_window_extent().width > width * dpi:
-        kept = min(kept - 1, int(kept * width * dpi / text.get_window_extent().width))
-        text.set_text(f"{whole[:kept].rstrip()}…")
 
 
 def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
     """Draw title, cells and doors, and the colour bar of a panel."""
-    from matplotlib.ticker import MaxNLocator
-
-    width = ax.get_window_extent().width
-    title = ax.set_title(printable(panel.title), loc="left", fontsize=TITLE_POINTS, pad=5)
-    _cut(title, ax.panel_width)
-    for axis, length in ((ax.xaxis, width), (ax.yaxis, ax.get_window_extent().height)):
-        steps = max(min(5, int(length / DPI / 0.35)), 1)
-        axis.set_major_locator(MaxNLocator(steps, steps=[1, 2, 5, 10]))
-        axis.set_visible(length > 0.2 * DPI)
+    title = wrap(panel.title, ax.panel_width)
+    ax.set_title(title, loc="left", fontsize=TITLE_POINTS, pad=5)
     ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
     ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
-    scale = _bar_of(panel)
-    if scale is not None:
-        _draw_bar(ax, scale)
-    image = Image.fromarray(paint(panel))
-    image = image.reduce(max(1, -(-max(image.size) // MAX_CELLS)))
     x_min, y_min, x_max, y_max = bounds
     limits = ax.get_xlim(), ax.get_ylim()
-    # nearest: cells have sharp edges; the others average where several share a pixel
-    pixels = width / max(np.ptp(limits[0]), 1e-12) * (x_max - x_min)
-    how = "nearest" if image.width <= pixels else "antialiased"
-    extent = (x_min, x_max, y_min, y_max)
-    ax.imshow(np.asarray(image), extent=extent, aspect="auto", interpolation=how)
+    image = paint(panel)
+    # cells have sharp edges, unless several share a pixel
+    how = "nearest" if image.shape[1] <= ax.pixels * (x_max - x_min) else "antialiased"
+    ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=how)
     ax.set(xlim=limits[0], ylim=limits[1])
+    if panel.scale is not None and len(panel.scale.ticks) > 1:
+        _draw_bar(ax, panel.scale)
     for door in panel.doors:
         x, y = zip(door.start, door.end, strict=True)
         ax.plot(x, y, **_strokes(_door_line(door.state)), solid_capstyle="butt")
@@ -271,16 +260,10 @@ def _draw_bar(ax: Any, scale: ColorScale) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap
 
-    figure, box = ax.get_figure(), ax.get_position()
-    across, up = figure.get_size_inches()
-    height = max(box.height, 0.4 / up)
-    place = box.x1 + BAR_GAP / across, box.y0, BAR / across, height
-    few = scale.ticks if height * up > 0.8 else (scale.ticks[0], scale.ticks[-1])
-    bar = figure.colorbar(
-        ScalarMappable(cmap=ListedColormap(scale.bar(256) / 255)), cax=figure.add_axes(place)
-    )
-    numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in few]
-    bar.set_ticks([tick.position for tick in few], labels=numbers)
+    colors = ScalarMappable(cmap=ListedColormap(scale.bar(256) / 255))
+    bar = ax.get_figure().colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
+    numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in scale.ticks]
+    bar.set_ticks([tick.position for tick in scale.ticks], labels=numbers)
     bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
     bar.outline.set_visible(False)
 
@@ -366,13 +349,9 @@ def _broken(text: str) -> list[str]:
 
 
 def _draw_legend(
-    figure: Any,
-    panels: Sequence[Panel],
-    kinds: dict[str, str],
-    keys: list[str],
-    with_route: bool,
-) -> None:
-    """Say below the maps what colours, lines and numbers mean, as wide as the figure."""
+    figure: Any, panels: Sequence[Panel], kinds: dict[str, str], with_route: bool
+) -> Any:
+    """Say below the maps what colours and lines mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -386,17 +365,11 @@ def _draw_legend(
         for name, color in (meanings | kinds).items()
     ]
     entries += [Line2D([], [], label=name, **_strokes(name)) for name in STROKES if name in lines]
-    more = [f"and {len(keys) - MOST_KEYS} more"] if len(keys) > MOST_KEYS else []
-    key = "   ".join(entry.replace(" ", "\N{NO-BREAK SPACE}") for entry in keys[:MOST_KEYS] + more)
-    width = figure.get_window_extent().width
-    style = {"loc": "upper left", "bbox_to_anchor": (0, 0), "frameon": False, "borderpad": 0}
-    style |= {"fontsize": LEGEND_POINTS, "handlelength": 1.6, "handletextpad": 0.5}
-    for columns in range(len(entries), 0, -1):
-        legend = figure.legend(handles=entries, ncols=columns, columnspacing=1.4, **style)
-        if legend.get_window_extent().width <= width or columns == 1:
-            break
-        legend.remove()
-    if key:
-        lines_of_key = textwrap.fill(key, int(KEY_LETTERS * width / DPI / WIDTH))
-        legend.set_title(lines_of_key, {"size": LEGEND_POINTS})
-        legend.set_alignment("left")
+    letters = max((len(entry.get_label()) for entry in entries), default=1) + 6
+    columns = min(max(int(figure.get_figwidth() * LETTERS / letters), 1), max(len(entries), 1))
+    figure.set_figheight(figure.get_figheight() + LINE * -(-len(entries) // columns))
+    return figure.legend(
+        handles=entries, ncols=columns, loc="outside lower left", frameon=False, borderpad=0,
+        fontsize=LEGEND_POINTS, handlelength=1.6, handletextpad=0.5, columnspacing=1.4,
+        title=" ", title_fontsize=LEGEND_POINTS, alignment="left",
+    )  # fmt: skip

@@ -19,7 +19,7 @@ from navbake.voxels.placement import finite_array
 DTYPES = ("bool", "uint8", "uint16", "uint32")  # of voxels; integers hold IDs
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True, repr=False)
 class VoxelGrid:
     """A box of cubic voxels, parallel to the world's axes.
 
@@ -37,11 +37,11 @@ class VoxelGrid:
         notes: what whoever made, read or wrote it had to assume or to warn of, one line each.
     """
 
-    values: NDArray[Any] = field(repr=False)
+    values: NDArray[Any]
     origin: Vector3
     res: float
-    names: dict[int, str] = field(default_factory=dict, repr=False)
-    known: Bool | None = field(default=None, repr=False)
+    names: dict[int, str] = field(default_factory=dict)
+    known: Bool | None = None
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -154,7 +154,13 @@ class VoxelGrid:
         names = {new: self.names[old] for old, new in ids.items() if new and old in self.names}
         return replace(self, values=values, names=names)
 
+    def __repr__(self) -> str:
+        shape, corner = (" × ".join(map(str, self.shape)), ", ".join(f"{v:g}" for v in self.origin))
+        count = f"{np.count_nonzero(self.values):,} occupied"
+        return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
+
     save = Method[None]("navbake.formats.voxels:write_voxels")
+    _repr_png_ = Method[bytes]("navbake.views.notebook:draw_voxels")
 
 
 def dtype_of(most: int) -> np.dtype[Any]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,24 +50,46 @@ def place_grid(
     Raises:
         ConfigError: a number is wrong, or both cells and size are given, or a centre alone.
     """
-    edge = _check_res(res)
+    given = finite_array(res, ())
+    if given is None or given < FINEST:
+        raise ConfigError(f"expected `res`, the edge of a voxel, to be >= {FINEST:g} m, got {res}")
+    edge = float(given)
     if cells is not None and size is not None:
         raise ConfigError("expected either counts of cells or a size in metres, got both")
-    if cells is None and size is None:
-        if position is not None:
-            raise ConfigError("expected counts of cells or a size in metres beside the centre")
-        return _cover(_check_bounds(bounds), edge)
-    shape = _check_cells(cells) if cells is not None else _count_cells(size, edge)
-    check_memory(shape, 1)  # before such numbers meet arrays
-    if position is None:
-        center = _check_bounds(bounds).mean(axis=0)
-    else:
+    covers = cells is None and size is None
+    if covers and position is not None:
+        raise ConfigError("expected counts of cells or a size in metres beside the centre")
+    if position is not None:
         center = check_three(position, "the centre to be x, y, z [m]")
-    origin = center - np.array(shape) * edge / 2
-    if not align:
-        return Placement(origin, edge, shape)
-    aligned = np.round(origin / edge) * edge
-    return Placement(aligned, edge, shape, float(np.abs(aligned - origin).max()))
+    elif bounds is None:
+        why = "only infinite planes count in the scene, so its box has no end"
+        raise ConfigError(f"{why}: give a centre, and counts of cells or a size")
+    elif not np.isfinite(bounds).all():
+        why = "the scene has geoms with a pose that is not finite"
+        raise ConfigError(f"{why}: give a centre and a size")
+    else:
+        center = bounds.mean(axis=0)
+    if bounds is not None and covers:
+        first = np.floor(bounds[0] / edge + CELL_SLACK)
+        last = np.maximum(np.ceil(bounds[1] / edge - CELL_SLACK), first + 1)
+        nx, ny, nz = (int(n) for n in last - first)
+        return Placement(first * edge, edge, (nx, ny, nz))
+    if cells is not None:
+        counts = list(cells) if np.iterable(cells) else [cells]
+        if len(counts) != 3 or not all(
+            isinstance(n, int | np.integer) and n is not True and n > 0 for n in counts
+        ):
+            raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
+        nx, ny, nz = map(int, counts)
+    else:
+        extent = check_three(size, "a size x, y, z in metres")
+        if not (extent > 0).all():
+            raise ConfigError(f"expected a size > 0 m along each axis, got {extent.tolist()}")
+        nx, ny, nz = (num_cells(min(float(length), MANY * edge), edge) for length in extent)
+    check_memory((nx, ny, nz), 1)  # before such numbers meet arrays
+    origin = center - np.array((nx, ny, nz)) * edge / 2
+    aligned = np.round(origin / edge) * edge if align else origin
+    return Placement(aligned, edge, (nx, ny, nz), float(np.abs(aligned - origin).max()))
 
 
 def check_memory(shape: Sequence[int], itemsize: int) -> None:
@@ -80,36 +101,6 @@ def check_memory(shape: Sequence[int], itemsize: int) -> None:
             f"a grid of {' × '.join(counts)} voxels takes {needed / 2**30:.3g} GiB, and "
             f"{free / 2**30:.3g} GiB of memory are free: expected fewer or larger voxels"
         )
-
-
-def _cover(bounds: Float, res: float) -> Placement:
-    first = np.floor(bounds[0] / res + CELL_SLACK)
-    last = np.maximum(np.ceil(bounds[1] / res - CELL_SLACK), first + 1)
-    nx, ny, nz = (int(n) for n in last - first)
-    return Placement(first * res, res, (nx, ny, nz))
-
-
-def _check_res(res: float) -> float:
-    edge = finite_array(res, ())
-    if edge is None or edge < FINEST:
-        raise ConfigError(f"expected `res`, the edge of a voxel, to be >= {FINEST:g} m, got {res}")
-    return float(edge)
-
-
-def _check_cells(cells: Sequence[Any]) -> tuple[int, int, int]:
-    counts = list(cells) if np.iterable(cells) else [cells]
-    whole = [int(n) for n in counts if isinstance(n, int | np.integer) and n is not True and n > 0]
-    if len(counts) != 3 or len(whole) != 3:
-        raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
-    return whole[0], whole[1], whole[2]
-
-
-def _count_cells(size: ArrayLike | None, res: float) -> tuple[int, int, int]:
-    extent = check_three(size, "a size x, y, z in metres")
-    if not (extent > 0).all():
-        raise ConfigError(f"expected a size > 0 m along each axis, got {extent.tolist()}")
-    nx, ny, nz = (num_cells(min(float(length), MANY * res), res) for length in extent)
-    return nx, ny, nz
 
 
 def finite_array(value: object, shape: tuple[int, ...]) -> Float | None:
@@ -127,16 +118,6 @@ def check_three(value: ArrayLike | None, expected: str) -> Float:
     if numbers is None:
         raise ConfigError(f"expected {expected}, got {value!r}")
     return numbers
-
-
-def _check_bounds(bounds: Float | None) -> Float:
-    if bounds is None:
-        why = "only infinite planes count in the scene, so its box has no end"
-        raise ConfigError(f"{why}: give a centre, and counts of cells or a size")
-    if not np.isfinite(bounds).all():
-        why = "the scene has geoms with a pose that is not finite"
-        raise ConfigError(f"{why}: give a centre and a size")
-    return bounds
 
 
 def _free_memory() -> int:

@@ -25,6 +25,8 @@ MILLION = 1_000_000
 AGENTS, POINTS = 4096, 187  # a batch of environments, and the height scan that walkers use
 EPISODES, COMPARED = 10_000, 2_000  # of a set, and of these with scipy's distances
 CAST = 32  # agents whose rays are cast; all others are taken to cost as much
+SCALAR = {"is_navigable": 12, "snap": 39, "clearance": 98, "try_step": 75, "find_path": 414}
+"""What one answer may take [µs]."""
 SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
 
@@ -52,6 +54,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "path": path_row,
         "field": field_row,
         "thousand": thousand_row,
+        **{f"scalar-{name}": partial(scalar_row, name=name) for name in SCALAR},
         "block": block_row,
         "spawn": spawn_row,
         "max_radius": max_radius_row,
@@ -109,10 +112,10 @@ def navigable_row(house: House) -> Row:
     """One million positions all over the house, at heights below a storey's."""
     finder, level = navbake.PathFinder(house.grid), house.grid.levels[0]
     positions = random_positions(level)
-    if not np.array_equal(plain_navigable(level, positions), finder.are_navigable(positions)):
-        raise SystemExit("are_navigable and plain numpy differ")
+    if not np.array_equal(plain_navigable(level, positions), finder.is_navigable(positions)):
+        raise SystemExit("is_navigable and plain numpy differ")
     return Row(
-        here("a million answers of are_navigable", lambda: finder.are_navigable(positions)),
+        here("a million answers of is_navigable", lambda: finder.is_navigable(positions)),
         [here("plain numpy, for one level", lambda: plain_navigable(level, positions))],
         limit=0.03,
     )
@@ -182,6 +185,19 @@ def thousand_row(house: House) -> Row:
     pairs = random_pairs(finder, 1000)
     job = here("1,000 × find_path, apartment", lambda: [finder.find_path(*p) for p in pairs])
     return Row(job, limit=1.0)
+
+
+def scalar_row(house: House, name: str) -> Row:
+    """A thousand answers in the apartment, one a call; some places to snap are in something."""
+    finder, rng = navbake.PathFinder(navbake.bake(str(APARTMENT))), np.random.default_rng(0)
+    starts = finder.random_point(rng, 1000, island=1)
+    ends = starts[::-1] if name == "find_path" else starts + np.array([0.3, 0.1, 0.0])
+    asked = [(p,) for p in (ends if name == "snap" else starts)]
+    if name in ("try_step", "find_path"):
+        asked = list(zip(starts, ends, strict=True))
+    ask = getattr(finder, name)
+    job = here(f"1,000 × {name}, apartment", lambda: [ask(*given) for given in asked])
+    return Row(job, limit=SCALAR[name] / 1000)
 
 
 def block_row(house: House) -> Row:
@@ -293,7 +309,7 @@ def tensors_row(house: House) -> Row:
     """A million `is_navigable`, as arrays of each library that is installed."""
     exact = random_positions(house.grid.levels[0])
     finder = navbake.PathFinder(house.grid)
-    peer = here("PathFinder.are_navigable", lambda: finder.are_navigable(exact))
+    peer = here("PathFinder.is_navigable", lambda: finder.is_navigable(exact))
     ask, given = navbake.tensors.is_navigable, [exact.astype(np.float32)]
     return _of_libraries(house, "a million is_navigable", ask, given, peer, limit=0.02)
 

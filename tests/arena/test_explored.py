@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from navbake.arena.explored import ExploredMap
+from navbake.arena.arena import ExploredMap
 from navbake.arena.map_descriptor import decode
 from navbake.errors import FormatError, QueryError
 

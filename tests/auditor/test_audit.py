@@ -347,6 +347,11 @@ def level_without_links(grid):
     return restated(grid, links=[])
 
 
+@plant("house", ERROR, r"\d+ free cells a step away from level 0 have no link to it", of_level(1))
+def stairs_without_links(grid):
+    return restated(grid, links=[])
+
+
 @plant("house", ERROR, "its ground, .* is below that of the level before", 1)
 def levels_upside_down(grid):
     return grid.with_levels(grid.levels[::-1], {**grid.metadata, "navbake": {}})

@@ -7,7 +7,6 @@ import pytest
 
 from grid_maps import level_from
 from navbake.auditor.levels import find_middles
-from navbake.navgrid.rooms import measure_rooms
 
 MAP = """
 ..2..
@@ -21,7 +20,7 @@ def test_middles_of_rooms_are_the_means_of_their_cells(seed):
     level = level_from(MAP, cell_size=0.3, x=-0.45, y_max=2.0)
     index = np.random.default_rng(seed).integers(0, 4, level.shape)
     level.attributes["roomIndex"] = index.astype(np.uint16)
-    expected = {room.index: room.centroid for room in measure_rooms(level, 0)}
+    expected = {room.index: room.centroid for room in level.measure_rooms()}
     found = find_middles(level)
     assert found.keys() == expected.keys()
     for room, middle in found.items():

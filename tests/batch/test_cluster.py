@@ -16,9 +16,9 @@ import crew_jobs
 from batch_in_process import Told
 from batch_processes import PATIENCE, digests, members, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
-from navbake.batch.cluster import RayExecutor
+from navbake.batch.cluster import do_on_ray
 from navbake.batch.job import Plan
-from navbake.batch.run import Means, run_batch
+from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits
 from project_paths import ROOT
@@ -28,7 +28,9 @@ pytestmark = pytest.mark.skipif(
     find_spec("ray") is None or sys.platform != "linux", reason="needs ray, and signals of Linux"
 )
 COUNT = 8
+MAKE = "episodes:point:uniform:5:0"
 OPTIONS = ("--time-limit", "10", "--memory-limit", "0.7", "--set", "grid.cell_size=0.1")
+OPTIONS += ("--make", MAKE)
 
 
 def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
@@ -39,10 +41,10 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     source.write_text("".join(json.dumps(line) + "\n" for line in lines))
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
-    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}})
-    run_batch(plan, list_jobs(good), Means(), Told())
+    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}}, products=(MAKE,))
+    run_batch(plan, list_jobs(good), Told())
     whole = digests(tmp_path / "one")
-    assert len(whole) == COUNT
+    assert len(whole) == 2 * COUNT
     with two_nodes(1) as nodes:
         on_ray = (tmp_path / "scenes", tmp_path / "out", "--executor", "ray")
         on_ray = (*on_ray, "--ray-address", nodes.address, *OPTIONS)
@@ -58,6 +60,8 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
             _, said = process.communicate(timeout=PATIENCE)
             assert process.returncode == 1
     assert digests(tmp_path / "out") == whole
+    (episodes,) = (tmp_path / "one").glob("episodes-*")
+    assert (tmp_path / "out" / episodes.name).read_bytes() == episodes.read_bytes()
     lines = (tmp_path / "out" / "index.jsonl").read_text().splitlines()
     assert wrong_rows([json.loads(line) for line in lines], expected) == []
     named = sorted(line.split()[1] for line in said.splitlines() if "warning" not in line)
@@ -77,15 +81,15 @@ def test_jobs_fail_as_on_one_machine_and_a_task_that_is_lost_is_done_again(tmp_p
         ("raise", "bad value"),
         ("double", 2),
     ]
-    executor = RayExecutor("local")
-    ended = dict(enumerate(sorted(executor(jobs, crew_jobs.work, 2, limits=JobLimits(5.0)))))
+    done = do_on_ray(jobs, crew_jobs.work, 2, address="local", limits=JobLimits(5.0))
+    ended = dict(enumerate(sorted(done)))
     assert [ended[k].value for k in (1, 6)] == [2, 4] and ended[0].how == DONE
     assert ended[2][1:3] == (CRASHED, "its process ended by SIGSEGV")
     assert ended[3][1:3] == (TOO_LONG, "it took more than 5 s")
     assert ended[5][1:3] == (CRASHED, "ValueError: bad value")
     assert ended[4].how == CRASHED
     assert ended[4].value.startswith("it was lost 4 times, as ")
-    assert [*executor([], crew_jobs.work, None)] == []
+    assert [*do_on_ray([], crew_jobs.work, None, address="local")] == []
 
 
 def test_ctrl_c_ends_the_cluster_that_the_batch_started(tmp_path):

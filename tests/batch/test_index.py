@@ -12,7 +12,6 @@ import pytest
 from batch_in_process import stay_in_process
 from batch_scenes import draw_room
 from command_line import run_command
-from navbake.batch import index
 from navbake.batch.index import encode_rows
 from navbake.batch.scenes import list_jobs
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError
@@ -136,8 +135,8 @@ def test_all_tables_have_the_same_columns():
 
 def test_without_pyarrow_nothing_is_baked(tmp_path, monkeypatch, run):
     write([{"scene": "a.xml"}])
-    monkeypatch.setattr(index, "find_spec", lambda name: None)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    for name in ("pyarrow", "pyarrow.parquet"):
+        monkeypatch.setitem(sys.modules, name, None)
     message = r'Parquet needs pyarrow: pip install "navbake\[batch\]"'
     with pytest.raises(MissingDependencyError, match=message):
         list_jobs(["list.parquet"])

@@ -28,7 +28,7 @@ from navbake.batch.page import (
     write_page,
 )
 from navbake.batch.products import GRID, THUMBNAIL
-from navbake.batch.run import Means, run_batch
+from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
 from navbake.batch.store import read_file, remove_files, sizes_below
 from report_pages import check_policy, content_of_batch, content_of_page
@@ -141,11 +141,11 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
         (tmp_path / f"{name}.xml").write_text(draw_room(1))
     jobs = list_jobs([str(tmp_path / "*.xml")])
     plan = Plan(store, {"grid": {"cell_size": 0.2}}, thumbnail=True)
-    run_batch(plan, jobs, Means(), Told())
+    run_batch(plan, jobs, Told())
     thumbnail = f"{store}/first/thumbnail.png"
     drawn = read_file(thumbnail)
     remove_files(store, ["first/thumbnail.png"])
-    assert run_batch(plan, jobs, Means(), Told()).skipped == 2
+    assert run_batch(plan, jobs, Told()).skipped == 2
     assert draw_thumbnails(store, lambda share: None) == 0
     assert read_file(thumbnail) == drawn
     remove_files(store, ["second/thumbnail.png"])
@@ -158,7 +158,7 @@ def test_a_store_has_thumbnails_and_the_page(tmp_path, monkeypatch):
     LivePage(store, 2).refresh(1)
     assert "index.html" not in sizes_below(store)
     # what is baked anew without a page has no old thumbnail
-    run_batch(Plan(store, {}), jobs, Means(), Told())
+    run_batch(Plan(store, {}), jobs, Told())
     assert not any(Path(name).name == "thumbnail.png" for name in sizes_below(store))
 
 
@@ -338,7 +338,14 @@ def test_names_and_reasons_are_text_on_a_narrow_dark_page(folder):
     with open_browser(390, 900, dark=True) as driver:
         open_page(driver, (folder / "index.html").as_uri())
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        assert driver.find_element("id", "title").text == folder.name
+        title = driver.find_element("id", "title").text
+        assert title == f"Batch {folder.name}: {COUNT + 2} scenes"
+        # rows are stacked: a cell stands under the other, with its column's name
+        cells = driver.find_elements("css selector", "#table tbody tr:nth-child(2) td")
+        left = {cell.location["x"] for cell in cells if cell.is_displayed()}
+        assert len(left) == 1
+        before = "return getComputedStyle(arguments[0], '::before').content"
+        assert driver.execute_script(before, cells[-1]).startswith('"time in s')
         for name in (HOSTILE_ID, "a"):
             driver.execute_script("openScene(scenes.find((s) => s.id === arguments[0]))", name)
             box = driver.find_element("id", "scene")

@@ -25,7 +25,6 @@ from navbake.batch import job as job_module
 from navbake.batch import products, store
 from navbake.batch.index import NAME, only_batch, read_index
 from navbake.batch.products import RECORD
-from navbake.batch.run import Means
 from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import JobLimits
 from navbake.config.settings import load_config
@@ -84,21 +83,22 @@ ALL = ("scenes/first.xml", "scenes/second.xml", "scenes/meshed.mjcf.xml")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pipes, and limits of memory")
-def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path):
+def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path, monkeypatch):
     expected = write_scenes(tmp_path / "scenes", 6, broken=10, endings=True)
     source, hanging = tmp_path / "scenes" / "list.jsonl", tmp_path / "scenes" / "hangs.xml"
     lines = source.read_text().splitlines(keepends=True)
     source.write_text("".join(line for line in lines if hanging.name not in line))
     # no scene but the one that hangs is near a limit of time, however busy the machine is
-    means = Means(workers=2, limits=JobLimits(seconds=300.0, memory=0.7))
-    _, result = run(str(source), out=tmp_path / "out", means=means)
+    limits = JobLimits(seconds=300.0, memory=0.7)
+    make = ["episodes:point:uniform:5"]
+    _, result = run(str(source), out=tmp_path / "out", workers=2, limits=limits, products=make)
     assert [row["id"] for row in result.rows] == [job.id for job in list_jobs([str(source)])]
     assert list(read_index(tmp_path / "out").values()) == result.rows
     assert (result.count("ok"), result.count("failed"), result.count("left")) == (6, 12, 0)
     good = sorted(name for name, how in expected.items() if how.how == "ok")
     sources = [str(hanging), *(str(tmp_path / "scenes" / f"{name}.xml") for name in good)]
-    means = Means(workers=2, limits=JobLimits(seconds=1.0))
-    names, result = run(*sources, out=tmp_path / "out", means=means)
+    limits = JobLimits(seconds=1.0)
+    names, result = run(*sources, out=tmp_path / "out", workers=2, limits=limits, products=make)
     assert names == ["hangs"] and result.skipped == 6
     assert wrong_rows([*read_index(tmp_path / "out").values()], expected) == []
     assert sorted(path.parent.name for path in (tmp_path / "out").glob("*/*.gz")) == good
@@ -107,6 +107,10 @@ def test_scenes_that_fail_hang_or_crash_cost_themselves_alone(tmp_path):
     grid.save(tmp_path / "one.json.gz")
     made = tmp_path / "out" / "good-0003" / "grid.json.gz"
     assert made.read_bytes() == (tmp_path / "one.json.gz").read_bytes()
+    stay_in_process(monkeypatch)
+    run(*sources[1:], out=tmp_path / "alone", products=make)
+    (episodes,) = (tmp_path / "alone").glob("episodes-*")
+    assert (tmp_path / "out" / episodes.name).read_bytes() == episodes.read_bytes()
 
 
 def test_what_is_done_is_skipped_and_what_failed_is_tried_again(scenes, here):
@@ -188,6 +192,7 @@ def names_in_docs():
 def test_products_are_made_missed_and_removed(scenes, here):
     make = [
         *("inflated:0.30", "inflated:0.3:0.1", "nav2", "nav2:0.3", "picture", "report"),
+        "episodes:point",
         *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
     run("scenes/first.xml", products=make)
@@ -293,7 +298,7 @@ def test_names_of_products_are_known_as_ours(tmp_path, num_levels):
     grid = run_bake(config, threads=1).grid
     assert min(len(grid.levels), 2) == num_levels
     texts = ("inflated:0.3", "inflated:.3:0.1", "nav2", "nav2:0.3", "voxels:0.5:npz", "picture")
-    for product in products.parse_products([*texts, "voxels:1", "report"]):
+    for product in products.parse_products([*texts, "voxels:1", "report", "episodes:point"]):
         folder = tmp_path / str(product).replace(":", "-")
         folder.mkdir()
         products.make_product(product, grid, config, folder)
@@ -409,7 +414,7 @@ def test_a_batch_ends_after_too_many_failures(scenes, here):
     for name in ("bad-1", "bad-2"):
         (scenes / f"{name}.xml").write_text("<mujoco>")
     sources = ["scenes/bad-1.xml", ALL[0], "scenes/bad-2.xml", ALL[1]]
-    names, result = run(*sources, means=Means(max_failures=1))
+    names, result = run(*sources, max_failures=1)
     assert names == ["bad-1", "first", "bad-2"]
     assert result.stopped == "2 scenes failed, more than 1"
     assert [row["status"] for row in result.rows] == ["failed", "ok", "failed", "left"]
@@ -497,8 +502,7 @@ def test_a_scene_that_failed_since_is_not_done(scenes, here):
     run(*ALL)
     text = Path(ALL[0]).read_text()
     Path(ALL[0]).write_text("<mujoco>")
-    means = Means(max_failures=0)
-    names, result = run(*ALL, means=means, overrides=["agent.radius=0.1"])
+    names, result = run(*ALL, max_failures=0, overrides=["agent.radius=0.1"])
     assert names == ["first"]
     assert [row["status"] for row in result.rows] == ["failed", "left", "left"]
     Path(ALL[0]).write_text(text)
@@ -510,20 +514,6 @@ def test_an_index_that_somebody_removes_is_written_whole_at_the_end(scenes, monk
     result = run(*ALL)[1]
     assert result.count("ok") == 3 and [*read_index(Path("out")).values()] == result.rows
     assert run(*ALL)[0] == []
-
-
-@pytest.mark.parametrize(
-    ("source", "out", "overrides"),
-    [
-        ("scenes/first.xml", "memory://a/b", []),
-        ("MEMORY://a/first.xml", "out", []),
-        ("scenes/first.xml", "out", ["rooms.polygons=memory://a/plan.geojson"]),
-    ],
-)
-def test_files_in_a_process_s_own_memory_are_refused(scenes, source, out, overrides):
-    with pytest.raises(ConfigError, match=r"that all processes share, got (?i:memory)://a/"):
-        run(source, out=out, overrides=overrides)
-    assert not Path("out").exists()
 
 
 def test_two_batches_never_write_into_one_folder(scenes, here):

@@ -279,16 +279,16 @@ def test_what_is_done_is_known_by_what_the_store_says(rooms, memory, monkeypatch
 
 
 @pytest.mark.parametrize("key", ["ETag", "md5Hash", "mtime"])
-def test_a_tag_of_a_store_tells_that_a_file_is_another(memory, tmp_path, key):
+def test_a_tag_of_a_store_tells_that_a_file_is_another(memory, key):
     """Of a store that says nothing of a file's content, the content is read."""
     memory.pipe_file("/a/b.obj", b"1")
-    mirror, path = Mirror(tmp_path), Mirror(tmp_path).place("memory://a/b.obj")
-    mirror.place("memory://a/b.obj")
-    assert mirror.has(path) and not mirror.has(path.with_name("c.obj"))
-    mirror.known[path] = {"size": 1}
-    assert mirror.describe(path)["sha256"] == hashlib.sha256(b"1").hexdigest()
-    mirror.known[path] = {"size": 1, key: "x1"}
-    assert mirror.describe(path) == {"size": 1, "tag": f"{key.lower()}:x1"}
+    with Mirror() as mirror:
+        path = mirror.place("memory://a/b.obj")
+        assert mirror.has(path) and not mirror.has(path.with_name("c.obj"))
+        mirror.known[path] = {"size": 1}
+        assert mirror.describe(path)["sha256"] == hashlib.sha256(b"1").hexdigest()
+        mirror.known[path] = {"size": 1, key: "x1"}
+        assert mirror.describe(path) == {"size": 1, "tag": f"{key.lower()}:x1"}
 
 
 def test_files_of_the_user_in_a_scene_s_folder_on_a_store_stay(memory):
@@ -396,7 +396,7 @@ def test_what_is_missing_is_one_line(memory, monkeypatch):
     with pytest.raises(NavbakeError, match=r"cannot read nothing://a/b\.csv: Protocol not known"):
         list_jobs(["nothing://a/b.csv"])
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    message = r'paths such as s3:// need fsspec: pip install "navbake\[batch\]"'
+    message = r's3:// needs fsspec: pip install "navbake\[batch\]"'
     with pytest.raises(MissingDependencyError, match=message):
         list_jobs(["s3://a/b.csv"])
 

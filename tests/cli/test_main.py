@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -58,11 +59,34 @@ def test_bugs_keep_their_traceback(folder, monkeypatch):
             ["inflate", HOUSE, "--radius", "0.3", "-o", "a.json"],
         ),
         (["mdf", HOUSE], ["map-descriptor", HOUSE]),
+        (
+            [
+                "bake",
+                "room.yaml",
+                "--radius",
+                "0.3",
+                "--cell-size",
+                "0.2",
+                "--no-timings",
+                "-o",
+                "-",
+            ],
+            [
+                *("bake", "room.yaml", "--no-timings", "-o", "-"),
+                *("--set", "agent.radius=0.3", "--set", "grid.cell_size=0.2"),
+            ],
+        ),
+        (["geoms", "apartment"], ["geoms", str(navbake.samples.path("apartment"))]),
     ],
 )
 def test_first_guesses_work(folder, run, guess, meant):
     assert run(*guess)[:2] == run(*meant)[:2]  # a kernel may be compiled
     assert run(*guess)[0] == 0
+
+
+def test_a_path_may_start_in_a_room(folder, run):
+    status, out, _ = run("path", HOUSE, "--from", "room:0:1", "--to", "room:0:2", "--json")
+    assert status == 0 and json.loads(out)["path"]["rooms"] == ["0:1", "0:2"]
 
 
 def test_help_lists_the_commands_in_groups(run):
@@ -169,12 +193,11 @@ def run_warm_up(*arguments: str) -> int:
     return int(done.value.code or 0)
 
 
-def test_all_is_compiled_in_some_processes(monkeypatch, capsys):
-    asked = []
-    monkeypatch.setattr(compiled, "warm_up", lambda **options: asked.append(options) or [])
-    assert run_warm_up() == 0 and asked[0]["everything"]
+def test_warm_up_says_what_has_no_code_on_disk(monkeypatch, capsys):
+    monkeypatch.setattr(compiled, "warm_up", lambda: [])
+    assert run_warm_up() == 0
     assert capsys.readouterr().out.startswith("compiled")
-    monkeypatch.setattr(compiled, "warm_up", lambda **options: ["runtime.kernels.a.b"])
+    monkeypatch.setattr(compiled, "warm_up", lambda: ["runtime.kernels.a.b"])
     assert (
         run_warm_up() == 0
         and "not compiled, or not kept: runtime.kernels.a.b" in capsys.readouterr().err
@@ -191,7 +214,7 @@ def test_says_where_nothing_can_be_kept(monkeypatch, capsys):
 def test_commands_print_what_is_logged(monkeypatch, capsys):
     """A slow start is announced on stderr, whether it is a terminal or a pipe."""
 
-    def warm_up(**options: object) -> list[str]:
+    def warm_up() -> list[str]:
         logging.getLogger("navbake.compiled").warning("compiling")
         return []
 

@@ -34,12 +34,19 @@ def test_keys_of_sections_are_replaced_one_by_one(house):
         assert found.scene.path == house.parent / "house.xml"
         assert found.scene.exclude.bodies == ["dog"]
         assert found.scene.exclude.movable is True
-        assert found.scene.joints == {"gate": 0.5}  # one setting, so it is replaced whole
+        assert found.scene.joints == {"door": 1.0, "gate": 0.5}
         assert (found.agent.height, found.agent.radius) == (1.5, 0.2)
         assert [level.ground for level in found.levels] == [0.0]
         assert [room.name for room in found.rooms.polygons] == ["hall"]
     assert config_with({"scene": {"path": "a.xml"}}, over).agent.radius == 0.2
     assert config_with("a.xml", over).scene.id == "a"
+
+
+def test_keys_do_not_undo_a_short_form():
+    with pytest.raises(
+        ConfigError, match=r"`rooms` is \"none\", so there is no key for `rooms\.min_"
+    ):
+        config_with({"scene": {"path": "a.xml"}, "rooms": "none"}, {"rooms": {"min_area": 2}})
 
 
 def test_without_keywords_settings_stay_as_they_are(house):

@@ -152,7 +152,7 @@ def test_habitats_rule_has_its_distribution():
     grid = plan(cell_size=1.0)
     finder = PathFinder(grid)
     places = finder.search.flat.positions(np.flatnonzero(finder.search.flat.free))
-    length = finder.many.distances(places, places, weighted=False)
+    length = finder.distances(places, goals=places, weighted=False)
     air = np.linalg.norm(places[:, None] - places, axis=-1)
     ratio = length / np.where(air > 0, air, 1.0)
     keep = np.where(ratio < 1.1, np.minimum(1.0, 20 * (ratio - 0.98) ** 2), 1.0)

@@ -223,7 +223,7 @@ def test_what_airsim_was_asked_for_may_be_wrong(asked, culprit):
         (b"#vox 1\n", "begins with #binvox"),
         (HEADER[:-6], "no line `data`"),
         (HEADER.replace(b"#binvox 1", b"#binvox 3"), "version 1 or 2, got 3"),
-        (HEADER.replace(b"#binvox 1", b"#binvox x"), "at `version`.*'x'"),
+        (HEADER.replace(b"#binvox 1", b"#binvox x"), "at `#binvox`.*'x'"),
         (HEADER.replace(b"dim 2 3 4", b"dim 2 3"), "3 whole numbers at `dim`.*'2 3'"),
         (HEADER.replace(b"dim 2 3 4", b"dim 2 0 4"), r"`dim` of numbers >= 1, got \[2, 0, 4\]"),
         (HEADER.replace(b"dim 2 3 4\n", b""), "no line `dim`"),
@@ -237,7 +237,7 @@ def test_what_airsim_was_asked_for_may_be_wrong(asked, culprit):
         (HEADER.replace(b"2 3 4", b"999999 999999 9"), "runs of 8999982000009 voxels.*too few"),
         (HEADER.replace(b"2 3 4", b"9" * 30 + b" 3 4"), "runs of 11999.*got 0 voxels: too few"),
         (HEADER.replace(b"2 3 4", b"9" * 400 + b" 3 4"), "3 whole numbers at `dim`"),
-        (HEADER.replace(b"#binvox 1", b"#binvox " + b"9" * 400), "1 whole number at `version`"),
+        (HEADER.replace(b"#binvox 1", b"#binvox " + b"9" * 400), "1 whole number at `#binvox`"),
     ],
 )
 def test_broken_files_say_what_is_wrong(data, culprit):

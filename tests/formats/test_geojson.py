@@ -14,7 +14,6 @@ import navbake
 from grid_maps import level_from
 from navbake.errors import FormatError, MissingDependencyError
 from navbake.formats.shapes import read_room_outlines
-from navbake.navgrid.rooms import measure_rooms
 from project_paths import GOLDEN
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
@@ -75,7 +74,7 @@ def test_reads_a_single_feature(tmp_path):
             "an object at `properties`, got a list of 0 in f",
         ),
         ({**feature([SQUARE]), "properties": [1]}, "an object at `properties`, got a list of 1"),
-        ({**feature([SQUARE]), "properties": "wc"}, "an object at `properties`, got 'wc'"),
+        ({**feature([SQUARE]), "properties": "wc"}, "an object at `properties`, got wc"),
         ({**feature([SQUARE]), "properties": 0}, "an object at `properties`, got 0"),
         ({"type": "\n"}, r"got \\n$"),
         (feature([[[0, 0], [1e308, 0], [-1e308, 1e308]]]), "corners beyond 1e.10 m in feature 0"),
@@ -182,7 +181,7 @@ def table_of_room(folder, name):
     """The rows of a CSV of a room with a name, and of the walkable area."""
     level = level_from("..")
     level.attributes["roomIndex"] = np.array([[1, 1]], dtype=np.uint16)
-    table = [{**room.to_json(), "name": name} for room in measure_rooms(level, 0)]
+    table = [{**room.to_json(), "name": name} for room in level.measure_rooms()]
     level.metadata["navbake"] = {"rooms": table}
     (path,) = level.convert(folder / "plan.csv")
     with open(path, newline="", encoding="utf-8") as file:

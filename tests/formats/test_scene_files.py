@@ -10,6 +10,7 @@ import mujoco
 import pytest
 import trimesh
 
+from navbake.errors import SceneError
 from navbake.formats.scene_files import find_inputs
 
 OBJ = "v 0 0 0\n"
@@ -221,5 +222,6 @@ def test_of_broken_xml_it_is_the_scene_itself(folder, text):
 def test_pipes_are_not_read(folder):
     os.mkfifo(folder / "pipe.xml")
     (folder / "scene.xml").write_text('<mujoco><include file="pipe.xml"/></mujoco>')
-    assert names(folder, "scene.xml") == ["scene.xml"]
-    assert names(folder, "pipe.xml") == ["pipe.xml"]
+    for scene in ("scene.xml", "pipe.xml"):
+        with pytest.raises(SceneError, match=r"pipe\.xml: expected a file, got a pipe"):
+            find_inputs(folder / scene)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.errors import ConfigError, FormatError, NavbakeError
+from navbake.errors import ConfigError, FormatError, NavbakeError, SceneError
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import names_path
@@ -105,14 +105,14 @@ def test_a_table_that_is_a_folder_or_a_circle(table):
         ('{"ids": ' + "[" * 200_000, "can't be read"),
         (
             '{"ids": {"1": ' + "[" * 900 + "]" * 900 + "}}",
-            r"expected a name, got a list of 1 at `ids\['1'\]`",
+            r"Expected `str`, got `array` - at `\$\.ids\[\.\.\.\]`",
         ),
-        ('{"ids": {"1": null}}', r"expected a name, got null at `ids\['1'\]`"),
-        ('{"ids": {"1' + "0" * 5000 + '": "a"}}', "expected an ID as key, got '1000.* at `ids`"),
-        ('{"ids": {"-1": "a"}}', "expected an ID as key"),
-        ('{"ids": {"x": "a"}}', "expected an ID as key"),
-        ('{"ids": []}', "no object at `ids`"),
-        ("[]", "no object at `ids`"),
+        ('{"ids": {"1": null}}', "Expected `str`, got `null`"),
+        ('{"ids": {"1' + "0" * 5000 + '": "a"}}', "can't be read: .*key.*ids"),
+        ('{"ids": {"-1": "a"}}', "Expected `int` >= 0 - at `key` in"),
+        ('{"ids": {"x": "a"}}', "Expected `int`, got `str` - at `key` in"),
+        ('{"ids": []}', "Expected `object`, got `array` - at `\\$.ids`"),
+        ("[]", "Expected `object`, got `array`"),
         ("", "can't be read"),
     ],
     ids=lambda text: text[:20],
@@ -135,3 +135,37 @@ def test_messages_are_one_line_whatever_a_file_is_called(tmp_path):
     assert str(caught.value).endswith("two\\nlines\\x1b[31m.yaml")
     assert str(FormatError("half \udc80 of a letter")) == "half \\udc80 of a letter"
     assert str(FormatError("plain é")) == "plain é"
+
+
+# ---------------------------------------------------------------- names that are not UTF-8
+
+
+NOT_UTF8 = os.fsdecode(b"k\xfcche")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are Unicode here")
+@pytest.mark.parametrize("ending", ["yaml", "xml"])
+def test_a_file_that_another_one_names_is_called_in_utf_8(tmp_path, ending):
+    with pytest.raises(FormatError, match=r"expected a name in UTF-8.*k\\udcfcche"):
+        navbake.load(GRID).convert(tmp_path / f"{NOT_UTF8}.{ending}")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are Unicode here")
+def test_a_map_of_any_name_can_be_saved_again(tmp_path):
+    (path,) = navbake.load(GRID).to_procthor(tmp_path / f"{NOT_UTF8}.png")
+    grid = navbake.from_procthor(path)
+    grid.save(tmp_path / "a.json")
+    assert navbake.load(tmp_path / "a.json").scene_id == "k\ufffdche"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are Unicode here")
+@pytest.mark.parametrize("ending", ["xml", "obj"])
+def test_a_scene_of_any_name_is_baked_or_its_name_is_the_reason(tmp_path, ending):
+    path = tmp_path / f"{NOT_UTF8}.{ending}"
+    path.write_text("v 0 0 0\nv 3 0 0\nv 3 3 0\nv 0 3 0\nf 1 2 3 4\n")
+    if ending == "obj":
+        assert navbake.bake(path, scene={"up": "z"}).scene_id == "k\ufffdche"
+    else:
+        with pytest.raises(SceneError, match=r"MuJoCo reads paths in UTF-8 only, .*k\\udcfcche"):
+            navbake.bake(path)

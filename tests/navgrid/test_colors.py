@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from color_vision import VISIONS, difference, lab_difference
+from color_vision import VISIONS, contrast, difference, lab_difference
 from navbake.navgrid import colors
 from navbake.navgrid.colors import choose_colors, darkened, find_neighbours, rgb_of
 from navbake.navgrid.grid import SceneGrid2D
@@ -65,8 +65,16 @@ def test_marks_stay_apart(vision):
     for one in colors.MARKS:
         for name in ("FREE", "OCCUPIED", "NO_FLOOR"):
             assert difference(rgb_of(one), rgb_of(KINDS[name]), vision) > AT_A_GLANCE, (one, name)
-    for one, other in combinations((colors.UP, colors.DOWN, colors.ACROSS), 2):
-        assert difference(rgb_of(one), rgb_of(other), vision) > AT_A_GLANCE, (one, other)
+    ways = (colors.UP, colors.DOWN, colors.ACROSS, colors.ROUTE)
+    for one, other in combinations((*ways, colors.FREE), 2):
+        assert difference(rgb_of(one), rgb_of(other), vision) > 10, (one, other)
+    assert difference(rgb_of(colors.FREE), rgb_of(colors.OUTDOORS), vision) > 10
+
+
+def test_links_stand_out_from_walls():
+    """A contrast of 3 to 1, as WCAG 2.2 asks of graphics."""
+    for color in (colors.UP, colors.DOWN, colors.ACROSS):
+        assert contrast(rgb_of(color), rgb_of(colors.OCCUPIED)) >= 3, color
 
 
 def test_the_scale_gets_lighter_all_the_way():

@@ -77,7 +77,7 @@ def test_it_arrives_and_keeps_to_its_path(apartment, seed):
     assert np.hypot(*(base.position - path.positions[-1])[:2]) <= 0.05
     assert follower.num_replans == 0 and follower.path is path
     # 4 cm are left for the way it drives
-    assert apartment.many.clearance(np.array(base.track)).min() >= 0.18
+    assert apartment.clearance(np.array(base.track)).min() >= 0.18
 
 
 def test_it_gets_up_the_stairs():

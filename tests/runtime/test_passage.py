@@ -82,7 +82,7 @@ def test_it_equals_bisection_over_inflate(seed):
     finder = PathFinder(grid, cut_corners=cut_corners)
     cells = np.concatenate([v.free_for_point.ravel() for v in grid.levels]).nonzero()[0]
     flat = finder.search.flat
-    away = finder.many.clearance(flat.positions(cells) + ABOVE)
+    away = finder.clearance(flat.positions(cells) + ABOVE)
     drawn = rng.integers(len(cells), size=(2, 10))  # ends that are not at a wall
     ends = cells[drawn[[0, 1], np.argmax(away[drawn], axis=1)]]
     start, goal = flat.positions(ends) + ABOVE

@@ -69,7 +69,7 @@ def test_rooms_of_the_sample_house(house):
 
 
 def test_room_near_a_wall(house):
-    walls = np.flatnonzero((house.rooms.number == 0) & house.occupied)
+    walls = np.flatnonzero((house.rooms.number == 0) & house.search.occupied)
     flat = house.search.flat
     in_rooms = np.flatnonzero(house.rooms.number)
     for cell in np.random.default_rng(1).choice(walls, size=30):
@@ -140,7 +140,6 @@ def test_a_picture_shows_its_own_storey():
         ((2,), "no level 2: expected 0 to 1"),
         ((0, 0.0), "metres_per_pixel > 0, got 0.0"),
         ((0, np.nan), "metres_per_pixel > 0, got nan"),
-        ((0, 1e-6), "pixels are too many"),
     ],
 )
 def test_pictures_that_cannot_be_are_refused(arguments, message):
@@ -155,7 +154,7 @@ def test_samples_in_a_walk_round(name):
     finder = navbake.PathFinder(navbake.load(GOLDEN / f"{name}.grid.json.gz"))
     rng = np.random.default_rng(2)
     points = finder.random_point(rng, 50, anywhere=True)
-    assert finder.are_navigable(points).all()
+    assert finder.is_navigable(points).all()
     for p in points:
         cell = finder.cell_at(p)
         level = finder.grid.levels[cell.level]
@@ -191,7 +190,7 @@ def test_random_questions_to_third_party_files(floors):
         del level.attributes["occupancy"]
         finder = PathFinder(level)
         points = finder.random_point(rng, 20, anywhere=True)
-        assert finder.are_navigable(points).all()
+        assert finder.is_navigable(points).all()
         for p in points:
             assert finder.same_island(p, finder.random_point_near(rng, p, 1.0))
             moved = finder.try_step(p, p + rng.normal(size=3) * 0.4)
@@ -218,7 +217,7 @@ def test_third_party_files():
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda f: f.are_navigable([[0, 0, 0], [0, 0]]),
+        lambda f: f.is_navigable([[0, 0, 0], [0, 0]]),
         lambda f: f.is_navigable([10**400, 0, 0]),
         lambda f: f.is_navigable((0, 0, 0), max_drop=None),
         lambda f: f.snap((0, 0, 0), max_distance=None),

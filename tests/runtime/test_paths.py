@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.errors import QueryError
+from navbake.errors import FormatError, QueryError
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import cells_around
 from oracles.ways import make_level, random_grid, stack
@@ -250,11 +250,12 @@ def test_next_to_an_object_is_on_this_side_of_the_wall():
     grid = from_map(["00000000", "########", "0##00000", "00000000"])
     grid.attributes["occupancy"] = (~grid.free).astype(np.uint8)
     grid.user_data = {17: {"objects": ["shelf"]}, 18: {"objects": ["shelf"]}}
-    found = cells_around(grid, PathFinder(grid).search.flat, "shelf")
+    found = cells_around(PathFinder(grid).search, "shelf")
     assert found.tolist() == [16, 19, 20, 24, 25, 26, 27]
     grid.weights[2, 3:] = grid.weights[2, 0] = np.inf  # as an inflation leaves it
     grid.weights[3, 1:4] = np.inf
-    assert cells_around(grid, PathFinder(grid).search.flat, "shelf").tolist() == [24, 28]
+    # two islands, each with its nearest cells
+    assert cells_around(PathFinder(grid).search, "shelf").tolist() == [24, 28, 29]
 
 
 @pytest.mark.parametrize(
@@ -316,7 +317,7 @@ def beside_thing(*rows: str) -> list[str]:
     grid.attributes["solid"] = (~np.isin(cells, (".", "~"))).astype(np.uint8)
     grid.metadata["navbake"] = {"version": "0"}  # else `solid` may be anything
     grid.user_data = {n: NAMES[cell] for n, cell in enumerate(cells.flat) if cell in NAMES}
-    cells.ravel()[cells_around(grid, PathFinder(grid).search.flat, "thing")] = "x"
+    cells.ravel()[cells_around(PathFinder(grid).search, "thing")] = "x"
     return ["".join(row) for row in cells.tolist()]
 
 
@@ -345,3 +346,49 @@ def test_the_nearest_ring_and_the_next():
 )
 def test_next_to_it_as_far_as_nothing_stands(row, expected):
     assert beside_thing(row) == [expected]
+
+
+def test_an_object_is_reached_from_the_island_of_the_start():
+    """A tub 0.2 m from where one walks, with a gap to the wall that is an island by itself."""
+    grid = from_map(["0000", "####", "0000", "0000", "0000", "####", "####", "000#"])
+    solid = np.zeros(grid.shape, dtype=np.uint8)
+    solid[1] = solid[6, :3] = solid[5:, 3] = 1  # a wall, the tub, and what ends it
+    grid.attributes |= {"occupancy": (~grid.free).astype(np.uint8), "solid": solid}
+    grid.metadata["navbake"] = {"version": "0"}
+    grid.user_data = {cell: {"objects": ["tub"]} for cell in (24, 25, 26)}
+    finder = PathFinder(grid)
+    start, gap, beyond = (0.05, -0.25, 0.0), (0.05, -0.75, 0.0), (0.05, -0.05, 0.0)
+    assert finder.island_at(start) != finder.island_at(gap) != finder.island_at(beyond)
+    assert finder.find_path(start, "object:tub").cells[-1].tolist() == [0, 3, 0]
+    assert finder.find_path(gap, "object:tub").cells[-1].tolist() == [0, 7, 0]
+    assert finder.why_not(start, "object:tub") is None
+    distances = finder.distances([start, gap, beyond], "object:tub")
+    np.testing.assert_allclose(distances, [0.1, 0.0, np.inf], rtol=1e-9)
+    # the wall is between: the goal stays where others reach it
+    assert finder.find_path(beyond, "object:tub") is None
+    assert "the goal is in island" in finder.why_not(beyond, "object:tub")
+
+
+def test_an_object_on_a_table_is_reached_from_all_sides_of_the_table():
+    assert beside_thing("..oTooo..") == ["xxoToooxx"]
+    assert beside_thing("..Tooo..") == ["xxTooo.."]  # it isn't shut in
+
+
+def test_a_path_and_its_finder_say_what_they_are_in_one_line(house):
+    finder = PathFinder(house)
+    path = finder.find_path((0.0, -4.8, 0.0), "room:1:1")
+    assert str(finder) == repr(finder)
+    assert repr(finder).startswith("PathFinder('house', ") and "m² free, islands:" in repr(finder)
+    for text in (repr(path), repr(finder)):
+        assert "\n" not in text and len(text) < 200
+    assert f"Path({path.length:.2f} m" in repr(path) and path.rooms[-1] in repr(path)
+    assert path.points is path.positions
+
+
+def test_a_finder_takes_the_file_of_a_grid(tmp_path, apartment):
+    path = tmp_path / "a.grid.json"
+    apartment.save(path)
+    for file in (path, str(path)):
+        assert PathFinder(file).navigable_area == pytest.approx(48.1, abs=0.1)
+    with pytest.raises(FormatError, match=r"b\.grid\.json"):
+        PathFinder(tmp_path / "b.grid.json")

@@ -21,7 +21,7 @@ def test_many_as_one_by_one_by_the_rule(seed):
     house = random_house(rng, num_levels=1 + seed % 3, share=0.7)
     finder = PathFinder(house)
     positions = rng.uniform((-1.5, -2, -1), (3, 3, 6), size=(1500, 3))
-    found = finder.are_navigable(positions)
+    found = finder.is_navigable(positions)
     assert found.dtype == np.bool_ and found.any() and not found.all()
     for position, answer in zip(positions, found, strict=True):
         cell = cell_at(house, position)
@@ -31,7 +31,7 @@ def test_many_as_one_by_one_by_the_rule(seed):
             floor = float(level.floor_height[cell.row, cell.col])
             expected = bool(level.free[cell.row, cell.col]) and position[2] - floor <= 0.5
         assert answer == expected == finder.is_navigable(position)
-    on_level = finder.are_navigable(positions, level=0)
+    on_level = finder.is_navigable(positions, level=0)
     rows, cols = house.levels[0].lattice.rows_cols(positions)
     inside = (rows >= 0) & (rows < house.levels[0].height) & (cols >= 0)
     inside &= cols < house.levels[0].width
@@ -46,13 +46,13 @@ def test_more_than_a_block_and_any_shape_and_dtype():
     x = np.tile(np.arange(20) * 0.1 + 0.05, 100)
     positions = np.stack([x, np.full(2000, -0.05), np.zeros(2000)], axis=1)
     expected = np.tile([True, False], 1000)
-    np.testing.assert_array_equal(finder.are_navigable(positions), expected)
-    shaped = finder.are_navigable(positions.reshape(4, 500, 3))
+    np.testing.assert_array_equal(finder.is_navigable(positions), expected)
+    shaped = finder.is_navigable(positions.reshape(4, 500, 3))
     np.testing.assert_array_equal(shaped, expected.reshape(4, 500))
-    np.testing.assert_array_equal(finder.are_navigable(positions.astype(np.float32)), expected)
-    np.testing.assert_array_equal(finder.are_navigable(positions[:, :2]), expected)
-    np.testing.assert_array_equal(finder.are_navigable(positions[::-1]), expected[::-1])
-    assert finder.are_navigable(np.empty((0, 3))).shape == (0,)
+    np.testing.assert_array_equal(finder.is_navigable(positions.astype(np.float32)), expected)
+    np.testing.assert_array_equal(finder.is_navigable(positions[:, :2]), expected)
+    np.testing.assert_array_equal(finder.is_navigable(positions[::-1]), expected[::-1])
+    assert finder.is_navigable(np.empty((0, 3))).shape == (0,)
 
 
 def test_free_cells_without_floor_stand_on_the_ground():
@@ -72,12 +72,7 @@ def test_a_position_that_is_none_is_named(at, value):
     positions = np.zeros((1500, 3))
     positions[at] = 1.0, value, 2.0
     with pytest.raises(QueryError, match=rf"finite numbers, got 1, {value}, 2"):
-        PathFinder(level_from("..")).are_navigable(positions)
-
-
-def test_many_for_one_are_refused():
-    with pytest.raises(QueryError, match="expected one position"):
-        PathFinder(level_from("..")).is_navigable(np.zeros((2, 3)))
+        PathFinder(level_from("..")).is_navigable(positions)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -224,44 +219,28 @@ def test_places_are_those_of_one_by_one(seed):
     rng, finder, positions = finder_and_positions(seed)
     more = ({}, {"same_level": False}, {"level": 0}, {"max_distance": 0.2}, {"island": 1})
     for options in more:
-        found = finder.many.snap(positions, **options)
+        found = finder.snap(positions, **options)
         same(found, [finder.snap(position, **options) for position in positions])
     inside = np.array([p for p in positions if finder.cell_at(p) is not None])
     for options in ({}, {"max_distance": 0.15}):
         expected = [finder.clearance(position, **options) for position in inside]
-        np.testing.assert_array_equal(finder.many.clearance(inside, **options), expected)
+        np.testing.assert_array_equal(finder.clearance(inside, **options), expected)
     starts = finder.random_point(rng, 60, anywhere=True)
     ends = starts + rng.normal(size=starts.shape)
     ends[0] = (1e9, 0, 0)
     for slide in (True, False):
         expected = [finder.try_step(a, b, slide=slide) for a, b in zip(starts, ends, strict=True)]
-        same(finder.many.try_step(starts, ends, slide=slide), expected)
+        same(finder.try_step(starts, ends, slide=slide), expected)
         expected = [finder.try_step(a, ends[1], slide=slide) for a in starts]
-        same(finder.many.try_step(starts, ends[1], slide=slide), expected)
+        same(finder.try_step(starts, ends[1], slide=slide), expected)
 
 
 def test_snap_on_one_level_takes_x_and_y():
     finder = PathFinder(level_from(LEVEL))
     places = np.random.default_rng(1).uniform(-2, 2, size=(4, 5, 2))
-    found = finder.many.snap(places)
+    found = finder.snap(places)
     assert found.shape == (4, 5, 3)
     same(found, [finder.snap(place) for place in places.reshape(-1, 2)])
-
-
-def test_find_path():
-    rng, finder, _ = finder_and_positions(1)
-    starts, goals = finder.random_point(rng, 12), finder.random_point(rng, 12)
-    goals[3] = (100, 0, 0)
-    found = finder.many.find_path(starts, goals)
-    assert found[3] is None
-    for path, start, goal in zip(found, starts, goals, strict=True):
-        alone = finder.find_path(start, goal)
-        assert (path is None) == (alone is None)
-        if path is not None:
-            np.testing.assert_array_equal(path.positions, alone.positions)
-    to_one = finder.many.find_path(starts, goals[0], smooth=False)
-    costs = [np.inf if path is None else path.cost for path in to_one]
-    np.testing.assert_allclose(costs, finder.distances(starts, goals[0]), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -270,23 +249,20 @@ def test_find_path():
         (lambda m, p: m.clearance([p, (9, 0, 0)]), "9, 0, 0 lies beside the grid"),
         (lambda m, p: m.try_step([p, (9, 0, 0)], p), "no agent can stand at 9, 0, 0"),
         (lambda m, p: m.try_step([p, p], [p] * 3), r"end for each start, \(2,\) of them, got \(3,"),
-        (lambda m, p: m.find_path(p, p), r"starts of shape \(n, 3\)"),
-        (lambda m, p: m.find_path([p, p], [p] * 3), r"goals of shape \(2, 3\) .* shape \(3, 3\)"),
         (lambda m, p: m.snap([p, (np.nan, 0, 0)]), "finite"),
     ],
 )
 def test_what_is_wrong_is_named(ask, message):
     finder = PathFinder(level_from(LEVEL))
     with pytest.raises(QueryError, match=message):
-        ask(finder.many, finder.random_point())
+        ask(finder, finder.random_point())
 
 
 def test_no_positions_are_no_answers():
-    many, none = PathFinder(level_from(LEVEL)).many, np.empty((0, 3))
-    assert many.snap(none).shape == (0, 3)
-    assert many.clearance(none).shape == (0,)
-    assert many.try_step(none, (0, 0, 0)).shape == (0, 3)
-    assert many.find_path(none, (0, 0, 0)) == []
+    finder, none = PathFinder(level_from(LEVEL)), np.empty((0, 3))
+    assert finder.snap(none).shape == (0, 3)
+    assert finder.clearance(none).shape == (0,)
+    assert finder.try_step(none, (0, 0, 0)).shape == (0, 3)
 
 
 def test_without_a_generator_places_are_random():
@@ -301,7 +277,7 @@ def test_without_a_generator_places_are_random():
 @pytest.mark.parametrize(
     ("ask", "before", "blocked"),
     [
-        (lambda f, a, b, c: f.are_navigable([a, b]).tolist(), [True, True], [True, False]),
+        (lambda f, a, b, c: f.is_navigable([a, b]).tolist(), [True, True], [True, False]),
         (lambda f, a, b, c: f.snap(b)[0], 0.25, 0.15),
         (lambda f, a, b, c: f.snap(b, in_sight=True)[0], 0.25, 0.15),
         (lambda f, a, b, c: f.try_step(a, c)[0], 0.45, 0.2),
@@ -323,7 +299,7 @@ def test_files_without_floors_and_occupancy():
         del level.attributes["occupancy"]
     finder, left, right = PathFinder(house), (0.05, -0.05), (0.15, -0.05)
     for z, expected in ((0.0, [True, False]), (2.0, [False, True])):
-        assert finder.are_navigable([[*left, z], [*right, z]]).tolist() == expected
+        assert finder.is_navigable([[*left, z], [*right, z]]).tolist() == expected
     np.testing.assert_allclose(finder.snap((*right, 0.3)), (*left, 0.0))
     np.testing.assert_allclose(finder.snap((*right, 0.3), in_sight=True), (*left, 0.0))
     assert finder.try_step((*left, 0.0), right)[0] == pytest.approx(0.1, abs=1e-6)

@@ -68,7 +68,7 @@ def test_the_apartment_is_covered_and_no_position_is_in_anything():
     assert len(found) * 0.04 == pytest.approx(finder.island_area(1), rel=0.1)
     offset = (found - start)[:, :2] / 0.2
     np.testing.assert_allclose(offset, np.round(offset), atol=1e-4)
-    assert finder.are_navigable(found).all()
+    assert finder.is_navigable(found).all()
     # between the cells' centres, where the agent would graze a wall, there is no position
     for p in finder.reachable_positions(start, 0.25):
         cell = finder.grid.position_of(finder.cell_at(p))

@@ -129,7 +129,7 @@ def test_what_a_larger_radius_takes_does_not_hide():
 def test_in_sight_is_the_nearest_of_those_that_dense_samples_see(seed, monkeypatch):
     monkeypatch.setattr(navbake.runtime.places, "FIRST_LOOK", 0.06)  # so that it looks again
     rng, finder = random_finder(seed, num_levels=1, share=0.6)
-    flat, occupied = finder.search.flat, finder.occupied
+    flat, occupied = finder.search.flat, finder.search.occupied
     free = np.flatnonzero(flat.free)
     for cell in rng.choice(np.flatnonzero(~flat.free & ~occupied), size=20):
         position = flat.positions(cell) + np.append(rng.uniform(-0.03, 0.03, size=2), 0)
@@ -182,7 +182,7 @@ def test_nothing_free_is_none():
         ((0.0, 0.0), {}, "expected x, y, z or a level"),
         ((0.0, 0.0, 0.0), {"level": 2}, "no level 2"),
         ((0.0, 0.0, 0.0), {"room": "attic"}, "no room 'attic' in 'house': it has none"),
-        (np.zeros((2, 3)), {}, "expected one position"),
+        (np.zeros((2, 3)), {"in_sight": True}, "expected one position"),
     ],
 )
 def test_wrong_questions_are_refused(position, options, message):

@@ -115,7 +115,7 @@ def _distance_bins(finder):
     flat = finder.search.flat
     cells = np.flatnonzero(flat.free)
     bins = np.zeros(flat.num_cells, dtype=np.int64)
-    bins[cells] = np.digitize(finder.many.clearance(flat.positions(cells)), [0.2, 0.3, 0.45, 0.6])
+    bins[cells] = np.digitize(finder.clearance(flat.positions(cells)), [0.2, 0.3, 0.45, 0.6])
     return bins
 
 

@@ -37,7 +37,7 @@ class Oracle:
 
     def navigable(self):
         found = np.zeros(len(self.positions), dtype=bool)
-        found[self.known] = self.finder.are_navigable(self.positions[self.known])
+        found[self.known] = self.finder.is_navigable(self.positions[self.known])
         return found
 
     def level(self):
@@ -132,7 +132,7 @@ def test_distances_and_steps_lead_to_goals(case):
             lengths = np.hypot(*step.T)
             assert np.all((lengths < 1e-12) | (np.abs(lengths - 1) < 1e-5))
             at[:, :2] += 0.02 * step
-            at[:, 2] = finder.many.snap(at)[:, 2]
+            at[:, 2] = finder.snap(at)[:, 2]
         arrived = shown(ask(given(xp, at, dtype)))
         assert (arrived < 0.15).all()
 
@@ -209,7 +209,7 @@ def test_samples_are_where_they_were_asked_for(case, seed):
     t = grid.tensors(xp, dtype=dtype)
     u = given(xp, np.nextafter(rng.random((500, 3)).astype(dtype), np.asarray(0, dtype)), dtype)
     drawn = shown(tensors.sample(t, u)).astype(np.float64)
-    assert finder.are_navigable(drawn).all()
+    assert finder.is_navigable(drawn).all()
     starts = given(xp, finder.random_point(rng, 500), dtype)
     drawn = tensors.sample(t, u, reachable_from=starts)
     np.testing.assert_array_equal(shown(tensors.island(t, drawn)), shown(tensors.island(t, starts)))
@@ -272,6 +272,8 @@ def test_many_scenes_at_once(case):
     scene = np.repeat([2, 0, 1], 400)
     positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
     p, ids = given(xp, positions, dtype), xp.asarray(scene)
+    found = shown(compiled(xp, lambda p, ids: tensors.distances(t, p, scene_id=ids))(p, ids))
+    np.testing.assert_array_equal(found[:, 0], shown(tensors.distance_to_goal(t, p, 0, ids)))
     # each grid alone, in numpy
     alone = [g.tensors(dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
     for function in (
@@ -390,6 +392,7 @@ def test_arrays_are_shared_by_dlpack():
         (lambda t: tensors.floor(t, np.zeros(3), scene_id=1), "no scene 1: expected 0 to 0"),
         (lambda t: tensors.clearance(t, np.zeros(3), mode="cubic"), "a mode of nearest, bilinear"),
         (lambda t: tensors.distance_to_goal(t, np.zeros(3)), "the tensors know no goals"),
+        (lambda t: tensors.distances(t, np.zeros(3)), "the tensors know no goals"),
         (lambda t: tensors.heights(t, np.zeros((4, 3)), np.zeros(3), np.zeros((1, 2))), "a yaw of"),
         (lambda t: tensors.heights(t, np.zeros(3), np.zeros(()), np.zeros(2)), "a pattern of"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), layer="smell"), "no layer 'smell'"),

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import navbake
 from box_worlds import box, world
@@ -72,6 +73,11 @@ def test_names_a_level_that_was_removed(house, missing):
     report = navbake.verify(wrong, config)
     lost = list(report.of_kind(kinds.PLACE_LOST))
     assert lost and all("steps lead there" in found.text for found in lost)
+    # each place counts that a cell of the other level looks at, but some beside walls
+    there, gone = left[0].lattice, grid.levels[missing]
+    rows, cols = there.rows_cols(gone.lattice.positions(*np.nonzero(gone.free)))
+    is_seen = (rows >= 0) & (cols >= 0) & (rows < there.height) & (cols < there.width)
+    assert report.total.lost > 0.9 * np.count_nonzero(is_seen)
     # a sample finds it, too
     assert any(navbake.verify(wrong, config, sample=400).of_kind(kinds.PLACE_LOST))
 
@@ -162,6 +168,24 @@ def test_says_how_far_a_blocked_cell_is_from_the_nearest_geom(room):
 
 
 # ---------------------------------------------------------------- a mesh scene
+
+
+def test_a_triangle_that_is_wound_downward_is_a_floor(tmp_path):
+    """In a closed part, as a bake turns it; a floor beside it that moved is still named."""
+    slab = trimesh.creation.box((4, 4, 0.2))
+    top = np.flatnonzero(slab.face_normals[:, 2] > 0.5)[0]
+    slab.faces[top] = slab.faces[top][::-1]
+    path = tmp_path / "slab.obj"
+    path.write_text(
+        trimesh.Trimesh(slab.vertices, slab.faces, process=False).export(file_type="obj")
+    )
+    config = {"scene": {"path": str(path), "up": "z"}}
+    grid = navbake.bake(config)
+    assert grid.free.all()
+    assert_true(grid, config)
+    wrong = copy_of(grid)
+    wrong.attributes["floorHeight"][20, 20] += np.float32(0.02)
+    assert kinds_at(navbake.verify(wrong, config)) == {(kinds.FLOOR_OFF, 0, (20, 20))}
 
 
 def test_names_faults_in_a_mesh_scene(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from base64 import b64decode
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from PIL import Image
 import navbake
 from grid_maps import level_from
 from level_maps import stairs
-from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
+from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, ROUTE, rgb_of
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.views.layers import make_panel
 from navbake.views.notebook import (
@@ -23,6 +24,7 @@ from navbake.views.notebook import (
     THUMBNAIL_COLORS,
     THUMBNAIL_SIDE,
     draw_levels,
+    draw_path,
     draw_png,
     draw_thumbnail,
     show_html,
@@ -151,3 +153,18 @@ def test_a_large_grid_becomes_small_and_has_about_its_colours():
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) <= THUMBNAIL_COLORS
     assert np.abs(picture - true).mean() < 3
     assert draw_thumbnail(grid) == png
+
+
+def test_a_finder_shows_its_grid_and_a_path_its_way():
+    house = navbake.load(GOLDEN / "house.grid.json.gz")
+    finder = navbake.PathFinder(house)
+    for name in ("_repr_html_", "_repr_png_"):  # by name, as a notebook does
+        assert getattr(finder, name)() == getattr(house, name)()
+    path = finder.find_path((0.0, -4.8, 0.0), "room:1:1")
+    picture = read(getattr(path, "_repr_png_")())  # noqa: B009
+    is_way = (picture == rgb_of(ROUTE)).all(axis=-1)
+    half = picture.shape[1] // 2
+    assert set(path.levels.tolist()) == {0, 1}
+    assert is_way[:, :half].sum() > 50 and is_way[:, half:].sum() > 5  # of either storey
+    assert not (read(draw_png(house)) == rgb_of(ROUTE)).all(axis=-1).any()
+    assert draw_path(replace(path, grid=None)) is None

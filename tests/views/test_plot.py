@@ -309,6 +309,18 @@ def test_maps_are_apart_and_in_the_picture(width, levels, layers):
     assert all((box.p0 >= 0).all() and (box.p1 <= 1).all() for box in boxes)
 
 
+def test_long_titles_wrap_and_end_somewhere():
+    text = plot.wrap("the storey between the ground and the gallery " * 9, 3.0)
+    lines = text.split("\n")
+    assert len(lines) == 3 and text.endswith("…")
+    assert all(len(line) <= 3 * plot.LETTERS for line in lines)
+    long, short = (
+        pixels(render_picture(MultiLevelGrid(grids=[make_level()] * 2, cell_size=0.1, metadata=m)))
+        for m in ({"navbake": {"levels": [{"name": "a storey " * 9}] * 2}}, {})
+    )
+    assert long.shape[1] == short.shape[1]
+
+
 def test_letters_that_no_font_has_are_known():
     families, missing = plot.find_fonts("\u043a\u0443\u0445\u043d\u044f a\U000e0fff")
     assert families == [plot.FONT]

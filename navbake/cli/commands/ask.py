@@ -114,7 +114,13 @@ def why(
 
 def path(
     grid: GridFile,
-    start: str = option(PLACE, f"Start, {PLACE_HELP}.", "--from", "--start", default=...),
+    start: str = option(
+        f"{PLACE}|room:NAME",
+        f"Start, {PLACE_HELP}; or near the middle of a room.",
+        "--from",
+        "--start",
+        default=...,
+    ),
     goals: list[str] = option(
         f"{PLACE}|room:NAME|object:NAME",
         "Goal: a position, a room, or an object to stop beside. Repeat it with several "
@@ -139,13 +145,19 @@ def path(
     is_named = any(goal.startswith(NAMED) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
-    begin = parse_place(start, "--from")
+    begin = None if start.startswith("room:") else parse_place(start, "--from")
     ends = [] if is_named else [parse_place(text, "--to") for text in goals]
     content = navbake.load(grid)
     if radius is not None:
         content = content.inflate(radius)
     finder = navbake.PathFinder(content)
-    origin = position_of_place(content, begin, "--from")
+    origin: Any = position_of_place(content, begin, "--from") if begin else None
+    if origin is None:
+        name = start.removeprefix("room:")
+        middles = [room.centroid for room in content.rooms if name in (room.id, room.name)]
+        origin = finder.snap(middles[0] if middles else (0.0, 0.0, 0.0), room=name)
+        if origin is None:
+            raise QueryError(f"no agent can stand in room {name!r}")
     goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
     found = finder.find_path(origin, goal, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +21,6 @@ from navbake.cli.options import (
     SceneOrConfig,
     beside_output,
     check_output,
-    check_scene,
     flag,
     option,
     refuse_unused,
@@ -48,15 +46,12 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 # Functions import what reads scenes when they run: --help loads neither MuJoCo nor numpy.
-FIELDS = ("id", "stem", "parent")  # of the names of grids
-FIELD = re.compile(r"\{([^{}]*)\}")
 
 
 def init(
     scene: Path = Argument(
         ...,
         metavar="SCENE",
-        callback=check_scene,
         help="Scene file: MJCF, MJB, URDF or a mesh.",
     ),
     output: Path | None = option(
@@ -275,7 +270,6 @@ def bake(
     configs: list[Path] = Argument(
         ...,
         metavar="CONFIG",
-        callback=check_scene,
         help="Settings (YAML), or a scene file for default settings.",
     ),
     output: str | None = option(
@@ -291,6 +285,8 @@ def bake(
         "{stem} CONFIG's, {parent} that of its folder.  [default: {id}]",
     ),
     overrides: Overrides = None,
+    radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
+    cell_size: float | None = option("METRES", "The same as --set grid.cell_size=METRES [m]."),
     threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
@@ -318,18 +314,21 @@ def bake(
         )
     refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
-        check_name(name)
+        fill_name(name, "id", Path("stem"))
     refuse_unused(
         ("--isolate-seconds", isolation.seconds is not None, isolation.isolate, "--isolate"),
         ("--isolate-memory", isolation.memory is not None, isolation.isolate, "--isolate"),
     )
     from navbake.config.settings import load_config
 
+    overrides = list(overrides or [])
+    overrides += [f"agent.radius={radius}"] * (radius is not None)
+    overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:
         with _going_on(path, failed, len(configs)):
-            jobs.append((path, load_config(path, overrides or [])))
+            jobs.append((path, load_config(path, overrides)))
     written: set[Path] = set()
     for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
         with _going_on(path, failed, len(configs)):
@@ -413,36 +412,35 @@ def is_folder(output: str) -> bool:
     return output.endswith(("/", os.sep)) or os.path.isdir(output)
 
 
-def check_name(name: str) -> None:
-    """Refuse a name with unknown fields, or one that leads out of the folder."""
-    message, unknown = "", [field for field in FIELD.findall(name) if field not in FIELDS]
-    if unknown:
-        known = ", ".join(f"{{{field}}}" for field in FIELDS)
-        message = f"expected fields out of {known}, got {{{unknown[0]}}}"
-    elif not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
-        message = f"expected the name of a file in the folder, got {name!r}"
-    if message:
-        raise BadParameter(message, param_hint="--name")
-
-
 def lay_out(
     jobs: Sequence[tuple[Path, BakeConfig]], output: str | None, name: str | None
 ) -> list[Path]:
     """Find the file that the grid of each CONFIG and its settings is written to.
 
     That is `output`, or a file in that folder, or what the settings say, or a file in the current
-    folder. In a folder, files are called by `name`, see `check_name`; without one by the scene's
-    id.
+    folder. In a folder, files are called by `name`; without one by the scene's id.
     """
     if output is not None and not is_folder(output):
         return [Path(output) for _ in jobs]
     targets = []
     for path, config in jobs:
-        parent = path.resolve().parent.name
-        values = {"id": str(config.scene.id), "stem": path.stem, "parent": parent}
-        filled = FIELD.sub(lambda field, values=values: values[field[1]], name or "{id}")  # type: ignore[misc]
+        filled = fill_name(name or "{id}", str(config.scene.id), path.resolve())
         if not filled:
             raise ConfigError(f"`--name {name}` gives {path} no name")
         own = config.output if output is None and name is None else None
         targets.append(own or Path(output or "") / f"{filled}.grid.json")
     return targets
+
+
+def fill_name(name: str, scene_id: str, path: Path) -> str:
+    """The name of a file with its fields filled in; one that leads out of the folder is refused."""
+    try:
+        filled = name.format(id=scene_id, stem=path.stem, parent=path.parent.name)
+    except (AttributeError, LookupError, ValueError) as error:
+        message = f"expected fields out of {{id}}, {{stem}}, {{parent}}, got {name}"
+        raise BadParameter(message, param_hint="--name") from error
+    if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
+        raise BadParameter(
+            f"expected the name of a file in the folder, got {name!r}", param_hint="--name"
+        )
+    return filled

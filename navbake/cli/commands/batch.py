@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -86,7 +87,8 @@ def batch(
         "WHAT",
         "What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
         "nav2[:RADIUS], "
-        "voxels:EDGE[:ENDING], picture[:LAYER...], report. May be repeated.",
+        "voxels:EDGE[:ENDING], picture[:LAYER...], report, "
+        "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be repeated.",
     ),
     allow_hosts: list[str] | None = option(
         "HOST",
@@ -105,12 +107,12 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     from navbake.batch import store
-    from navbake.batch.cluster import RayExecutor
+    from navbake.batch.cluster import do_on_ray
     from navbake.batch.index import LOCK, NAME, TABLE
     from navbake.batch.job import Plan
     from navbake.batch.page import NAME as PAGE
     from navbake.batch.products import parse_products
-    from navbake.batch.run import Means, run_batch
+    from navbake.batch.run import run_batch
     from navbake.batch.scenes import list_jobs
     from navbake.batch.settings import read_shared
     from navbake.batch.store import as_folder
@@ -135,15 +137,22 @@ def batch(
     limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
     folder = as_folder(output)
     witness = folder / LOCK if isinstance(folder, Path) else None
-    executor = RayExecutor(ways.ray_address, witness) if is_ray else None
-    means = Means(ways.jobs, limits, ways.max_failures, executor)
+    on_ray = partial(do_on_ray, address=ways.ray_address, witness=witness)
     made = parse_products(make or [])
     given = tuple(overrides or [])
     plan = Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
     with ExitStack() as stack:
         watch = _Watch(stack, ways, folder)
         try:
-            result = run_batch(plan, jobs, means, watch)
+            result = run_batch(
+                plan,
+                jobs,
+                watch,
+                workers=ways.jobs,
+                limits=limits,
+                max_failures=ways.max_failures,
+                executor=on_ray if is_ray else None,
+            )
         except BaseException as error:
             watch.interrupt(error)
             raise
@@ -167,7 +176,7 @@ class _Watch:
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
-        self._show: Callable[..., None]
+        self._show: Callable[..., None] = lambda *given: None
         self._page: LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
@@ -179,12 +188,10 @@ class _Watch:
             self._total = counts["left"] = values["scenes"] - values["skipped"]
         self._log(event, values)
         if event == "begin":
+            from navbake.batch.page import LivePage
             from navbake.cli.progress import progress_bars
 
-            if self._ways.page:
-                from navbake.batch.page import LivePage
-
-                self._page = LivePage(self._folder, self._total)
+            self._page = LivePage(self._folder, self._total) if self._ways.page else None
             # on a terminal, lines and a bar would run into each other
             hidden = VOLUME.quiet or (self._ways.as_json and is_terminal(sys.stdout))
             self._show = self._stack.enter_context(progress_bars("batch", hidden))
@@ -217,7 +224,7 @@ class _Watch:
         from navbake.batch.page import write_page
 
         why = str(error) if isinstance(error, Exception) else "interrupted"
-        if self._total and not self._ways.as_json and not isinstance(error, Exception):
+        if self._total and why == "interrupted" and not self._ways.as_json:
             say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the error says more than that it can't be noted
             self._log_end(why)
@@ -231,16 +238,16 @@ class _Watch:
         from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
-        count = {status: result.count(status) for status in ("ok", "failed", "left")}
-        self._counts = {"baked": count.pop("ok") - result.skipped, "skipped": result.skipped}
-        self._counts |= count
-        seconds = time.perf_counter() - self._begin
+        baked, failed, left = map(result.count, ("ok", "failed", "left"))
+        self._counts = {"baked": baked - result.skipped, "skipped": result.skipped}
+        self._counts |= {"failed": failed, "left": left}
         try:
             self._log_end(result.stopped)
         except NavbakeError as error:  # of the log; what the batch came to is said all the same
             if self._ways.as_json:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
+        seconds = time.perf_counter() - self._begin
         names = [NAME, *[TABLE] * self._ways.parquet]
         if self._ways.page:
             draw_missing_thumbnails(self._folder)
@@ -286,7 +293,7 @@ def _warm_up() -> None:
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written: each worker compiles its own"
         print_warnings([f"{lost}: {compiled.REMEDY}"])
-    compiled.warm_up()
+    compiled.ensure_compiled()
 
 
 def warm_up() -> None:
@@ -298,16 +305,12 @@ def warm_up() -> None:
     Example: navbake warm-up
     """
     from navbake import compiled
-    from navbake.cli.progress import progress_bars
 
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written, so nothing can be kept"
         print_warnings([f"{lost}: {compiled.REMEDY}"])
         return
-    with progress_bars("compiling", VOLUME.quiet) as show:
-        cold = compiled.warm_up(
-            everything=True, watch=lambda done, total: show("kernels", done / total)
-        )
+    cold = compiled.warm_up()
     if cold:
         print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
     else:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -13,6 +11,8 @@ import navbake
 from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option, read_pairs
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
+from navbake.files import encode_csv
+from navbake.formats.source import write_bytes
 from navbake.views.tables import make_table
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -153,7 +153,6 @@ def score(
 
     from navbake import scores  # loads numpy
     from navbake.episodes import read_episodes  # loads numpy
-    from navbake.formats.source import write_bytes  # loads numpy
 
     wanted = read_episodes(content)
     if not grids:
@@ -177,9 +176,5 @@ def score(
             cells = [(k, f"{v.mean:.3f}", f"{v.low:.3f} to {v.high:.3f}") for k, v in known]
             print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
-        file = io.StringIO()
-        table = csv.DictWriter(file, list(rows[0]) if rows else ["episode"], lineterminator="\n")
-        table.writeheader()
-        for row in rows:  # what is not known stays empty
-            table.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
-        write_bytes(file.getvalue().encode(), output)
+        heads = list(rows[0]) if rows else ["episode"]
+        write_bytes(encode_csv([heads, *(row.values() for row in rows)]), output)

@@ -21,8 +21,8 @@ from navbake.cli.options import (
     flag,
     option,
     refuse_unused,
+    write_output,
     write_picture,
-    write_stdout,
 )
 from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
@@ -97,7 +97,6 @@ def report(
     Example: navbake report before.grid.json after.grid.json -o report.html
     """
     from navbake.auditor.audit import audit
-    from navbake.formats.source import write_bytes
     from navbake.views.report.report import read_verification, render_report
 
     if any(os.path.isdir(path) for path in grids):
@@ -121,11 +120,7 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    if output == STDOUT:
-        write_stdout(page)
-    else:
-        write_bytes(page, output)
-        say_unless_quiet(output)
+    write_output(page, output)
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
@@ -157,6 +152,10 @@ class Address(NamedTuple):
         "PORT", "Port to listen at; 0 for any free one.", default=8080, min=0, max=65535
     )
     no_open: bool = flag("--no-open", "Only print the link.")
+    allow_origin: list[str] | None = option(
+        "URL",
+        "Another address at which browsers may show the page, as of a proxy. May be repeated.",
+    )
 
 
 def view(
@@ -173,6 +172,10 @@ def view(
     ),
     overrides: Overrides = None,
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
+    episodes: Path | None = option("EPISODES", "A set of episodes to show."),
+    trajectories: Path | None = option(
+        "TRAJECTORIES", "Where an agent was in episodes: .jsonl or .npz."
+    ),
 ) -> None:
     """Show a grid in its scene, in the browser, until Ctrl-C.
 
@@ -180,25 +183,30 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
-    from navbake.views.viewer.view import Viewer, check_address, check_viser, watch_grid
+    from navbake.views.viewer.server import PageServer
+    from navbake.views.viewer.view import Viewer, watch_grid
 
-    check_viser()
-    check_address(address.host, address.port)  # before the bake, which may take long
     is_grid = source.name.lower().endswith(GRIDS)
     refuse_unused(
         ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
         ("--scene", scene is not None, is_grid, "a GRID"),
         ("--force", force, is_grid, "a GRID"),
+        ("--episodes", episodes is not None, is_grid, "a GRID"),
+        ("--trajectories", trajectories is not None, is_grid, "a GRID"),
     )
-    watch = watch_grid(source, scene, force=force) if is_grid else _baked(source, overrides or [])
-    viewer = Viewer(watch.read(), host=address.host, port=address.port, watch=watch)
-    try:
-        say(f"{viewer.url} (Ctrl-C ends it)")
-        if not address.no_open:
-            viewer.open()
-        viewer.wait()
-    finally:
-        viewer.close()
+    allowed = address.allow_origin or ()
+    # before the bake, which may take long
+    with PageServer(address.host, address.port, allowed=allowed) as server:
+        if is_grid:
+            runs = {"episodes": episodes, "trajectories": trajectories or ()}
+            watch = watch_grid(source, scene, force=force, **runs)
+        else:
+            watch = _baked(source, overrides or [])
+        with Viewer(watch.read(), server, watch=watch) as viewer:
+            say(f"{viewer.url} (Ctrl-C ends it)")
+            if not address.no_open:
+                viewer.open()
+            viewer.wait()
 
 
 def _baked(path: Path, overrides: list[str]) -> Watch:

@@ -284,25 +284,3 @@ def _walk_edge(floor, slopes, step, level, row, col, to_row, to_col):
         if is_steep and rise > step and slopes[other, to_row, to_col] & back != 0:
             return other, 1
     return -1, 0
-
-
-@kernel
-def count_runs(mask, runs):
-    """Count the marked cells that a shape of runs (row, first column, last column) covers."""
-    rows, cols = mask.shape
-    count = np.zeros((rows, cols), dtype=np.int32)
-    before = np.zeros((rows, cols + 1), dtype=np.int32)  # running sums: a run is one difference
-    for row in range(rows):
-        for col in range(cols):
-            before[row, col + 1] = before[row, col] + mask[row, col]
-    for k in range(runs.shape[0]):
-        first, last = runs[k, 1], runs[k, 2]
-        for row in range(max(0, -runs[k, 0]), min(rows, rows - runs[k, 0])):
-            line = before[row + runs[k, 0]]
-            if line[cols] == 0:  # nothing in this row
-                continue
-            for col in range(cols):
-                begin, end = max(col + first, 0), min(col + last + 1, cols)
-                if end > begin:
-                    count[row, col] += line[end] - line[begin]
-    return count

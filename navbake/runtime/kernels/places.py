@@ -43,36 +43,27 @@ def locate(layout, floors, level, positions):
 
 @kernel
 def stand_on(layout, floors, free, max_drop, positions):
-    """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m].
-
-    Returns the marks, and the index of the first position that is not finite, or -1.
-    """
+    """Mark the positions, shape (n, 3), that are at most `max_drop` above a free floor [m]."""
     answers = np.zeros(len(positions), dtype=np.bool_)
     cells, z = np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK)
     for begin in range(0, len(positions), BLOCK):
         end = min(begin + BLOCK, len(positions))
-        bad = _locate_block(layout, floors, positions[begin:end], cells, z)
-        if bad >= 0:
-            return answers, begin + bad
+        _locate_block(layout, floors, positions[begin:end], cells, z)
         above = positions[begin:end, 2]
         for i in range(end - begin):
             is_near = above[i] - z[i] <= max_drop
             answers[begin + i] = (cells[i] >= 0) & free[max(cells[i], 0)] & is_near
-    return answers, -1
+    return answers
 
 
 @part
 def _locate_block(layout, floors, positions, cells, z):
-    """Locate at most BLOCK positions; writes cells and floors, returns the first bad one or -1."""
+    """Locate at most BLOCK positions: writes their cells and floors."""
     at = np.empty(BLOCK, dtype=np.int64)
     on_ground, highest_ground = np.full(BLOCK, -1, dtype=np.int64), np.full(BLOCK, -np.inf)
     floor, ground, slack = floors.z, floors.ground, floors.max_step
     count = len(positions)
-    for i in range(count):
-        x, y, height = positions[i, 0], positions[i, 1], positions[i, 2]
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(height)):
-            return i
-        cells[i], z[i] = -1, -np.inf
+    cells[:count], z[:count] = -1, -np.inf
     for level in range(len(layout.width)):
         _locate_on(layout, level, positions, at)
         for i in range(count):  # few branches: where positions are can't be predicted
@@ -85,7 +76,6 @@ def _locate_block(layout, floors, positions, cells, z):
     for i in range(count):
         if cells[i] < 0:
             cells[i], z[i] = on_ground[i], highest_ground[i]
-    return -1
 
 
 @part

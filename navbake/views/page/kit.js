@@ -22,9 +22,14 @@ const facts = (entries) => entries.map(([name, value]) => element("div", [elemen
 
 // A table: texts or elements, and which columns hold numbers.
 function table(columns, rows, numbers) {
-  const line = (tag, row) => element("tr", row.map((inner, i) => element(tag, inner, numbers.includes(i) ? { class: "number" } : {})));
+  // on a narrow page each row is a block, whose cells need their columns' names
+  const names = columns.map((column) => column.textContent ?? column);
+  const line = (tag, row) => element("tr", row.map((inner, i) => element(tag, inner, { "data-column": names[i], ...(numbers.includes(i) ? { class: "number" } : {}) })));
   return element("table", [element("thead", line("th", columns)), element("tbody", rows.map((row) => line("td", row)))]);
 }
+
+// A text whose settings, between backticks, are code.
+const coded = (text) => text.split(/`([^`]+)`/).map((part, i) => (i % 2 ? element("code", part) : part));
 
 const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits); // never -0
 const whole = (value) => Math.round(value).toLocaleString("en");
@@ -35,11 +40,8 @@ function rounded(value) {
   return Number.isInteger(value) || Math.abs(value) >= 1000 ? whole(value) : String(Number(value.toPrecision(3)));
 }
 
-// Undo `to_text` of page.py.
-function inflate(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate")));
-}
-
 // Undo `pack` of page.py.
-const unpack = async (text) => new Int32Array(await inflate(text).arrayBuffer());
+function unpack(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).json();
+}

@@ -12,7 +12,7 @@ from string import Template
 
 import orjson
 
-from navbake.types import Int, Json
+from navbake.types import Json
 from navbake.views.tables import Table
 
 INSIDE = "data:"  # where pictures may be: in the page itself
@@ -50,11 +50,12 @@ def make_page(title: str, content: Json, package: str, name: str, pictures: str 
     return page.encode("utf-8")
 
 
-def show_table(title: str, table: Table) -> Json:
+def show_table(title: str, table: Table, *, folded: bool = False) -> Json:
     """A table of a page, without the columns that are empty in all rows."""
     shown = table.without_empty_columns()
     return {
         "title": title,
+        "folded": folded,
         "columns": shown.headings,
         "rows": shown.rows[:MAX_ROWS],
         "numbers": [i for i, heading in enumerate(shown.headings) if heading in table.numbers],
@@ -62,11 +63,11 @@ def show_table(title: str, table: Table) -> Json:
     }
 
 
-def pack(values: Int) -> str:
-    """Pack whole numbers of 32 bits, of any shape; `unpack` in ``kit.js`` undoes it."""
-    return to_text(values.astype("<i4").tobytes())
+def pack(content: Json) -> str:
+    """Pack JSON with arrays, as `to_text`."""
+    return to_text(orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
 def to_text(data: bytes) -> str:
-    """Compress bytes into text: zlib, then base64."""
+    """Compress JSON into text: zlib, then base64; `unpack` in ``kit.js`` undoes it."""
     return b64encode(zlib.compress(data, LEVEL)).decode("ascii")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,12 +63,13 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         if number not in [pair[side] for pair in pairs]
     ]
     columns = ("what", *names)
+    doors = [{door.id: door.state for door in grid.doors} for grid in grids]
     tables = {
         "Cells that changed": make_table((*names, *CHANGES), cells, numbers=CHANGES),
         "Levels that only one has": make_table(columns, alone),
         "Rooms that changed": make_table(columns, list_rooms(first, second, levels)),
-        "Doors that changed": make_table(columns, list_doors(first, second)),
-        "Settings that changed": make_table(columns, list_settings(first, second)),
+        "Doors that changed": make_table(columns, list_differing(*doors)),
+        "Settings that changed": make_table(columns, list_differing(*map(settings_of, grids))),
     }
     if first.scene_id != second.scene_id:
         warnings.append(f"the scenes differ: {first.scene_id!r} and {second.scene_id!r}")
@@ -101,7 +102,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
     return {
         **place,
         "of": [[0, level.first], [1, level.second]],
-        "change": pack(change.astype(np.int64)),
+        "cells": pack({"change": change.ravel()}),
         "kinds": [*COLORS],
         "layers": [{**layer, "scale": None, "labels": [], "doors": []}],
         "marks": [],
@@ -258,27 +259,16 @@ def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -
     return rows + [(ONLY[1], "", shown(room)) for room in rooms[1].values()]
 
 
-def list_doors(first: NavGrid, second: NavGrid) -> list[Row]:
-    """The doors that only one of two grids has, or that are in another state."""
-    return _differing(first, second, lambda grid: {door.id: door.state for door in grid.doors})
+def settings_of(grid: NavGrid) -> dict[str, str]:
+    """The settings and digests of a grid, by their path in the metadata."""
+    own = {key: grid.navbake.get(key) for key in ("settings", "sceneDigest")}
+    own["cell size"] = f"{grid.cell_size * grid.unit:g} m"
+    own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
+    return flatten(own)
 
 
-def list_settings(first: NavGrid, second: NavGrid) -> list[Row]:
-    """The settings and digests that differ, by their path in the metadata."""
-
-    def settings_of(grid: NavGrid) -> dict[str, str]:
-        own = {key: grid.navbake.get(key) for key in ("settings", "sceneDigest")}
-        own["cell size"] = f"{grid.cell_size * grid.unit:g} m"
-        own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
-        return flatten(own)
-
-    return _differing(first, second, settings_of)
-
-
-def _differing(
-    first: NavGrid, second: NavGrid, find: Callable[[NavGrid], dict[str, str]]
-) -> list[Row]:
-    one, other = find(first), find(second)
+def list_differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:
+    """The entries that only one has, or that are others."""
     keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
     return [(key, one.get(key, ""), other.get(key, "")) for key in keys]
 

@@ -28,11 +28,7 @@ function buttons(box, names, chosen, choose) {
 async function unpackLevel(shown) {
   if (shown.isAsked) return;
   shown.isAsked = true;
-  const made = {}, { cells } = shown;
-  for (const key of cells ? ["floor", "clearance", "room", "island", "weight", "names"] : []) made[key] = await unpack(cells[key]);
-  if (cells) made.nameLists = await inflate(cells.nameLists).json();
-  if (shown.change) made.change = await unpack(shown.change);
-  shown.unpacked = made;
+  shown.unpacked = await unpack(shown.cells);
   if (state.pointed) tell(...state.pointed);
 }
 
@@ -44,14 +40,14 @@ function cellAt(shown, x, y) {
 }
 
 function describe(shown, x, y) {
-  const found = cellAt(shown, x, y), { cells, unpacked } = shown;
+  const found = cellAt(shown, x, y), { unpacked } = shown;
   if (!found) return "outside of the grid";
   const [row, col, at] = found, place = `row ${row}, col ${col}, cell ${col + row * shown.width}`;
   if (!unpacked) return place;
-  const floor = unpacked.floor[at], weight = cells.weights[unpacked.weight[at]], room = unpacked.room[at], free = weight !== null;
-  const lines = [`${place}: ${floor < 0 ? "no floor" : `floor ${fixed(cells.floorFrom + floor * cells.floorStep, 3)} m`}, ${free ? "free" : "blocked"}`], known = [];
+  const floor = unpacked.floor[at], weight = unpacked.weight[at], room = unpacked.room[at], free = weight !== null;
+  const lines = [`${place}: ${floor === null ? "no floor" : `floor ${fixed(floor, 3)} m`}, ${free ? "free" : "blocked"}`], known = [];
   if (free && weight !== 1) known.push(`weight ${weight}`);
-  if (free) known.push(`clearance ${(unpacked.clearance[at] / 1000).toFixed(2)} m`, `island ${unpacked.island[at]}`);
+  if (free) known.push(`clearance ${unpacked.clearance[at].toFixed(2)} m`, `island ${unpacked.island[at]}`);
   if (room > 0) known.push(`room ${shown.rooms[room] || room}`);
   const names = unpacked.nameLists[unpacked.names[at]] || {}, standing = ["doors", "objects", "walls"].filter((key) => names[key]);
   const blockers = names.blockers || standing.flatMap((key) => names[key]);
@@ -67,7 +63,7 @@ const describedLevels = () => level().of?.map(([grid, number]) => [`${content.sh
 function tell(x, y) {
   state.pointed = [x, y];
   const own = level(), near = shownMarks().filter((mark) => Math.hypot(mark.x - x, mark.y - y) * view.scale < NEAR), cell = cellAt(own, x, y);
-  const change = own.change && own.unpacked && cell ? [own.kinds[own.unpacked.change[cell[2]]]] : [];
+  const change = own.kinds && own.unpacked && cell ? [own.kinds[own.unpacked.change[cell[2]]]] : [];
   const cells = describedLevels().map(([name, shown]) => name + describe(shown, x, y));
   find("pointed").textContent = [`x ${fixed(x, 3)}, y ${fixed(y, 3)} m`, ...near.map((mark) => `${mark.kind}: ${mark.text}`), ...change, ...cells].join("\n");
 }
@@ -178,14 +174,14 @@ function showSheet() {
     showSheet();
   });
   find("facts").replaceChildren(...facts(own.facts));
-  find("warnings").replaceChildren(...own.warnings.map((text) => element("li", text)));
+  find("warnings").replaceChildren(...own.warnings.map((text) => element("li", coded(text))));
   find("tables").replaceChildren(...own.tables.map((made) => {
     const rows = [table(made.columns, made.rows, made.numbers), ...(made.more ? [element("p", `and ${made.more} more`)] : [])], count = made.rows.length + made.more;
     const box = element("details", [
       element("summary", [element("h2", made.title), element("span", ` ${count}`, { class: "soft" })]),
       element("div", rows, { class: "scroll", tabindex: "0", role: "group", "aria-label": made.title }),
     ]);
-    box.open = count <= 40;
+    box.open = count <= 40 && !made.folded;
     return box;
   }));
   document.querySelector(".map").hidden = own.levels.length === 0;

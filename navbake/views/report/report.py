@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import msgspec
 import numpy as np
@@ -14,13 +14,14 @@ import orjson
 
 from navbake.errors import FormatError, QueryError, printable
 from navbake.formats.source import read_object, write_bytes
+from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
-from navbake.types import Float, Int, Json
+from navbake.types import Int, Json
 from navbake.views.describe import describe
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.page.page import make_page, pack, show_table, to_text
+from navbake.views.page.page import make_page, pack, show_table
 from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
 from navbake.views.tables import Table, door_table, level_table, make_table, room_table, summarize
 
@@ -32,9 +33,9 @@ Place = tuple[float, float, float]
 Remarked = tuple[str, int | None, Place | None, str | None, str]
 """What was found: its kind, level, place [m], a further fact, and in words."""
 KINDS = (*NAMES, "blockers")  # keys of a cell's user data that list names
-MILLIMETRE = 1e-3  # to which floors and clearances are rounded [m]
-MOST_STEPS = 2**31 - 2  # that a page counts of heights
-NONE = -1  # stands for no value in what is packed
+DIGITS = 3  # floors and clearances are rounded to millimetres
+NONE = -1  # the entry of cells in which nothing stands
+FOLDED = ("Timings", "Made by")  # tables that few readers need
 BAR = 64  # colours of the bar beside a layer
 
 
@@ -183,19 +184,29 @@ def _describe_grid(
         "facts": [*shown, ("cells", f"{cells:,}"), ("free", f"{area:.2f} m²")],
         "warnings": facts["warnings"],
         "levels": levels,
-        "tables": [show_table(title, made) for title, made in tables.items() if made.rows],
+        "tables": [
+            show_table(title, made, folded=title in FOLDED)
+            for title, made in tables.items()
+            if made.rows
+        ],
     }
 
 
 def link_table(grid: NavGrid) -> Table:
-    """How many steps lead from level to level, and where their middle is."""
+    """How many steps lead from level to level side by side, as of a stair, and their middle."""
+    from scipy import ndimage  # takes longer to load than most pages to make
+
     links, rows = grid.link_array, []
     for level, other in np.unique(links[:, ::2], axis=0).tolist():
         own = links[(links[:, 0] == level) & (links[:, 2] == other)]
-        lattice = grid.levels[level].lattice
-        middle = lattice.positions(*np.divmod(own[:, 1], lattice.width)).mean(axis=0).tolist()
-        names = grid.level_names[level], grid.level_names[other]
-        rows.append((*names, len(own), _place(middle)))
+        lattice, mask = grid.levels[level].lattice, np.zeros(grid.levels[level].shape, np.bool_)
+        cells = np.divmod(own[:, 1], lattice.width)
+        mask[cells] = True
+        stair = ndimage.label(mask, np.ones((3, 3)))[0][cells]
+        for number in np.unique(stair).tolist():
+            xy = lattice.positions(*cells)[stair == number]
+            names = grid.level_names[level], grid.level_names[other]
+            rows.append((*names, len(xy), _place(xy.mean(axis=0).tolist())))
     return make_table(("from", "to", "steps", "mean place x, y [m]"), rows, numbers=("steps",))
 
 
@@ -233,41 +244,26 @@ def _show_remarks(
 def describe_map(grid: NavGrid, number: int) -> Json:
     """The map of one level: its place, its layers, and its cells.
 
-    Of the cells, packed by `pack`: ``floor`` and ``clearance`` in steps of a millimetre from
-    ``floorFrom`` and 0, floors that are far apart in larger ones, ``floorStep`` [m]; ``room``,
-    ``island``; ``weight`` and ``names`` as numbers into the lists ``weights`` (None for infinite)
-    and ``nameLists``, which is JSON, compressed: the names of what stands in a cell, and of what
-    blocks it, by `KINDS`.
+    ``cells`` is JSON, packed by `pack`, with a list of all cells, row by row, for each: ``floor``
+    and ``clearance`` [m], to a millimetre, ``weight``, ``room`` and ``island``; null stands for no
+    floor and for blocked. ``names`` are numbers into the list ``nameLists``, -1 for none: the names
+    of what stands in a cell, and of what blocks it, by `KINDS`.
     """
     level = grid.levels[number]
     place = describe_place(grid.level_names[number], level.lattice)
-    shown = np.s_[:: place["every"], :: place["every"]]
-    floor, free = level.floor[shown], level.free[shown]
-    finite = floor[np.isfinite(floor)]
-    floor_from = float(finite.min()) if finite.size else 0.0
-    floor_step = max(MILLIMETRE, float(np.ptp(finite)) / MOST_STEPS if finite.size else 0.0)
-    away = clearance(level)[shown].astype(np.float64)
-    weights, weight = np.unique(np.where(free, level.weights[shown], np.inf), return_inverse=True)
     names, name_lists = _number_names(level)
-    cells = {
-        "floor": pack(_to_steps(floor - floor_from, floor_step)),
-        "floorFrom": floor_from,
-        "floorStep": floor_step,
-        "clearance": pack(_to_steps(np.where(free, away, 0), MILLIMETRE)),
-        "room": pack(level.room_index[shown].astype(np.int64)),
-        "island": pack(islands_of(grid)[number][shown].astype(np.int64)),
-        "weight": pack(weight),
-        "weights": [value if np.isfinite(value) else None for value in weights.tolist()],
-        "names": pack(names[shown]),
-        "nameLists": to_text(orjson.dumps(name_lists)),
+    layers: dict[str, Any] = {
+        "floor": np.round(level.floor, DIGITS),
+        "clearance": np.round(np.where(level.free, clearance(level), np.nan), DIGITS),
+        "weight": np.where(level.free, level.weights, np.nan),
+        "room": level.room_index,
+        "island": islands_of(grid)[number],
+        "names": names,
     }
-    layers = [_draw_layer(grid, number, layer, place["every"]) for layer in LAYERS]
-    return {**place, "cells": cells, "layers": layers}
-
-
-def _to_steps(metres: Float, step: float) -> Int:
-    """Metres >= 0 as whole steps, `NONE` where they are not finite."""
-    return np.nan_to_num(np.round(metres / step), nan=NONE, posinf=NONE).astype(np.int64)
+    every = place["every"]
+    cells = {key: layer[::every, ::every].ravel() for key, layer in layers.items()}
+    drawn = [_draw_layer(grid, number, layer, every) for layer in LAYERS]
+    return {**place, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn}
 
 
 def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
@@ -295,6 +291,14 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     return numbers.reshape(level.shape), lists
 
 
+def _name_rooms(grid: NavGrid, number: int) -> Iterator[tuple[str, str]]:
+    """The rooms of a level and their colours, for the legend."""
+    rgb = color_rooms(grid, number)
+    for room in grid.rooms:
+        if room.level == number and not room.outdoors and room.index < len(rgb):
+            yield room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"
+
+
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
     panel, scale = make_panel(grid, layer, number), None
     if panel.scale is not None:
@@ -307,7 +311,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
         "png": to_url(paint(panel)[::every, ::every]),
-        "legend": panel.legend,
+        "legend": [*_name_rooms(grid, number)] * (layer == "rooms") + [*panel.legend],
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],

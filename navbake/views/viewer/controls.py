@@ -7,15 +7,25 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from navbake.episodes.episode import Episode
 from navbake.runtime.paths import Path
 from navbake.types import Json
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.tables import cell_facts
-from navbake.views.viewer.exhibit import CLICKS, INSPECT, Choices, Counts, Exhibit
+from navbake.views.viewer.exhibit import (
+    CLICKS,
+    GOAL,
+    INSPECT,
+    START,
+    TRAJECTORY,
+    Choices,
+    Counts,
+    Exhibit,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -23,6 +33,7 @@ if TYPE_CHECKING:
 Change = Callable[[Choices], Choices]
 
 ALL_LEVELS, ALL_DOORS, AS_BAKED = "all levels", "all doors", "as baked"
+NO_EPISODE, MOST_EPISODES = "none", 500
 RADIUS_STEP = 0.01  # [m]
 MAX_RADIUS = 1.0  # [m], or twice the grid's own
 MOST_SWITCHES = 12  # levels that have a switch each
@@ -65,11 +76,21 @@ class Controls:
             self._keep("told", gui.add_markdown(""))
             self._keep("route", gui.add_markdown(""))
             self._keep("clear", gui.add_button("Clear", visible=False))
-            forget: Change = lambda now: replace(now, start=None, goal=None, inspected=None)  # noqa: E731
-            self._handles["clear"].on_click(lambda _: change(forget))
+            self._handles["clear"].on_click(lambda _: change(Choices.without_clicks))
         if exhibit.grid.doors:
-            with gui.add_folder("Doors", expand_by_default=False):
+            with gui.add_folder("Doors"):
                 self._add_doors()
+        if exhibit.runs:
+            with gui.add_folder("Episode"):
+                names = [NO_EPISODE, *list(exhibit.runs)[:MOST_EPISODES]]
+                first = chosen.episode if chosen.episode in names else NO_EPISODE
+                which = gui.add_dropdown("Episode", names, initial_value=first)
+
+                def choose(name: str) -> Change:
+                    return lambda now: replace(now, episode="" if name == NO_EPISODE else name)
+
+                self._keep("episode", which, choose)
+                self._keep("task", gui.add_markdown(""))
         with gui.add_folder("Picture"):
             self._add_picture(chosen)
 
@@ -194,7 +215,13 @@ class Controls:
         exhibit, grid, at = self._exhibit, self._exhibit.grid, self._handles
         as_it_is = replace(chosen, doors=(), inflation=None)
         at["free"].content = say_counts(exhibit.count(chosen), exhibit.count(as_it_is))
-        at["legend"].content = write_legend([exhibit.panel(chosen, n) for n in chosen.levels])
+        marked = {"start": START, "goal and path": GOAL} if chosen.start or chosen.episode else {}
+        if "task" in at:
+            episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
+            at["task"].content = say_episode(episode)
+            marked |= {} if trajectory is None else {"trajectory": TRAJECTORY}
+        panels = [exhibit.panel(chosen, n) for n in chosen.levels]
+        at["legend"].content = write_legend(panels, marked)
         at["verify"].visible = chosen.layer == DISAGREEMENTS
         at["verified"].visible = chosen.layer == DISAGREEMENTS and exhibit.report is not None
         at["verified"].content = say_report(exhibit)
@@ -316,7 +343,20 @@ def _listed(names: Sequence[str], between: str) -> str:
     return f"{shown} and {len(names) - NAMES_SHOWN} more" if names[NAMES_SHOWN:] else shown
 
 
-def write_legend(panels: Sequence[Panel]) -> str:
+def say_episode(episode: Episode | None) -> str:
+    """What an episode asks for."""
+    if episode is None:
+        return ""
+    goal = episode.goals[0].name or episode.goals[0].category or episode.goals[0].room
+    lines = [f"**{plain(episode.task)}**" + (f" {_listed([goal], '')}" if goal else "")]
+    lines += (
+        [] if episode.distance is None else [f"shortest path {plain(f'{episode.distance:.2f}')} m"]
+    )
+    lines += [plain(episode.instruction)] if episode.instruction else []
+    return "\n\n".join(lines)
+
+
+def write_legend(panels: Sequence[Panel], marked: Mapping[str, str] | None = None) -> str:
     """The legend of a layer's levels: their scales of values, and what colours mean.
 
     Levels have scales of their own; those of the highest levels are written.
@@ -335,7 +375,7 @@ def write_legend(panels: Sequence[Panel]) -> str:
             f'background:linear-gradient(to right, {", ".join(scale.colors)})"></div>'
             f'<div style="position:relative;height:18px">{ticks}</div>'
         )
-    meanings = dict(entry for panel in panels for entry in panel.legend)
+    meanings = dict(entry for panel in panels for entry in panel.legend) | dict(marked or {})
     swatches = "".join(
         f'<span style="display:inline-flex;align-items:center;margin-right:10px">'
         f'<span style="width:11px;height:11px;border-radius:2px;margin-right:5px;'

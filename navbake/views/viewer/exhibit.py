@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navbake.episodes.episode import Episode, EpisodeSet, scene_of
 from navbake.errors import QueryError
+from navbake.navgrid import colors
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.runtime.place import place_at
+from navbake.scores import Trajectory
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
 from navbake.views.viewer import meshes
@@ -27,6 +30,12 @@ if TYPE_CHECKING:
 
 Made = TypeVar("Made")
 CUT_OVER = 1.3  # a level is looked into from so high over its ground [m]
+# colours on the page: of free cells, as one sees them on grey floors, too, and of marks
+TINT = "#a9dfc4"
+START, GOAL, LIT, TRAJECTORY = "#2f9e44", colors.ROUTE, "#ff922b", "#c2255c"
+NAME_HEIGHT, POINT_HEIGHT = 0.4, 0.18  # of letters: at most, and of names of points [m]
+NAME_OVER = 1.0  # of names over the floor: most furniture is lower [m]
+LETTER = 0.65  # how wide a letter is by its height
 INSPECT, ROUTE = "tells about the cell", "sets start, then goal"
 CLICKS = (INSPECT, ROUTE)
 """What a click may do."""
@@ -52,6 +61,7 @@ class Choices:
     start: Pick | None = None  # of the path
     goal: Pick | None = None
     inspected: Pick | None = None  # the cell that is described
+    episode: str = ""  # id of the one that is shown, none if empty
 
     def with_level(self, grid: NavGrid, number: int | None) -> Choices:
         """Look at one level from above, or at all of them: the scene is cut over the highest."""
@@ -66,6 +76,10 @@ class Choices:
                 states.pop(door.id, None)
                 states |= {} if state == door.state else {door.id: state}
         return replace(self, doors=tuple(sorted(states.items())))
+
+    def without_clicks(self) -> Choices:
+        """Forget what was clicked."""
+        return replace(self, start=None, goal=None, inspected=None)
 
     def with_click(self, found: Pick | None) -> Choices:
         """After a click on a cell, or beside all of them: None."""
@@ -129,11 +143,36 @@ def kept(*fields: str) -> Callable[[Callable[..., Made]], Callable[..., Made]]:
     return decorate
 
 
+Runs: TypeAlias = dict[str, tuple[Episode | None, Trajectory | None]]
+"""Episodes, and where an agent was in them, by the episodes' ids."""
+
+
+def list_runs(
+    grid: NavGrid, episodes: EpisodeSet | None, trajectories: Sequence[Trajectory]
+) -> Runs:
+    """The episodes of a grid's scene, and trajectories; without a set, of all trajectories."""
+    own = () if episodes is None else episodes.episodes
+    runs: Runs = {each.id: (each, None) for each in own if each.scene == scene_of(grid)}
+    for each in trajectories:
+        if episodes is None or each.episode in runs:
+            runs[each.episode] = runs.get(each.episode, (None, None))[0], each
+    return runs
+
+
+class Name(NamedTuple):
+    """A name in the scene."""
+
+    text: str
+    position: tuple[float, float, float]  # of its middle [m]
+    height: float  # of its letters [m]
+
+
 class Exhibit:
     """A grid, its scene, and what follows from them for what is chosen.
 
     Without the scene that it was baked from, the grid is shown alone. `config` are the settings of
-    the bake, where they are known; `note` is what the reader should know, in one line.
+    the bake, where they are known; `note` is what the reader should know, in one line; `runs` are
+    episodes and trajectories that can be shown.
     """
 
     def __init__(
@@ -142,8 +181,10 @@ class Exhibit:
         scene: Scene | None = None,
         config: BakeConfig | None = None,
         note: str = "",
+        runs: Runs | None = None,
     ) -> None:
         self.grid, self.scene, self.config, self.note = grid, scene, config, note
+        self.runs = runs or {}
         self.report: VerifyReport | None = None
         with_holes = scene is not None
         self.carpets = [meshes.lay_carpet(level, with_holes=with_holes) for level in grid.levels]
@@ -174,8 +215,8 @@ class Exhibit:
         return inflated
 
     def count(self, chosen: Choices) -> Counts:
-        """How much of the shown grid is free."""
-        levels = self.shown_grid(chosen).levels
+        """How much of the shown levels is free."""
+        levels = [self.shown_grid(chosen).levels[number] for number in chosen.levels]
         free = [int(np.count_nonzero(level.free)) for level in levels]
         cells = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
         areas = [n * level.lattice.cell_size**2 for n, level in zip(free, levels, strict=True)]
@@ -187,7 +228,11 @@ class Exhibit:
         findings = None if self.report is None else self.report.findings
         is_early = chosen.layer == DISAGREEMENTS and findings is None
         layer = "occupancy" if is_early else chosen.layer
-        return make_panel(self.shown_grid(chosen), layer, number, findings=findings)
+        panel = make_panel(self.shown_grid(chosen), layer, number, findings=findings)
+        rgb, free = panel.rgb.copy(), colors.rgb_of(colors.FREE)
+        rgb[(rgb == free).all(axis=-1)] = colors.rgb_of(TINT)
+        legend = tuple((name, TINT if c == colors.FREE else c) for name, c in panel.legend)
+        return panel._replace(rgb=rgb, legend=legend)
 
     @kept("doors", "inflation", "layer", "opacity")
     def overlay(self, chosen: Choices, number: int) -> bytes:
@@ -195,8 +240,11 @@ class Exhibit:
         rgb = paint(self.panel(chosen, number))
         return meshes.draw_overlay(self.carpets[number], rgb, chosen.opacity)
 
-    def names(self, chosen: Choices) -> list[tuple[str, tuple[float, float, float]]]:
-        """Names on the shown levels and their places [m], but for those below another floor."""
+    def names(self, chosen: Choices) -> list[Name]:
+        """Names on the shown levels, none over another, but for those below another floor.
+
+        Seen from above, a name lies in its room; those of the largest rooms come first.
+        """
         found, levels = [], chosen.levels if chosen.with_names else ()
         for number in levels:
             for label in self.panel(chosen, number).labels:
@@ -204,8 +252,15 @@ class Exhibit:
                 floors = {k: p.floor for k, p in here if p is not None and p.floor is not None}
                 z = floors.get(number, self.grid.levels[number].ground)
                 if not any(k > number and f > z + self.grid.max_step for k, f in floors.items()):
-                    found.append((-label.width, label.text, (label.x, label.y, z + 0.1)))
-        return [(text, place) for _, text, place in sorted(found)[:MOST_NAMES]]
+                    width = LETTER * len(label.text)
+                    height = min(NAME_HEIGHT, label.width / width if label.width else POINT_HEIGHT)
+                    place = label.x, label.y, z + NAME_OVER
+                    found.append((-label.width, number, Name(label.text, place, height)))
+        names: dict[int, list[Name]] = {number: [] for number in levels}
+        for _, number, name in sorted(found)[:MOST_NAMES]:
+            if not any(_overlap(name, other) for other in names[number]):
+                names[number].append(name)
+        return [name for own in names.values() for name in own]
 
     @kept("doors", "with_hidden")
     def drawing(self, chosen: Choices) -> Drawing | None:
@@ -261,11 +316,12 @@ class Exhibit:
     def tell(self, chosen: Choices) -> Json | None:
         """What `describe_cell` says of the inspected cell, and the name of what was ``clicked``.
 
-        ``lit``: the triangles of what blocks the cell, or else was clicked, shape (n, 3, 3) [m].
-        None where no cell is inspected.
+        ``lit``: the triangles of what blocks the cell, or else was clicked, as far as they are
+        drawn, shape (n, 3, 3) [m]; ``outline``: the cell's corners, shape (5, 3) [m]. None where
+        no cell is inspected.
         """
         found = chosen.inspected
-        if found is None:
+        if found is None or chosen.click != INSPECT:
             return None
         x, y, _ = found.position
         facts = self.shown_grid(chosen).describe_cell(x, y, found.cell.level)
@@ -276,8 +332,13 @@ class Exhibit:
             standing = [*facts["objects"], *facts["walls"], *facts["doors"]]
             if not geoms and found.geom is not None and clicked in standing:
                 geoms = [found.geom]
-            lit = triangles_of(drawing, geoms)
-        return {**facts, "clicked": clicked, "lit": lit}
+            lit = triangles_of(self.surfaces(chosen), geoms)
+        half = self.grid.levels[0].lattice.cell_size / 2
+        around = [(-half, -half), (half, -half), (half, half), (-half, half), (-half, -half)]
+        outline = np.column_stack(
+            [facts["center"] + np.array(around), np.full(5, found.position[2])]
+        )
+        return {**facts, "clicked": clicked, "lit": lit, "outline": outline}
 
     def verify(self) -> None:
         """Compare a sample of the grid's cells with the scene, for the layer of disagreements."""
@@ -290,7 +351,14 @@ class Exhibit:
         self.kept.clear()
 
 
-def triangles_of(drawing: Drawing, geoms: Sequence[int]) -> NDArray[np.float32]:
+def _overlap(one: Name, other: Name) -> bool:
+    """Whether two names meet, seen from above."""
+    x, y = (abs(a - b) for a, b in zip(one.position[:2], other.position[:2], strict=True))
+    wide = sum(LETTER * len(name.text) * name.height for name in (one, other)) / 2
+    return x < wide and y < (one.height + other.height) / 2
+
+
+def triangles_of(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:
     """The triangles of some geoms, shape (n, 3, 3), world frame [m]."""
-    own = [one.vertices[one.faces[np.isin(one.owners, geoms)]] for one in drawing.surfaces]
+    own = [one.vertices[one.faces[np.isin(one.owners, geoms)]] for one in surfaces]
     return np.concatenate([np.empty((0, 3, 3), np.float32), *own])

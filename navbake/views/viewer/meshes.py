@@ -36,6 +36,7 @@ QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
 # up to so many round geoms: corners of a circle; a page without a graphics card draws some 100,000
 # triangles smoothly
 CORNERS = ((100, 20), (500, 12), (1 << 62, 8))
+MOST_DRAWN = 200_000  # triangles of meshes; where geoms have more, their meshes are coarsened
 SHARP = 1.2  # an edge between faces at this angle is drawn as one [rad]
 CAP_SHADE = 0.35  # light of a cut face, by that of its geom
 FLUSH = 1e-6  # a triangle that lies in the plane of a cut stays: trimesh would drop it [m]
@@ -175,7 +176,9 @@ def _unit_of(kind: int, corners: int) -> Any:
 
 def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterator[Surface]:
     """Meshes, height fields, and the exact parts of a mesh file."""
-    model = scene.model
+    model, coarse = scene.model, dict[int, tuple[Any, Any]]()
+    own = model.geom_dataid[drawn & (model.geom_type >= MESH) & (model.geom_dataid >= 0)]
+    share = MOST_DRAWN / max(int(model.mesh_facenum[own].sum()), 1)
     for geom in np.flatnonzero(drawn).tolist():
         kind, number, uv = int(model.geom_type[geom]), int(model.geom_dataid[geom]), None
         if geom in scene.parts:  # in the world frame already
@@ -202,11 +205,32 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
                 corners = model.mesh_facetexcoord[start:end].ravel() + mesh.texcoordadr[0]
                 uv, vertices = model.mesh_texcoord[corners], vertices[faces.ravel()]
                 faces = np.arange(len(vertices)).reshape(-1, 3)
+            elif share < 1:
+                if number not in coarse:
+                    coarse[number] = coarsen(vertices, faces, int(share * len(faces)))
+                vertices, faces = coarse[number]
         else:
             continue
         placed = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
         piece = _piece(geom, placed, faces)
         yield piece if uv is None else piece._replace(uv=uv, texture=int(textures[geom]))
+
+
+def coarsen(vertices: Float, faces: NDArray[Any], most: int) -> tuple[Float, NDArray[Any]]:
+    """A mesh of about so many triangles, the coarsest one if there are more.
+
+    Vertices in one cell of a lattice become one (Rossignac and Borrel 1993, vertex clustering).
+    """
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    for steps in (64, 48, 32, 24, 16, 12, 8, 6, 4):
+        cells = np.round((vertices - low) * (steps / max(size, 1e-9))).astype(np.int64)
+        _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        made = number.reshape(-1)[faces]
+        made = made[(made != np.roll(made, 1, axis=1)).all(axis=1)]
+        made = made[np.unique(np.sort(made, axis=1), axis=0, return_index=True)[1]]
+        if len(made) <= most:
+            break
+    return vertices[first], made
 
 
 def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
@@ -343,8 +367,10 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     Without holes, cells without a floor lie at the level's ground. There are at most `most`
     rectangles, unless single cells are more.
     """
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     floor, size = level.floor.astype(np.float64), level.lattice.cell_size
     shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     heights = np.where(np.isnan(floor), level.ground, floor)
@@ -382,7 +408,7 @@ def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) 
 def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
     """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
 
-    The light comes from above, from the south-west and, weaker, from the south; both sides of a
+    The light comes from above, from -x and -y and, weaker, from -y; both sides of a
     triangle are alike. It is in the colours, so that a browser has only these to draw, which it
     does smoothly without a graphics card, too.
     """

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import errno
-import io
 import logging
 import math
 import os
-import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import partial
-from importlib.util import find_spec
 from itertools import product
 from os import PathLike
 from pathlib import Path
@@ -23,23 +19,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from navbake.errors import MissingDependencyError, NavbakeError
+from navbake.episodes.episode import EpisodeSet
+from navbake.episodes.files import read_episodes
+from navbake.errors import NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
-from navbake.navgrid.colors import ROUTE, rgb_of
-from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.grid_base import GridBase
+from navbake.navgrid.colors import rgb_of
+from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
+from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Float, Json
 from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
-from navbake.views.viewer.exhibit import Choices, Exhibit, first_choices, keep_choices
+from navbake.views.viewer.exhibit import (
+    GOAL,
+    LIT,
+    START,
+    TRAJECTORY,
+    Choices,
+    Exhibit,
+    Name,
+    first_choices,
+    keep_choices,
+    list_runs,
+)
+from navbake.views.viewer.server import HOST, PORT, PageServer
 
 if TYPE_CHECKING:
     import viser
     from typing_extensions import Self
 
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
-START_COLOR, GOAL_COLOR, LIT_COLOR = (47, 158, 68), rgb_of(ROUTE), (255, 146, 43)
 PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
 MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
@@ -50,15 +59,11 @@ FIELD_OF_VIEW = math.radians(45)
 USUAL_ASPECT = 1.2
 MARGIN = 1.08  # by which the first camera is farther away than the box needs
 LOG = logging.getLogger("navbake")
-MISSING = 'the viewer needs viser: pip install "navbake[view]"'
-TAKEN = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
-HOST, PORT = "127.0.0.1", 8080
-EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
 PERIOD = 0.5  # between two looks at files [s]
 
 
 def find_camera(bounds: Float, aspect: float) -> Float:
-    """Where a box, shape (2, 3) [m], fills the page, seen from the south and above: shape (3,) [m].
+    """Where a box, shape (2, 3) [m], fills the page, seen from -y and above: shape (3,) [m].
 
     `aspect` is the width of the page by its height.
     """
@@ -79,12 +84,13 @@ class Stage:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server, self._scene = server, server.scene
         self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
+        self._drawn: Any = None  # what the scene was drawn for
         self._scene.set_up_direction("+z")
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
 
     def place_camera(self, bounds: Float) -> None:
-        """Look at a box from the south and above, so that it fills the page."""
+        """Look at a box from -y and above, so that it fills the page."""
         camera = self._server.initial_camera
         place = find_camera(bounds, USUAL_ASPECT)
         camera.fov = FIELD_OF_VIEW
@@ -104,12 +110,12 @@ class Stage:
         """Take everything away."""
         for name in list(self._shown):
             self._put(name, None, list)
+        self._drawn = None
 
     def show(
         self, exhibit: Exhibit, chosen: Choices, route: Route | str | None, told: Json | None
     ) -> None:
-        """Bring the page up to date."""
-        self._put_glb("/scene", exhibit.scene_glb(chosen))
+        """Bring all but the scene up to date."""
         for number in range(len(exhibit.grid.levels)):
             overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
             self._put_glb(f"/grid/{number}", overlay)
@@ -117,12 +123,43 @@ class Stage:
         self._put("/names", names, lambda: map(self._write_name, names))
         low, high = exhibit.bounds
         radius = float(np.clip(np.linalg.norm(high - low) * MARK, *MARK_RADII))
-        clicks = (chosen.start, START_COLOR), (chosen.goal, GOAL_COLOR)
+        clicks = (chosen.start, START), (chosen.goal, GOAL)
         ends = [(found.position, color) for found, color in clicks if found is not None]
-        path = route if isinstance(route, Route) else None
-        self._put("/path", (ends, id(path)), lambda: self._draw_path(ends, radius, path))
-        lit = np.empty((0, 3, 3)) if told is None else told["lit"]
-        self._put("/lit", lit.tobytes(), lambda: self._light(lit.reshape(-1, 3)))
+        path = route.positions if isinstance(route, Route) else np.empty((0, 3))
+        drawn = ends, [(path, GOAL)], radius
+        self._put("/path", repr(drawn), lambda: self._draw_ways("/path", *drawn))
+        episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
+        ends, ways = [], []
+        if episode is not None:
+            places = [
+                goal.position or goal.view_points[0].position
+                for goal in episode.goals
+                if goal.position or goal.view_points
+            ]
+            ends = [(episode.start, START), *((place, GOAL) for place in places)]
+            ways = [(np.array(episode.path).reshape(-1, 3), GOAL)]
+        if trajectory is not None:
+            ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
+        self._put(
+            "/run",
+            (id(exhibit), chosen.episode),
+            lambda: self._draw_ways("/run", ends, ways, radius),
+        )
+        lit, cell = (np.empty((0, 3)), np.empty((0, 3)))
+        if told is not None:
+            lit, cell = told["lit"].reshape(-1, 3), told["outline"]
+        self._put("/lit", lit.tobytes(), lambda: self._light(lit))
+        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
+
+    def show_scene(self, exhibit: Exhibit, chosen: Choices, say: Callable[[str], None]) -> None:
+        """Bring the scene up to date, which takes longer than all else; `say` is told of it."""
+        key = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
+        if key != self._drawn:
+            say("Drawing the scene…")
+            self._server.flush()
+            self._put_glb("/scene", exhibit.scene_glb(chosen))
+            self._drawn = key
+            say("")
 
     def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
         """Put other nodes under a name, where the key is another than before."""
@@ -142,23 +179,32 @@ class Stage:
             add = self._scene.add_glb
             self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
 
-    def _write_name(self, name: tuple[str, tuple[float, float, float]]) -> Any:
-        text, place = name
-        at = "/".join(map(str, place))
-        return self._scene.add_label(f"/names/{at}", text, position=place, anchor="center-center")
+    def _write_name(self, name: Name) -> Any:
+        """A name as high as fits its room, hidden by what stands before it."""
+        return self._scene.add_label(
+            "/names/{}/{}/{}".format(*name.position),
+            name.text,
+            position=name.position,
+            anchor="center-center",
+            font_size_mode="scene",
+            font_scene_height=name.height,
+            depth_test=True,
+        )
 
-    def _draw_path(
-        self, ends: list[tuple[Any, tuple[int, int, int]]], radius: float, path: Route | None
+    def _draw_ways(
+        self, name: str, ends: list[tuple[Any, str]], ways: list[tuple[Float, str]], radius: float
     ) -> Iterable[Any]:
+        """Draw places as balls of a radius [m], and lines from position to position."""
         for number, ((x, y, z), color) in enumerate(ends):
-            at = (x, y, z + radius)
-            yield self._scene.add_icosphere(f"/path/{number}", radius, color, position=at, **PLAIN)
-        if path is not None and len(path.positions) > 1:
-            lifted = path.positions + np.array([0, 0, PATH_LIFT])
-            points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
-            yield self._scene.add_line_segments(
-                "/path/line", points, GOAL_COLOR, thickness=PATH_WIDTH, thickness_units="screen"
-            )
+            at, rgb = (x, y, z + radius), rgb_of(color)
+            yield self._scene.add_icosphere(f"{name}/{number}", radius, rgb, position=at, **PLAIN)
+        for number, (positions, color) in enumerate(ways):
+            if len(positions) > 1:
+                lifted = positions + np.array([0, 0, PATH_LIFT])
+                points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
+                style: Any = {"thickness": PATH_WIDTH, "thickness_units": "screen"}
+                where = f"{name}/line {number}"
+                yield self._scene.add_line_segments(where, points, rgb_of(color), **style)
 
     def _light(self, corners: Float) -> Iterable[Any]:
         """Draw triangles, each three corners, over what they are triangles of."""
@@ -169,7 +215,7 @@ class Stage:
                 "/lit/0",
                 middle + (corners - middle) * (1 + GROWN / half),
                 np.arange(len(corners)).reshape(-1, 3),
-                color=LIT_COLOR,
+                color=rgb_of(LIT),
                 opacity=0.75,
                 flat_shading=True,
                 side="double",
@@ -188,11 +234,8 @@ class Viewer:
         url: where the page is.
     """
 
-    def __init__(
-        self, exhibit: Exhibit, *, host: str = HOST, port: int = PORT, watch: Watch | None = None
-    ) -> None:
-        self._server = open_server(host, port)
-        self.url = url_of(self._server)
+    def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
+        self._page, self._server, self.url = page, page.viser, page.url
         self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
@@ -201,16 +244,16 @@ class Viewer:
         self._set_up()
         self._stage.place_camera(exhibit.bounds)
         self._server.scene.on_click()(self._click)
+        forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
+        forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
         self._thread.start()
         if watch is not None:
             threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
 
-    def show(
-        self, grid: NavGrid | str | PathLike[str], scene: Any = None, *, data: Any = None
-    ) -> None:
-        """Show another grid on the page; takes what `view` takes."""
-        self._show_other(make_exhibit(grid, scene, data=data))
+    def show(self, grid: NavGrid | str | PathLike[str], scene: Any = None, **more: Any) -> None:
+        """Show another grid on the page; takes what `view` takes of grid, scene and episodes."""
+        self._show_other(make_exhibit(grid, scene, **more))
 
     def open(self) -> None:
         """Open the page in this machine's browser, where it has one with windows."""
@@ -233,7 +276,7 @@ class Viewer:
             self._closed.set()
             self._changes.put(None)
             self._thread.join()
-            close_server(self._server)
+            self._page.close()
 
     def __enter__(self) -> Self:
         return self
@@ -243,7 +286,9 @@ class Viewer:
 
     def _set_up(self) -> None:
         gui = self._server.gui
-        gui.set_panel_label(self._exhibit.grid.scene_id or "navbake")
+        name = self._exhibit.grid.scene_id
+        gui.set_panel_label(name or "navbake")
+        self._page.title = f"{name} – navbake" if name else "navbake"
         change = self._changes.put
         self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
         gui.main_panel.dock_right()  # beside the scene, not over it
@@ -291,6 +336,7 @@ class Viewer:
         with self._server.atomic():
             self._stage.show(self._exhibit, chosen, route, told)
             self._controls.show(chosen, route, told)
+        self._stage.show_scene(self._exhibit, chosen, self._controls.say)
         return chosen
 
     def _watch(self, watch: Watch) -> None:
@@ -321,6 +367,9 @@ def view(
     port: int = PORT,
     open_page: bool = True,
     force: bool = False,
+    allow_origin: Sequence[str] = (),
+    episodes: EpisodeSet | str | PathLike[str] | None = None,
+    trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> Viewer:
     """Show a grid in its scene, in the browser.
 
@@ -339,6 +388,10 @@ def view(
         port: where to listen; 0 for any free port.
         open_page: open the page in the browser.
         force: show the grid in a scene that it was not baked from.
+        allow_origin: further addresses at which browsers may show the page, such as that of a
+            proxy: ``https://lab.example.org``.
+        episodes: a set to show episodes of, or its file.
+        trajectories: where an agent was in episodes, or a file of `read_trajectories`.
 
     Returns:
         What closes the page: call its `close`, or its `wait` to wait for Ctrl-C. Its `show` puts
@@ -355,7 +408,9 @@ def view(
         >>> grid = navbake.bake("my_scene.xml")
         >>> navbake.view(grid, scene="my_scene.xml").wait()
     """
-    viewer = Viewer(make_exhibit(grid, scene, data=data, force=force), host=host, port=port)
+    more: Any = {"episodes": episodes, "trajectories": trajectories}
+    exhibit = make_exhibit(grid, scene, data=data, force=force, **more)
+    viewer = Viewer(exhibit, PageServer(host, port, allowed=allow_origin))
     if open_page:
         viewer.open()
     return viewer
@@ -367,6 +422,8 @@ def make_exhibit(
     *,
     data: Any = None,
     force: bool = False,
+    episodes: EpisodeSet | str | PathLike[str] | None = None,
+    trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> Exhibit:
     """What is shown of a grid and its scene; takes and raises what `view` does."""
     # loads MuJoCo, which a page without a scene could do without
@@ -374,22 +431,25 @@ def make_exhibit(
 
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
+    if isinstance(episodes, str | PathLike):
+        episodes = read_episodes(episodes)
+    if isinstance(trajectories, str | PathLike):
+        trajectories = read_trajectories(trajectories)
+    runs = list_runs(content, episodes, trajectories)
     try:
         source = find_source(content, scene, path, force=force, data=data)
     except NoSceneError as error:
         if scene is not None:
             raise
-        return Exhibit(content, note=f"Without its scene: {error}")
+        return Exhibit(content, note=f"Without its scene: {error}", runs=runs)
     notes = source.notes if content.navbake else []
-    return Exhibit(content, source.scene, source.config, note="; ".join(notes))
+    return Exhibit(content, source.scene, source.config, note="; ".join(notes), runs=runs)
 
 
-def watch_grid(
-    grid: str | PathLike[str], scene: str | PathLike[str] | None, *, force: bool = False
-) -> Watch:
+def watch_grid(grid: str | PathLike[str], scene: str | PathLike[str] | None, **more: Any) -> Watch:
     """Reads the exhibit of a grid's file, again when grid or scene change."""
     named = [Path(path) for path in (grid, scene) if path is not None]
-    return Watch(lambda: make_exhibit(grid, scene, force=force), lambda: find_files(named))
+    return Watch(lambda: make_exhibit(grid, scene, **more), lambda: find_files(named))
 
 
 def find_files(paths: Iterable[Path]) -> list[Path]:
@@ -431,58 +491,3 @@ class Watch:
             return False
         self._known = self._last = self._state_of(self._list_files())
         return True
-
-
-# --- the web server: viser's, kept to this machine and quiet -------------------------------------
-
-
-def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
-    """Serve an empty page at an address of this machine; port 0 is any that is free."""
-    check_viser()
-    # viser takes the next free port, without a word, and waits forever for an unknown host
-    check_address(host, port)
-    import viser  # of the extra [view], and slow to load
-
-    with redirect_stdout(io.StringIO()):  # viser prints its address in a box
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    if port and server.get_port() != port:
-        close_server(server)
-        raise NavbakeError(TAKEN.format(host, port))
-    # viser's own page can ask for a tunnel to its makers' server: nothing leaves this machine
-    server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-    return server
-
-
-def close_server(server: viser.ViserServer) -> None:
-    """Stop serving, and free the port."""
-    with redirect_stdout(io.StringIO()):
-        server.stop()
-
-
-def url_of(server: viser.ViserServer) -> str:
-    """The address of the page, for a browser on this machine."""
-    host = "localhost" if server.get_host() in EVERYWHERE else server.get_host()
-    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
-
-
-def check_viser() -> None:
-    """Raise where viser is not installed."""
-    is_there = False
-    with suppress(ImportError, ValueError):  # something keeps it from being found
-        is_there = find_spec("viser") is not None
-    if not is_there:
-        raise MissingDependencyError(MISSING)
-
-
-def check_address(host: str, port: int) -> None:
-    """Raise where nothing can listen at an address now."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        socket.getaddrinfo(host or None, port)  # whose error is another than that of a port
-        socket.create_server((host, port), family=family).close()
-    except (socket.gaierror, UnicodeError, OverflowError) as error:
-        raise NavbakeError(f"{host!r}, port {port}, is no address of this machine") from error
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            raise NavbakeError(TAKEN.format(host, port)) from error
-        raise NavbakeError(f"cannot listen at {host}, port {port}: {error.strerror}") from error

@@ -16,10 +16,10 @@ from navbake.views.report.difference import (
     COLORS,
     SAME_FLOOR,
     compare_levels,
-    list_doors,
+    list_differing,
     list_rooms,
-    list_settings,
     match_levels,
+    settings_of,
 )
 
 NAMES = tuple(COLORS)
@@ -145,8 +145,9 @@ def doors(tmp_path_factory):
 
 def test_a_door_in_another_state(doors):
     first, second, name = doors
-    assert list_doors(first, first) == []
-    assert list_doors(first, second) == [(name, "modelled", "closed")]
+    states = lambda grid: {door.id: door.state for door in grid.doors}  # noqa: E731
+    assert list_differing(*map(states, (first, first))) == []
+    assert list_differing(*map(states, (first, second))) == [(name, "modelled", "closed")]
     level = compare_levels(first.levels[0], second.levels[0], (0, 0))
     blocked = np.count_nonzero(first.levels[0].free & ~second.levels[0].free)
     assert level.counts().get("became blocked", 0) == blocked
@@ -185,8 +186,8 @@ def test_rooms_that_changed_are_listed():
 def test_settings_that_changed_are_listed(doors):
     grid, _, _ = doors
     other = grid.inflate(0.3)
-    assert list_settings(grid, grid) == []
-    changed = {what: second for what, _, second in list_settings(grid, other)}
+    assert list_differing(settings_of(grid), settings_of(grid)) == []
+    changed = {what: second for what, _, second in list_differing(*map(settings_of, (grid, other)))}
     assert changed["inflation.0.radius"] == "0.3"
     assert all(key.startswith("inflation.0.") for key in changed)
 

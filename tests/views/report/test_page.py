@@ -93,6 +93,24 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         assert "wider: row" in words
         assert errors_of(driver) == []
         assert strangers_of(requests_of(driver)) == []
+        # the legend is beside the map where there is room; a dark page has a dark map
+        tops = "return ['canvas', 'legend'].map((id) => find(id).getBoundingClientRect().top)"
+        canvas, legend = driver.execute_script(tops)
+        assert (legend - canvas < 50) == (width > 900)
+        how = driver.execute_script("return getComputedStyle(canvas).filter")
+        assert ("invert" in how) == dark
+
+
+@needs_browser
+def test_settings_in_warnings_are_code(tmp_path):
+    level = level_from("..")
+    level.metadata["navbake"] = {"warnings": ["set `grid.cell_size` or `<b>`, or 1 ` more"]}
+    write_report(level, tmp_path / "report.html")
+    with open_browser() as driver:
+        driver.get((tmp_path / "report.html").as_uri())
+        code = driver.find_elements("css selector", "#warnings code")
+        assert [each.text for each in code] == ["grid.cell_size", "<b>"]
+        assert driver.find_element("id", "warnings").text.endswith("or 1 ` more")
 
 
 @needs_browser

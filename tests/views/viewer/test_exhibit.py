@@ -1,24 +1,33 @@
 """What is shown follows from what is chosen, without a browser."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
 import navbake
+from navbake.episodes.sampler import make_episodes
 from navbake.errors import QueryError
+from navbake.navgrid.colors import rgb_of
+from navbake.scores import Trajectory
 from navbake.views.layers import DISAGREEMENTS, Panel
 from navbake.views.viewer import controls as texts
 from navbake.views.viewer.exhibit import (
     INSPECT,
+    LETTER,
+    NAME_HEIGHT,
     ROUTE,
+    TINT,
     Exhibit,
     first_choices,
     keep_choices,
+    list_runs,
     triangles_of,
 )
 from navbake.views.viewer.meshes import Pick
 from navbake.views.viewer.view import make_exhibit
+from project_paths import GOLDEN
 from viewer_scenes import ROOM, room_exhibit
 
 
@@ -83,6 +92,55 @@ def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
     assert texts.say_cell(room.tell(chosen), None) == texts.HINT_INSPECT
 
 
+def test_what_is_lit_obeys_the_cut_and_goes_with_the_mode(room, chosen):
+    now = replace(chosen, inspected=at(room, 1.02, 0.52, geom=4), cut=0.4)
+    told = room.tell(now)
+    assert told["lit"][..., 2].max() <= 0.4 + 1e-6
+    row, col = now.inspected.cell[1:]
+    corners = told["outline"][:4, :2]
+    np.testing.assert_allclose(corners.mean(axis=0), room.grid.lattice.positions(row, col))
+    np.testing.assert_allclose(np.ptp(corners, axis=0), 0.1)
+    assert room.tell(replace(now, click=ROUTE)) is None
+    assert len(room.tell(replace(now, with_scene=False))["lit"]) == 0
+    assert now.without_clicks().inspected is None
+
+
+def test_free_cells_are_tinted_and_counted_by_storey():
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    exhibit, chosen = Exhibit(grid), first_choices(grid)
+    panel = exhibit.panel(chosen, 0)
+    assert dict(panel.legend)["free"] == TINT
+    assert (panel.rgb[grid.levels[0].free] == rgb_of(TINT)).all()
+    frees = [exhibit.count(chosen.with_level(grid, k))[0] for k in (0, 1, None)]
+    assert frees == [*(np.count_nonzero(level.free) for level in grid.levels), sum(frees[:2])]
+
+
+def test_names_fit_their_rooms_and_keep_clear_of_each_other():
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    for layer, level in (("rooms", None), ("doors", 0), ("doors", 1)):
+        chosen = replace(first_choices(grid), layer=layer).with_level(grid, level)
+        names = Exhibit(grid).names(chosen)
+        assert len(names) >= 3 and all(0 < name.height <= NAME_HEIGHT for name in names)
+        for one, other in combinations(names, 2):
+            if abs(one.position[2] - other.position[2]) < 1:
+                wide = LETTER * (len(one.text) * one.height + len(other.text) * other.height) / 2
+                apart = np.abs(np.subtract(one.position, other.position))
+                assert apart[0] >= wide or apart[1] >= (one.height + other.height) / 2
+
+
+def test_episodes_and_trajectories_of_the_scene_are_listed():
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    episodes = make_episodes(grid, count=3)
+    own = episodes.episodes[0]
+    ran = Trajectory(episode=own.id, positions=[own.start, (0.0, 0.0, 0.0)])
+    other = Trajectory(episode="another", positions=[])
+    runs = list_runs(grid, episodes, [ran, other])
+    assert list(runs) == [each.id for each in episodes.episodes]
+    assert runs[own.id] == (own, ran)
+    assert list_runs(grid, None, [other]) == {"another": (None, other)}
+    assert f"{own.distance:.2f}".replace(".", "\\.") in texts.say_episode(own)
+
+
 def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
     assert set(room.layers) == {*room.layers} and DISAGREEMENTS in room.layers
     drawn = {name: room.overlay(replace(chosen, layer=name), 0) for name in room.layers}
@@ -129,7 +187,7 @@ def test_doors_move_in_grid_and_scene():
 
     def places(drawing):
         geoms = [g for g, name in enumerate(drawing.names) if name == door.id]
-        return triangles_of(drawing, geoms)
+        return triangles_of(drawing.surfaces, geoms)
 
     assert len(places(before)) and len(places(after)) and not len(places(without))
     if door.like != "closed":

@@ -17,7 +17,7 @@ from browser import (
     wait_until,
 )
 from navbake.views.viewer.controls import HINT_GOAL, plain, say_cell
-from navbake.views.viewer.view import close_server, open_server, url_of
+from navbake.views.viewer.server import PageServer
 from viewer_page import ViewerPage, run_view
 from viewer_scenes import write_room
 
@@ -93,11 +93,17 @@ def test_two_clicks_make_a_path(shown):
 
 
 def test_a_click_tells_why(shown):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
     page, *_ = shown
     page.choose("A click", "tells about the cell")
     page.wait_for("Click a cell or a thing", PATIENCE)
     page.click_at(0.3, 0.4)
     assert "free" in page.wait_for("Verdict", PATIENCE)
+    assert page.driver.title == "room – navbake"
+    ActionChains(page.driver).send_keys(Keys.ESCAPE).perform()
+    page.wait_for("Click a cell or a thing", PATIENCE)
 
 
 def rewrite(path, text):
@@ -140,16 +146,16 @@ def test_names_from_files_do_not_run():
     facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
     facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
     facts |= {"clicked": NASTY[0]}
-    server = open_server(port=0)
+    server = PageServer(port=0)
     try:
-        server.gui.add_markdown(say_cell(facts, None))
-        server.gui.add_markdown(f"**{plain(NASTY[1])}** shown")
+        server.viser.gui.add_markdown(say_cell(facts, None))
+        server.viser.gui.add_markdown(f"**{plain(NASTY[1])}** shown")
         with open_browser(900, 640) as driver:
-            driver.get(url_of(server))
+            driver.get(server.url)
             text = lambda: driver.execute_script("return document.body.innerText")  # noqa: E731
             wait_until(lambda: "shown" in text(), "the panel", PATIENCE)
             assert driver.find_elements("css selector", "img[src=x]") == []
             for name in NASTY:
                 assert " ".join(name.split()) in text()
     finally:
-        close_server(server)
+        server.close()

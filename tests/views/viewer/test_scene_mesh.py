@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from navbake.views.viewer.meshes import Drawing, Surface, cut_drawing, draw_scene
+from navbake.views.viewer.meshes import Drawing, Surface, coarsen, cut_drawing, draw_scene
 from viewer_scenes import room_exhibit
 
 # whole millimetres or so: a corner is in the plane of a cut or clearly beside it
@@ -135,6 +135,14 @@ def test_many_round_geoms_are_drawn_coarser():
     ball = '<geom type="sphere" size=".1" pos="{} 0 0"/>'
     one, many = (draw("".join(ball.format(k) for k in range(count))) for count in (1, 600))
     assert len(many.surfaces[0].faces) < 600 * len(one.surfaces[0].faces) / 4
+
+
+def test_large_meshes_are_drawn_coarser():
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    vertices, faces = coarsen(ball.vertices, ball.faces, 2000)
+    assert 200 < len(faces) <= 2000
+    assert trimesh.Trimesh(vertices, faces).volume == pytest.approx(4 / 3 * np.pi, rel=0.15)
+    assert len(coarsen(ball.vertices, ball.faces, 1)[1]) < 200
 
 
 def surface_of(corners, uv=None):

@@ -7,6 +7,7 @@ import pytest
 from browser import wait_until
 from grid_maps import level_from
 from navbake.views.viewer.exhibit import Exhibit
+from navbake.views.viewer.server import PageServer
 from navbake.views.viewer.view import Viewer, Watch, find_files, watch_grid
 
 
@@ -73,7 +74,7 @@ def test_the_watch_goes_on_after_any_error(tmp_path, caplog):
         raise MemoryError("no space")
 
     watch = Watch(read, lambda: [path])
-    with Viewer(Exhibit(level_from("..")), port=0, watch=watch):
+    with Viewer(Exhibit(level_from("..")), PageServer(port=0), watch=watch):
         for text in ("ab", "abc"):
             touch(path, text)
             wait_until(lambda text=text: asked[-1:] == [text], "another look")

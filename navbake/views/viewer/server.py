@@ -1,0 +1,188 @@
+"""The web server of the viewer: viser's, behind a port that checks who asks."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import html
+import io
+import logging
+import secrets
+import socket
+import sys
+import threading
+import urllib.request
+from collections.abc import Collection
+from contextlib import redirect_stdout, suppress
+from email.message import Message
+from email.parser import BytesHeaderParser
+from importlib.util import find_spec
+from ipaddress import ip_address
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from navbake.errors import MissingDependencyError, NavbakeError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+HOST, PORT = "127.0.0.1", 8080
+EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
+LOCAL = ("localhost", "127.0.0.1", "::1")
+MISSING = 'the viewer needs viser: pip install "navbake[view]"'
+TAKEN = "port {1} of {0} is in use: choose another one by --port, or 0 for any free one"
+TITLE = b"<title>Viser</title>"
+MAX_HEAD, CHUNK = 1 << 16, 1 << 16  # of a request, and what is passed on at once [bytes]
+PATIENCE = 10.0  # for the head of a request [s]
+REFUSED = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
+
+
+class PageServer:
+    """Serves an empty page at an address of this machine; port 0 is any that is free.
+
+    viser has no setting for whom it answers, so it listens at an address of the loopback network
+    that is drawn at random, and this server passes on what may reach it. A request has to name the
+    page's own address (Host), so that no name of another site leads here (DNS rebinding), and it
+    has to come from a page of that address (Origin). `allowed` are further origins.
+
+    Attributes:
+        viser: the viser.ViserServer.
+        url: where the page is.
+        title: of the page, for those that load it from now on.
+
+    Raises:
+        MissingDependencyError: viser is not installed.
+        NavbakeError: nothing can listen at the address, or an origin is none.
+    """
+
+    def __init__(
+        self, host: str = HOST, port: int = PORT, *, allowed: Collection[str] = (), title: str = ""
+    ) -> None:
+        is_there = False
+        with suppress(ImportError, ValueError):  # something keeps it from being found
+            is_there = find_spec("viser") is not None
+        if not is_there:
+            raise MissingDependencyError(MISSING)
+        self._names = {*LOCAL, socket.gethostname().lower()} if host in EVERYWHERE else {host}
+        self._names |= {*LOCAL} if host in LOCAL else set()
+        self._is_open, self._allowed = host in EVERYWHERE, {check_origin(one) for one in allowed}
+        self.title = title or "navbake"
+        self._inner, self._page = (HOST, 0), b""  # until viser is there
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="server", daemon=True)
+        self._thread.start()
+        start = asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
+        try:
+            self._server = asyncio.run_coroutine_threadsafe(start, self._loop).result()
+        except (OSError, UnicodeError, OverflowError) as error:
+            self._stop()
+            text = f"{host!r}, port {port}, is no address of this machine"
+            if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
+                text = f"cannot listen at {host}, port {port}: {error.strerror}"
+                text = TAKEN.format(host, port) if error.errno == errno.EADDRINUSE else text
+            raise NavbakeError(text) from error
+        self.port = self._server.sockets[0].getsockname()[1]
+        shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}"
+        import viser  # of the extra [view], and slow to load
+
+        # a stranger's message is no traceback on the terminal
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        inner = HOST
+        if sys.platform == "linux":  # where all of 127.0.0.0/8 is this machine
+            inner = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+        with redirect_stdout(io.StringIO()):  # viser prints its address in a box
+            self.viser = viser.ViserServer(host=inner, port=0, verbose=False)
+        # viser's own page can ask for a tunnel to its makers' server: nothing leaves this machine
+        self.viser.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
+        self._inner = inner, self.viser.get_port()
+        with urllib.request.urlopen("http://{}:{}/".format(*self._inner)) as page:
+            self._page = page.read()
+
+    def close(self) -> None:
+        """Stop serving, and free the port."""
+        if not self._loop.is_closed():
+            asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
+            self._stop()
+            with redirect_stdout(io.StringIO()):
+                self.viser.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    async def _end(self) -> None:
+        self._server.close()
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def is_allowed(self, headers: Message) -> bool:
+        """Whether a request names this page's address, and comes from one of its pages."""
+        hosts, origins = headers.get_all("Host", []), headers.get_all("Origin", [])
+        if len(hosts) != 1 or len(origins) > 1:
+            return False
+        try:
+            address = urlsplit(f"//{hosts[0]}")
+            name, port = address.hostname or "", address.port or 80
+        except ValueError:  # a port that is none
+            return False
+        is_own = port == self.port and name in self._names
+        if self._is_open and port == self.port:
+            with suppress(ValueError):  # a name, which anybody can let point here
+                is_own |= bool(ip_address(name))
+        is_own |= hosts[0] in {urlsplit(origin).netloc for origin in self._allowed}
+        return is_own and (not origins or origins[0] in {f"http://{hosts[0]}", *self._allowed})
+
+    async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer one connection, or pass it on; viser's server takes one request of each."""
+        try:
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+            request, _, lines = head.partition(b"\r\n")
+            headers = BytesHeaderParser().parsebytes(lines)
+            if not self.is_allowed(headers):
+                writer.write(REFUSED)
+            elif request.startswith(b"GET / ") and "Upgrade" not in headers:
+                title = f"<title>{html.escape(self.title)}</title>".encode()
+                page = self._page.replace(TITLE, title, 1)
+                writer.write(PAGE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
+                await writer.drain()
+            else:
+                there, back = await asyncio.open_connection(*self._inner)
+                back.write(head)
+                await asyncio.gather(_pass_on(reader, back), _pass_on(there, writer))
+        except (OSError, EOFError, asyncio.LimitOverrunError, asyncio.TimeoutError):
+            pass  # whoever asked has gone, or speaks no HTTP
+        finally:
+            writer.close()
+
+
+async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Write all that comes from one side to the other, until one of them ends."""
+    try:
+        while data := await reader.read(CHUNK):
+            writer.write(data)
+            await writer.drain()
+    finally:
+        writer.close()
+
+
+def check_origin(text: str) -> str:
+    """An origin as a browser states it, such as ``https://lab.example.org:8443``.
+
+    Raises:
+        NavbakeError: it is none.
+    """
+    parts = urlsplit(text)
+    if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
+        raise NavbakeError(f"expected an origin like https://example.org:8443, got {text!r}")
+    return text

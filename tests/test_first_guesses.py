@@ -1,0 +1,46 @@
+"""What somebody writes who has read nothing yet works, or is answered with what to write."""
+
+from __future__ import annotations
+
+import pytest
+
+import navbake
+from navbake import samples
+from navbake.errors import ConfigError
+
+APARTMENT = str(samples.path("apartment"))
+
+
+@pytest.mark.parametrize(
+    ("guess", "error", "answer"),
+    [
+        (lambda: navbake.load_grid("a.json"), AttributeError, r"'load_grid': write navbake\.load"),
+        (lambda: navbake.bake("a.grid.json"), ConfigError, r"a grid, not a scene: .*navbake\.load"),
+        (lambda: navbake.loads, AttributeError, "no attribute 'loads'$"),
+        *(
+            (lambda given=given: navbake.bake(APARTMENT, **given), ConfigError, answer)
+            for given, answer in (
+                (
+                    {"agent_radius": 0.3},
+                    r'write `agent=\{"radius": …\}` in place .* `agent_radius`',
+                ),
+                ({"radius": 0.3}, r'write `agent=\{"radius": …\}`'),
+                ({"cell_size": 0.3}, r'write `grid=\{"cell_size": …\}`'),
+                ({"colour": 1}, "unknown key `colour`"),
+            )
+        ),
+    ],
+)
+def test_a_guess_is_answered(guess, error, answer):
+    with pytest.raises(error, match=answer):
+        guess()
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_a_sample_is_baked_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    coarse = {"cell_size": 0.5}
+    by_name, by_path = navbake.bake("apartment", grid=coarse), navbake.bake(APARTMENT, grid=coarse)
+    assert by_name.scene_id == by_path.scene_id == "apartment"
+    (tmp_path / "apartment").write_text("somebody's own")
+    assert str(samples.find("apartment")) == "apartment" and str(samples.find("no")) == "no"
