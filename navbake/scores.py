@@ -92,7 +92,7 @@ def path_length(positions: ArrayLike) -> float:
 def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = np) -> Any:
     """exp(-DTW / (n threshold)) of a path and a reference of n points, shapes (m, 3) and (n, 3).
 
-    DTW sums the distances of matched points, at least for matches in order; NaN without points.
+    DTW is the least sum of distances over matches that keep the order; NaN without points.
 
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).

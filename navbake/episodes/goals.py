@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -13,15 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from navbake.episodes.episode import (
-    TASKS,
-    Goal,
-    Length,
-    Record,
-    ViewPoint,
-    check_word,
-    scene_of,
-)
+from navbake.episodes.episode import TASKS, Goal, Length, Record, ViewPoint, check_word, scene_of
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
@@ -169,41 +161,40 @@ class GoalFinder:
 
     @cached_property
     def choices(self) -> dict[str, list[str]]:
-        """Names of objects, or ids of rooms, by what an episode may ask for."""
-        if self.task.kind == "object":
-            categories: dict[str, list[str]] = {}
-            for name in self.object_cells:
-                categories.setdefault(category_of(name), []).append(name)
-            names = {name: [name] for name in self.object_cells}
-            return self._choose(names, self.task.objects) or dict(sorted(categories.items()))
-        rooms = self.finder.rooms.rooms
-        names = {room.id: [name for name in (room.name, room.id) if name] for room in rooms}
-        indoors = {room.id: [room.id] for room in rooms if not room.outdoors}
-        return self._choose(names, self.task.rooms) or indoors
+        """Names of objects, or ids of rooms, by what an episode may ask for.
 
-    def _choose(
-        self, names: dict[str, list[str]], given: Sequence[str] | Mapping[str, Sequence[str]]
-    ) -> dict[str, list[str]]:
-        """What fits the patterns of each category; of plain patterns, each by itself."""
-        has_labels, found = isinstance(given, Mapping), dict[str, list[str]]()
-        asked = given if isinstance(given, Mapping) else {pattern: [pattern] for pattern in given}
-        for label, patterns in asked.items():
+        That is each category, with what fits its patterns; of plain patterns, each that fits.
+        """
+        given: tuple[str, ...] | dict[str, tuple[str, ...]]
+        if self.task.kind == "object":
+            given, names = self.task.objects, {name: [name] for name in self.object_cells}
+            default = sorted((category_of(name), name) for name in names)
+        else:
+            given, rooms = self.task.rooms, self.finder.rooms.rooms
+            names = {room.id: [name for name in (room.name, room.id) if name] for room in rooms}
+            default = [(room.id, room.id) for room in rooms if not room.outdoors]
+        found: dict[str, list[str]] = {}
+        for label, key in () if given else default:
+            found.setdefault(label, []).append(key)
+        for label in given:
+            patterns = given[label] if isinstance(given, dict) else (label,)
             fitting = [
                 key
                 for key, known in names.items()
                 if any(fnmatchcase(name, pattern) for name in known for pattern in patterns)
             ]
             if not fitting:
-                what = f"{self.task.kind}{' of category' * has_labels} {label!r}"
+                what = f"{self.task.kind}{' of category' * isinstance(given, dict)} {label!r}"
                 hint = suggest(label, [name for known in names.values() for name in known])
                 raise QueryError(f"no {what} in {scene_of(self.finder.grid)!r}: {hint}")
-            found |= {label: fitting} if has_labels else {key: [key] for key in fitting}
+            by_label = {label: fitting}
+            found |= by_label if isinstance(given, dict) else {key: [key] for key in fitting}
         return found
 
     def goals_of(self, label: str) -> list[Goal]:
         """A goal for each object or room of a choice; objects without view points are left out."""
         given, keys = getattr(self.task, f"{self.task.kind}s"), self.choices[label]
-        category = label if isinstance(given, Mapping) else None
+        category = label if isinstance(given, dict) else None
         if self.task.kind == "room":
             return [
                 Goal(
