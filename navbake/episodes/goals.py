@@ -43,7 +43,7 @@ class Task(Record, frozen=True, kw_only=True):
     rooms: tuple[str, ...] | dict[str, tuple[str, ...]] = ()
     """Patterns of ids or names, or patterns by type, as ``{bath: [bath*, wc]}``; each room that
     isn't outdoors unless given."""
-    radius: Length | None = None  #: Of each `Goal` [m].
+    radius: Length | None = None  #: Of each `Goal` [m]; as `reach` has it unless given.
     view_distance: Length = 1.0  #: Of view points from an object, at most [m].
     length: Annotated[int, msgspec.Meta(ge=2)] = 3  #: Number of goals of a sequence.
     of: Literal["point", "object", "room"] = "point"  #: What the goals of a sequence are.
@@ -60,7 +60,7 @@ class Task(Record, frozen=True, kw_only=True):
 
     @property
     def reach(self) -> float:
-        """The radius, or its default [m]."""
+        """The radius, or its default for what each goal is [m]."""
         known = {"point": 0.2, "object": 0.1, "room": 0.0, "explore": 3.0}
         return known[self.kind] if self.radius is None else self.radius
 

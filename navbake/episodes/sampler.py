@@ -73,7 +73,7 @@ class Rules(Record, frozen=True, kw_only=True):
     """Goals that share the episodes of a scene; more are drawn where rules refuse starts. Starts
     share a goal's distance field."""
     paths: bool = False  #: Keep each path, and the doors and rooms along it.
-    headings: str = "random"  #: Of starts, or to the ``goal``, or ``away`` from it.
+    headings: str = "random"  #: Of starts: ``random``, to the ``goal``, or ``away`` from it.
     strata: str | None = None  #: A key of `EDGES`: as many episodes in each of its classes.
     edges: tuple[float, ...] = ()  #: Lower edges of the classes.
 
