@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from navbake.episodes.episode import Episode, EpisodeSet, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import SNAP, find_target, fit_grid, path_through
+from navbake.episodes.goals import SNAP, find_stops, fit_grid, path_through
 from navbake.episodes.sampler import EDGES
 from navbake.errors import QueryError
 from navbake.formats.npz import open_archive
@@ -156,12 +156,12 @@ class Measures:
         self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
         goals, in_order = episode.goals, episode.task == "sequence"
         # many episodes of a set have the goals of the last one
-        target = finder.search.keep(
-            "target", (goals, in_order), lambda: find_target(finder, goals, in_order=in_order)
+        stops = finder.search.keep(
+            "stops", (goals, in_order), lambda: find_stops(finder, goals, in_order=in_order)
         )
-        if target is None:
+        if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
-        self._target, self._passed = target, 0
+        self._stops, self._passed = stops, 0
         self._positions, self._times = [np.array(episode.start)], list[float]()
         self._distances = self._measure(self._positions[0][None], "start")
         self.shortest = self._distances[0]
@@ -194,7 +194,7 @@ class Measures:
             k = int(np.argmax(cells < 0))
             where = ", ".join(f"{v:g}" for v in p[k])
             raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
-        fields, rest = self._target.fields, self._target.rest
+        fields, rest = self._stops.fields, self._stops.rest
         if not fields:
             return [math.nan] * len(p)
         aside, blocked = np.zeros(len(p)), np.flatnonzero(~flat.free[cells])
@@ -214,7 +214,7 @@ class Measures:
 
     def scores(self, *, stopped: bool) -> Json:
         """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
-        way, stops, times = np.array(self._positions), self._target.stops, self._times
+        way, places, times = np.array(self._positions), self._stops.places, self._times
         length, distance, shortest = (
             np.array(v) for v in (path_length(way), self.distance, self.shortest)
         )
@@ -228,9 +228,9 @@ class Measures:
         else:
             ends_at, best_at = self.distance, np.min(self._distances)
         reached = success(np.array(ends_at), self.radius, stopped)
-        reference = self.episode.path if stops else ()
-        if stops and not reference:
-            reference = path_through(self.finder, self.episode.start, stops).get("path", ())
+        reference = self.episode.path if places else ()
+        if places and not reference:
+            reference = path_through(self.finder, self.episode.start, places).get("path", ())
         # moves that no agent can make straight, as they begin in or meet a cell that isn't free
         starts, ends = way[:-1], way[1:]
         flat = self.finder.search.flat
@@ -239,7 +239,7 @@ class Measures:
         off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
         found = {
             "success": reached,
-            "spl": spl(reached, shortest, length) if stops else math.nan,
+            "spl": spl(reached, shortest, length) if places else math.nan,
             "soft_spl": soft_spl(distance, shortest, length),
             "distance": distance,
             "oracle_success": success(np.array(best_at), self.radius, True),

@@ -82,13 +82,13 @@ def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = 
     return fitted
 
 
-class Target(NamedTuple):
+class Stops(NamedTuple):
     """Where the goals of an episode are reached, and how far that is."""
 
     goals: tuple[Goal, ...]
-    stops: Sequence[Float] = ()
-    """Places where a goal is reached, world [m], shape (n, 3): one array a goal of a sequence, else
-    one for all goals; none to explore."""
+    places: Sequence[Float] = ()
+    """Of each stop, world [m], shape (n, 3): a stop for each goal of a sequence, else one for all;
+    none to explore."""
     fields: Sequence[Float] = ()
     """Distance from each cell to each stop, by flat id, inf for no path [m]."""
     rest: Sequence[float] = (0.0,)
@@ -96,12 +96,12 @@ class Target(NamedTuple):
     each leg begins at the place that is nearest to the next stop."""
 
 
-def find_target(
+def find_stops(
     finder: PathFinder, goals: Sequence[Goal], *, in_order: bool = False
-) -> Target | None:
+) -> Stops | None:
     """Find where one of several goals is reached, or all in order; None where no agent can be."""
     if goals[0].share is not None:
-        return Target(tuple(goals))
+        return Stops(tuple(goals))
     search, each = finder.search, [cells_of(finder, goal) for goal in goals]
     cells = each if in_order else [np.unique(np.concatenate(each))]
     if not all(map(len, cells)):
@@ -109,7 +109,7 @@ def find_target(
     fields = [search.field(each, weighted=False) for each in cells]
     legs = [f[c].min() for f, c in zip(fields[1:], cells, strict=False)]
     rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
-    return Target(tuple(goals), [search.flat.positions(each) for each in cells], fields, rest)
+    return Stops(tuple(goals), [search.flat.positions(each) for each in cells], fields, rest)
 
 
 def cells_of(finder: PathFinder, goal: Goal) -> Int:

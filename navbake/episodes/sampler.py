@@ -27,9 +27,9 @@ from navbake.episodes.episode import (
 )
 from navbake.episodes.goals import (
     GoalFinder,
-    Target,
+    Stops,
     Task,
-    find_target,
+    find_stops,
     fit_grid,
     path_through,
 )
@@ -241,17 +241,17 @@ class _Draw:
         # episodes still to be drawn in each class; the first have the remainder
         self.missing = [count // classes + (k < count % classes) for k in range(classes)]
         while len(found) < count and failures < MAX_FAILURES:
-            target = self._draw_target()
-            new = [] if target is None else self._draw_starts(target, per_goal)
+            stops = self._draw_stops()
+            new = [] if stops is None else self._draw_starts(stops, per_goal)
             failures = 0 if new else failures + 1
             found += new
         return found
 
-    def _draw_target(self) -> Target | None:
+    def _draw_stops(self) -> Stops | None:
         """Draw goals; None, counted as rejected, where no episode can have them."""
         task, rng, finder = self.task, self.rng, self.finder
         if task.name == "explore":
-            return Target((Goal(share=task.share, radius=task.reach),))
+            return Stops((Goal(share=task.share, radius=task.reach),))
         in_order = task.name == "sequence"
         stages = task.length if in_order else 1
         if task.kind == "point":
@@ -266,20 +266,20 @@ class _Draw:
             goals = options[0]
             if in_order:  # each stage is one object or room
                 goals = [each[int(rng.integers(len(each)))] for each in options if each]
-        target = find_target(finder, goals, in_order=in_order) if len(goals) >= stages else None
-        if target is None:
+        stops = find_stops(finder, goals, in_order=in_order) if len(goals) >= stages else None
+        if stops is None:
             why = "not in sight" if task.kind == "object" else "no place in the room"
-        elif not math.isfinite(target.rest[0]):
+        elif not math.isfinite(stops.rest[0]):
             why = "no path"
-        elif task.kind != "room" and (-np.diff(target.rest) < self.rules.min_distance).any():
+        elif task.kind != "room" and (-np.diff(stops.rest) < self.rules.min_distance).any():
             why = "too near"
         else:
-            return target
+            return stops
         self.rejected[why] += 1
         return None
 
-    def _draw_starts(self, target: Target, count: int) -> list[Episode]:
-        """Draw starts for a target: `tries` for each of `count` episodes, the first that fits."""
+    def _draw_starts(self, stops: Stops, count: int) -> list[Episode]:
+        """Draw starts for goals: `tries` for each of `count` episodes, the first that fits."""
         rules, search = self.rules, self.finder.search
         flat, rooms = search.flat, search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
@@ -288,11 +288,11 @@ class _Draw:
         )
         cells, goals = flat.cells_at(starts), starts
         distance = straight = np.full(len(starts), np.nan)
-        if target.stops:
-            straight, nearest = spatial.cKDTree(target.stops[0]).query(starts)
-            goals = target.stops[0][nearest]
-            distance = target.fields[0][cells] + target.rest[0]
-            for one, other in pairwise(target.stops):
+        if stops.places:
+            straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
+            goals = stops.places[0][nearest]
+            distance = stops.fields[0][cells] + stops.rest[0]
+            for one, other in pairwise(stops.places):
                 straight = straight + spatial.cKDTree(one).query(other)[0].min()
             if rules.headings != "random":
                 ahead = goals - starts if rules.headings == "goal" else starts - goals
@@ -310,14 +310,14 @@ class _Draw:
                 room = rooms.id_of(int(rooms.number[cells[k]]))
                 episode = Episode(
                     id="", scene=self.scene, task=self.task.name, start=tuple(starts[k].tolist()),
-                    heading=float(headings[k]), goals=target.goals,
-                    distance=float(distance[k]) if target.stops else None,
-                    straight=float(straight[k]) if target.stops else None,
+                    heading=float(headings[k]), goals=stops.goals,
+                    distance=float(distance[k]) if stops.places else None,
+                    straight=float(straight[k]) if stops.places else None,
                     split=self.splits.of(self.seed, self.scene, room), room=room,
                     levels=tuple(levels[k].tolist()),
                 )  # fmt: skip
                 if rules.paths or rules.strata in ("doors", "rooms"):
-                    along = path_through(self.finder, episode.start, target.stops)
+                    along = path_through(self.finder, episode.start, stops.places)
                     episode = msgspec.structs.replace(episode, **along)
                 if self._fits_strata(episode):
                     found.append(episode)
