@@ -140,8 +140,10 @@ def read_octomap(
     corner, world frame [m]; `VoxelGrid.known` marks known voxels. Log-odds of 0 and more are
     occupied. Raises a FormatError for a file that is no octree, broken, or needs too much memory.
     """
-    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # as above
 
+    ensure_compiled("formats.kernels.octree.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     kind, size, res, end = _read_header(data, name)
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)
