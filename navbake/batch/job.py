@@ -217,7 +217,7 @@ def bake_scene(plan: Plan, job: Job) -> Json:
         why = printable(str(error))
         if not isinstance(error, NavbakeError | OSError):
             line = traceback.format_exception_only(error)[-1].strip()
-            why = printable(f"{line} (navbake should have said what is wrong)")
+            why = printable(f"{line} (an unexpected error)")
         row = fail(plan, job, ERROR, why, time.perf_counter() - begin)
         if full := why_full(error):
             why = str(refused(f"into {shown(os.fspath(plan.place(job)))}", full))

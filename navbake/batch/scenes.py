@@ -164,7 +164,7 @@ def _expand(source: str) -> Iterator[Job]:
         yield from _read_list(source)
     elif source.endswith("/") or os.path.isdir(source):
         folder = name.rstrip("/")
-        raise ConfigError(f"{WANTED} the folder {folder}: name what is in it, as '{folder}/*.xml'")
+        raise ConfigError(f"{WANTED} the folder {folder}: name its files, as '{folder}/*.xml'")
     elif is_pattern:
         if is_url(source):
             paths = match_files(source)

@@ -56,7 +56,7 @@ def with_mapping(grid: VoxelGrid, mapping: IdMapping | None) -> VoxelGrid:
         ids = {int(old): int(new) for old, new in mapping.items()}
         missing = [old for old in present if old not in ids]
         if missing:
-            raise FormatError(f"the mapping says nothing of ID {missing[0]}, which occurs")
+            raise FormatError(f"the mapping lacks ID {missing[0]}, which the voxels have")
     else:
         raise FormatError(f"expected a mapping of IDs, or 'compact', got {mapping!r}")
     bad = [new for new in ids.values() if not 0 <= new <= MOST]

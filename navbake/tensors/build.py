@@ -124,7 +124,7 @@ def _open_library(
             raise QueryError(f"no array of {where}: {str(error).splitlines()[0]}") from error
 
     if make(np.zeros(1)).dtype != wanted:  # JAX has no 64-bit types by default
-        raise QueryError(f"{space.__name__} has no {dtype} as it is set up: use float32")
+        raise QueryError(f"{space.__name__} has no {dtype} in its configuration: use float32")
     return space, make
 
 

@@ -158,7 +158,7 @@ def test_a_table_without_rows_is_named(folder):
 def test_sources_that_name_nothing_are_refused(folder):
     with pytest.raises(ConfigError, match=r"files that match c/\*.xml, got none"):
         list_jobs(["c/*.xml"])
-    with pytest.raises(ConfigError, match="got the folder a: name what is in it"):
+    with pytest.raises(ConfigError, match="got the folder a: name its files"):
         list_jobs(["a"])
     with pytest.raises(ConfigError, match=r"no\.jsonl"):
         list_jobs(["no.jsonl"])

@@ -199,7 +199,7 @@ def test_lists_patterns_and_settings_may_be_on_a_store(rooms, memory):
         assert found == [f"memory://s/{path}" for path in local] != [], pattern
     with pytest.raises(ConfigError, match=r"files that match memory://s/rooms/no/\*.xml, got none"):
         list_jobs(["memory://s/rooms/no/*.xml"])
-    with pytest.raises(ConfigError, match="got the folder memory://s/rooms: name what is in it"):
+    with pytest.raises(ConfigError, match="got the folder memory://s/rooms: name its files"):
         list_jobs(["memory://s/rooms/"])
     with pytest.raises(
         NavbakeError, match=r"cannot read memory://s/rooms/no\.csv: there is no such"

@@ -116,7 +116,7 @@ def test_more_than_255_ids_need_a_mapping(tmp_path):
     write_voxels(grid, tmp_path / "b.binvox", mapping={300: 9, 700: 0})
     back = read_voxels(tmp_path / "b.binvox")
     assert back.names == {9: "chair"} and back.values.sum() == 9
-    with pytest.raises(FormatError, match="nothing of ID 700"):
+    with pytest.raises(FormatError, match="lacks ID 700"):
         write_voxels(grid, tmp_path / "b.binvox", mapping={300: 9})
     with pytest.raises(FormatError, match="values up to 255, and the mapping has 256"):
         write_voxels(grid, tmp_path / "b.binvox", mapping={300: 256, 700: 1})

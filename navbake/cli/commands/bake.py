@@ -426,7 +426,7 @@ def lay_out(
     for path, config in jobs:
         filled = fill_name(name or "{id}", str(config.scene.id), path.resolve())
         if not filled:
-            raise ConfigError(f"`--name {name}` gives {path} no name")
+            raise ConfigError(f"`--name {name}` makes no file name of {path}")
         own = config.output if output is None and name is None else None
         targets.append(own or Path(output or "") / f"{filled}.grid.json")
     return targets
