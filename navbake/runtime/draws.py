@@ -34,7 +34,7 @@ class Pose(NamedTuple):
 
 
 class Spawns(NamedTuple):
-    """Start poses of many agents."""
+    """Start poses of many agents; as `Pose`, of shapes (n, 3) and (n,)."""
 
     positions: Float
     headings: Float
@@ -173,7 +173,7 @@ class DrawQuestions(PlaceQuestions):
             n: how many agents, >= 1.
             rooms: in these rooms; one or several.
             level, island, reachable_from: see `random_point`.
-            clearance: a disc of this radius round each agent touches no obstacle and no drop, as
+            clearance: a disc of this radius round each agent overlaps no obstacle and no drop, as
                 with `grid.inflate` [m]; nor another agent's, unless `min_distance` is given.
             min_distance: between the centres of any two agents [m]; always more than twice the
                 agent's radius, that of the grid's inflation, or else of its bake.

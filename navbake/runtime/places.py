@@ -235,8 +235,8 @@ class PlaceQuestions:
 
         The area outside the grid has no obstacles. Where the level ends and another goes on, as at
         the top of stairs, the other level counts where its floor is less than the agent's height,
-        less a step, above or below. None if there is none within `max_distance` [m]; distance 0
-        inside an occupied cell.
+        less a step, above or below, and its own isn't. None if there is none within `max_distance`
+        [m]; distance 0 inside an occupied cell.
         """
         flat = self.search.flat
         p = flat.check_one(position, level)
