@@ -64,12 +64,13 @@ def package(tmp_path):
 
 
 def start(package: Path, code: str = ASK, **env: str) -> subprocess.Popen[str]:
-    full = {**os.environ, "PYTHONPATH": str(package.parents[1]), **env}
+    # bytecode is kept by time and size, which the changed sources have in common
+    own = {"PYTHONPATH": str(package.parents[1]), "PYTHONDONTWRITEBYTECODE": "1"}
+    full = {**os.environ, **own, **env}
     if "NUMBA_CACHE_DIR" not in env:
         full.pop("NUMBA_CACHE_DIR", None)
     return subprocess.Popen(
-        # -B: bytecode is kept by time and size, which the changed sources have in common
-        [sys.executable, "-B", "-c", code],
+        [sys.executable, "-c", code],
         cwd=package.parents[1],
         env=full,
         stdout=subprocess.PIPE,
