@@ -1,4 +1,4 @@
-"""What a bake is given in Python: a scene, its pose, settings, and bodies that are left out."""
+"""The arguments of `navbake.bake`: a scene, its pose, settings, and bodies that are left out."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def take_input(
     robot: Any = None,
     limits: CompileLimits | None = None,
 ) -> tuple[BakeConfig, OpenScene | None]:
-    """Take what `navbake.bake` is given, see there; `limits` are for MuJoCo to compile a file.
+    """Check the arguments of `navbake.bake`; `limits` are for MuJoCo to compile a file.
 
     Returns all settings; and the scene's model, None where the bake loads the settings' file.
     """
@@ -78,7 +78,7 @@ def take_input(
 
 
 def _patterns_of(given: Any, names: Sequence[str], kind: str, keyword: str) -> list[str]:
-    """Patterns of bodies or geoms, of which one or several are given: by name, id or pattern."""
+    """Patterns of one or several bodies or geoms, given by name, id or pattern."""
     first = 1 if kind == "body" else 0  # the world, body 0, is no body of the scene
     patterns = list[str]()
     is_one = isinstance(given, str) or not isinstance(given, Sequence | np.ndarray)

@@ -1,8 +1,7 @@
-"""Blocks of cells: the units in which a bake notes what has changed.
+"""Blocks of cells: the units of an update.
 
-A lattice is cut into blocks of SIZE x SIZE cells, numbered row by row. What is global, such as
-which surfaces make one sheet, is merged from what was found in each block; so an update looks at
-the blocks again that something touched, and merges.
+A lattice is cut into blocks of SIZE x SIZE cells, numbered row by row. Global results, such as
+sheets, are merged from those of each block; so an update evaluates the changed blocks and merges.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Int
 
-# Room for so many rows is made at first
+# Rows that `list_rows` has room for at first
 ROOM = 4096
 
 
@@ -51,7 +50,7 @@ class Blocks:
         return mask
 
     def around(self, mask: Bool, reach: int = 1) -> Bool:
-        """Some blocks and those with a cell at most so many rows and columns away from them."""
+        """Some blocks and those with a cell within `reach` rows and columns of them."""
         by = -(-reach // SIZE)
         grid = mask.reshape(self.rows, self.cols)
         for axis in (0, 1):
@@ -85,7 +84,7 @@ class Blocks:
 
 
 def fit(array: NDArray[Any], length: int) -> NDArray[Any]:
-    """The array with room for so many members, itself where it has that."""
+    """The array, or if it is shorter a copy with room for so many members."""
     if len(array) >= length:
         return array
     wide = np.empty((length, *array.shape[1:]), dtype=array.dtype)
@@ -94,20 +93,20 @@ def fit(array: NDArray[Any], length: int) -> NDArray[Any]:
 
 
 def join_parts(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
-    """Join the arrays of parts, one after the other, so that little of it is in memory twice.
-
-    Args:
-        parts: one at least; they are empty afterwards.
-    """
+    """Concatenate the arrays of parts, one at least, and free each one's memory on the way."""
     if len(parts) == 1:
         return parts[0]
     return [np.concatenate([part.pop(0) for part in parts]) for _ in range(len(parts[0]))]
 
 
 def list_rows(
-    kernel: Callable[..., int], blocks: Int, empty: tuple[NDArray[Any], ...], *args: Any
+    kernel: Callable[..., int],
+    blocks: Int,
+    empty: tuple[NDArray[Any], ...],
+    *args: Any,
+    least: int = 1,
 ) -> tuple[Int, list[NDArray[Any]]]:
-    """List rows of numbers for some blocks: how many each has, and the columns of all.
+    """List rows of numbers for some blocks or cells: how many each has, and the columns of all.
 
     Args:
         kernel: ``kernel(*args, blocks, counts, columns, begin, end)`` writes the rows of
@@ -115,6 +114,7 @@ def list_rows(
             into `counts`; returns the place of the first block for which there is no room, or
             `end`.
         empty: an empty array of each column's dtype and shape.
+        least: see `run_in_bands`.
     """
     counts = np.zeros(len(blocks), dtype=np.int64)
     found: dict[int, list[NDArray[Any]]] = {-1: list(empty)}
@@ -127,13 +127,13 @@ def list_rows(
             found[first] = [column[: counts[first:done].sum()] for column in columns]
             first, room = done, 2 * room
 
-    run_in_bands(work, len(blocks))
+    run_in_bands(work, len(blocks), least=least)
     parts = zip(*(found[first] for first in sorted(found)), strict=True)
     return counts, [np.concatenate(arrays) for arrays in parts]
 
 
 class BlockTable:
-    """A table of which each block has some rows, in columns of numbers.
+    """A table with rows for each block, in columns of numbers.
 
     Args:
         empty: an empty array of each column's dtype and shape.
@@ -159,13 +159,13 @@ class BlockTable:
 
 
 class Seen:
-    """The values that the last update had, some in each block."""
+    """The values of each block in the last update."""
 
     def __init__(self, num_blocks: int) -> None:
         self._counts, self._values = np.zeros(num_blocks, dtype=np.int64), np.empty(0)
 
     def differ(self, counts: Int, values: NDArray[Any]) -> Bool:
-        """The blocks that had other values, which become those that are given."""
+        """The blocks whose values differ from the last ones, which are replaced."""
         changed: Bool = self._counts != counts
         same = ~changed
         was, now = self._values[np.repeat(same, self._counts)], values[np.repeat(same, counts)]
@@ -175,7 +175,7 @@ class Seen:
 
 
 class BlockAnswers:
-    """Answers about places, kept while a block has the same places and nothing changes near it."""
+    """A cache of answers about places, valid while a block's places and surroundings stay."""
 
     def __init__(self, num_blocks: int) -> None:
         self._seen, self._counts = Seen(num_blocks), np.zeros(num_blocks, dtype=np.int64)
@@ -188,8 +188,8 @@ class BlockAnswers:
 
         Args:
             block: of each place, ascending.
-            places: what tells a place from others, shape (places, n).
-            last: in which update something last changed near each block, `now` being this one.
+            places: the key of each place, shape (places, n).
+            last: the last update that changed something near each block; `now` is this one.
             ask: finds the answers for the places of a mask.
         """
         counts = np.bincount(block, minlength=len(last))

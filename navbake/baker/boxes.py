@@ -1,10 +1,9 @@
 """The box of each level (`bbox`), so that the original client finds each cell's own level.
 
-The client takes the first level whose box holds a position, edges included, and ends with an
-error where none does. So a box begins below the lowest floor of its level, and ends below the box
-of the next level that has cells in common with it. Where levels interleave (a stair of one level
-rises past the lowest tread of the next), no boxes are right for all cells. Then a box ends where
-the fewest free cells are lost.
+The client takes the first level whose box holds a position, edges included, or fails. So a box
+begins below the lowest floor of its level, and ends below the next box above its cells. Where
+levels interleave (a stair of one rises past the lowest tread of the next), a box ends where the
+fewest free cells are lost.
 
 Source: sstk's `NavScene.js`, `positionToCell`. Its grid also takes the cells one column and one
 row beyond the last for its own.
@@ -25,7 +24,7 @@ from navbake.types import Bool, Float, Int, Vector3
 Box = tuple[Vector3, Vector3]
 """Lower and upper corner, file frame (y up) [m]."""
 
-# A box begins this far below its lowest floor: more than float32 and a change of units move it [m]
+# A box begins this far below its lowest floor, beyond the rounding of float32 and of units [m]
 MARGIN = 0.001
 GAP = 1e-6  # between a box and the one above it [m]
 GAP_DIGITS = 6  # decimals of heights that are multiples of the two
@@ -59,11 +58,10 @@ def find_level_boxes(
 ) -> LevelBoxes:
     """Cut each level's rectangle from the lattice, and find its box.
 
-    One level keeps the whole lattice. Its box is the scene's own, made larger where a floor of
-    the grid lies outside. Of several, each is cut to the cells that have a floor. Its box spans
-    its rectangle, up to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below
-    the next box above it, or to the scene's top. No two boxes share a height over a cell, unless
-    the levels interleave there; neither depends on the state of doors.
+    A single level keeps the whole lattice. Its box is the scene's, made larger where a floor lies
+    outside. Of several, each is cut to the cells that have a floor; its box spans the rectangle, up
+    to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next box above it,
+    or to the scene's top. Doors change neither.
 
     Args:
         levels: lowest first.
@@ -108,12 +106,8 @@ def _find_tops(
 ) -> tuple[list[float], Int]:
     """The top of each level's box, and how many free cells of each level boxes lose.
 
-    Lower levels come first for the client, so they are decided first, each by the cells that
-    are not lost yet.
-
-    Args:
-        heights: the floors of the free cells of each level, as written, NaN elsewhere, shape
-            (height, width) [m]; cells that are lost become NaN.
+    The lowest level is decided first, as by the client. `heights` are floors of free cells, as
+    written, NaN elsewhere [m]; cells that are lost become NaN.
     """
     tops, lost = [], np.zeros(len(heights), dtype=np.int64)
     for k, (own, window, bottom) in enumerate(zip(heights, windows, bottoms, strict=True)):
@@ -144,10 +138,7 @@ def _find_tops(
 
 
 def _last_floor(own: Float, others: Float) -> float:
-    """The floor that a box from the bottom up ends with; -inf if it had better hold none.
-
-    It holds the most of its own floors over those of others (the last of several such ends).
-    """
+    """The highest floor of a box with the most own floors less those of others; -inf for none."""
     # of its own floors below all others, the highest stands for all
     is_low, highest = own < others.min(initial=np.inf), own.max(initial=-np.inf)
     heights, counts = np.unique(own[~is_low], return_counts=True)
@@ -160,11 +151,7 @@ def _last_floor(own: Float, others: Float) -> float:
 
 
 def _level_sides(part: Lattice, scene_box: Float | None) -> Float:
-    """x_min, y_min, x_max, y_max of a level's rectangle, cut to the scene's box.
-
-    Outermost cells reach beyond the scene by up to half, and so to their centres at most. Where
-    a grid is larger than the scene, its own sides count.
-    """
+    """x_min, y_min, x_max, y_max of a level, cut by half a cell at most to the scene's sides."""
     x0, y0, x1, y1 = part.bounds
     sides = np.round([x0, y0, x1, y1], DIGITS) + 0.0
     if scene_box is None:

@@ -1,4 +1,4 @@
-"""The time that each stage of a bake takes, told to whoever watches."""
+"""Times and reports the stages of a bake."""
 
 import logging
 import time
@@ -12,9 +12,9 @@ Progress = Callable[[str, float], None]
 
 
 class StageClock:
-    """Times the stages of a bake: `seconds` of each by its name, in the order in which they ended.
+    """Times the stages of a bake: `seconds` by name, in the order in which they ended.
 
-    Runs of one stage are added up. Where one runs inside of another, its time is not the other's.
+    Runs of one stage are added up; a stage's time excludes that of stages inside of it.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
@@ -25,7 +25,7 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what runs inside as part of a stage, and tell who watches."""
+        """Time a stage, and report its progress."""
         if self._progress is not None:
             self._progress(name, 0.0)
         with self.part(name):
@@ -37,7 +37,7 @@ class StageClock:
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Time what runs inside as part of a stage, which may end later."""
+        """Time a part of a stage, which may end later."""
         begin = time.perf_counter()
         self._inside.append(0.0)
         try:

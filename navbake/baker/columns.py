@@ -83,14 +83,13 @@ class TiledShapes:
 class Columns:
     """All surfaces of all columns, ragged: cell i holds ``[start[i], start[i + 1])``.
 
-    Columns of a band of rows have the surfaces of these alone. Their `start` has a place for every
-    cell of the lattice nevertheless, so that kernels find a cell by its id; what it holds of other
-    rows means nothing.
+    Columns of a band of rows have the surfaces of these alone, but `start` has an entry for every
+    cell of the lattice, so that kernels find a cell by its id; those of other rows mean nothing.
 
     Attributes:
         lattice: the cells.
-        crossings: the surfaces, as kernels take them; the others are parts of it.
-        rows: the rows of cells that are known, all of them if None.
+        crossings: the surfaces, as kernels take them, with the attributes below.
+        rows: the rows of cells that are known, all if None.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -172,7 +171,7 @@ class ColumnSource(Protocol):
 
 
 class GatheredColumns:
-    """Columns that come band by band, in the order of their rows, and become one."""
+    """Columns of all rows, joined from bands in the order of rows."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -180,7 +179,7 @@ class GatheredColumns:
         self._parts, self._count = list[list[NDArray[Any]]](), 0
 
     def add(self, columns: Columns, rows: Rows) -> None:
-        """Add the columns of some of the rows that a part knows, which follow on the last ones."""
+        """Add the columns of the next rows."""
         first, end = rows.cells(self._lattice)
         begin, stop = int(columns.start[first]), int(columns.start[end])
         ends = self._start[first + 1 : end + 1]
@@ -189,12 +188,12 @@ class GatheredColumns:
         self._count += stop - begin
 
     def join(self) -> Columns:
-        """The columns of all rows; nothing is added after that."""
+        """The columns of all rows, once."""
         return Columns(self._lattice, Crossings(self._start, *join_parts(self._parts)))
 
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
-    """List the shapes by tiles; `reach` is how far beyond its centre a cell looks for them [m]."""
+    """List the shapes by tiles, within `reach` of cells' centres [m]."""
     facets = _facets_of(shapes.triangles)
     solids = list_by_tile(shapes.solids.bounds, reach, lattice)
     triangles = list_by_tile(facets.bounds, reach, lattice)
@@ -204,9 +203,8 @@ def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
 def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     """Cross the vertical line through every cell's centre with all geometry.
 
-    Rays against solids and infinite planes are MuJoCo's own. Each solid is crossed twice, from
-    above and from below; planes from their front only. Lines within 1e-7 m of a rim cross it,
-    so that a seam between two geoms never leaks.
+    Each solid is crossed from above and from below, planes from their front only. Lines within
+    1e-7 m of a rim cross it, so that a seam between two geoms never leaks.
 
     Args:
         rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.

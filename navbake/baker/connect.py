@@ -1,4 +1,4 @@
-"""What hangs together: nodes over pairs, and cells over edges and corners.
+"""Connected parts of graphs and of cells.
 
 scipy has such functions, but takes longer to load than the apartment to bake.
 """
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.kernels.connect import number_parts
+from navbake.baker.kernels.connect import number_parts
 from navbake.types import Int, Int32
 
 
@@ -75,16 +75,13 @@ def list_runs(values: NDArray[Any]) -> Runs:
 
 
 def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
-    """Label the parts of cells with one value that hang together over edges.
-
-    Rows are cut into runs, and runs that touch are united (Rosenfeld and Pfaltz, 1966).
+    """Label the 4-connected parts of cells with one value (Rosenfeld and Pfaltz, 1966).
 
     Args:
         values: shape (rows, cols), bool or integer; cells with 0 are in no part.
 
     Returns:
-        The label of each cell, int32, 0 for none, by their first cells from 1; and how many
-        there are.
+        The label of each cell, int32, 0 for none, by first cells from 1; and the number of labels.
     """
     rows, cols = values.shape
     row, first, end, value = list_runs(values)

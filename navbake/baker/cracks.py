@@ -1,4 +1,4 @@
-"""Cracks: gaps between floors at one height that are too narrow to be any."""
+"""Cracks: gaps between floors at one height that are too narrow for any agent."""
 
 from __future__ import annotations
 
@@ -34,10 +34,9 @@ def close_cracks(
 ) -> Columns:
     """Add to columns the floors that bridge the cracks in which their lines run.
 
-    Where surfaces that an agent could stand on are at one height (within a step) on opposite sides
-    of a line, each nearer than `crack` [m], and none is there on the line, the surface of the
-    lower side is the line's, too; all others of the column stay as they are. It encloses nothing.
-    Of several at heights within a step, the lowest is. No other cell is looked at.
+    Where surfaces that an agent could stand on are within a step of one height on opposite sides of
+    a line, each nearer than `crack` [m], and none on it, the lower one is added to the line's
+    column, as an open surface; of several within a step the lowest. Other cells do not matter.
 
     Args:
         tiled: what the columns were cast at, listed for lines up to `crack` away.
@@ -61,7 +60,7 @@ def close_cracks(
     sides = sides[np.argsort(sides[:, CELL], kind="stable")]
     cell, geom, way = sides[:, CELL].astype(np.int64), sides[:, GEOM], sides[:, WAY : WAY + 2]
 
-    # rays just beyond the edges say which surface is there, and how high it is to the last bit
+    # rays just beyond the edges find the exact surfaces there
     beyond = columns.lattice.positions(*np.divmod(cell, columns.lattice.width))
     beyond += way * (sides[:, AWAY, None] + HAIR)
     rays = cast_points(tiled, cell, beyond)
@@ -72,7 +71,7 @@ def close_cracks(
     seen = seen[np.lexsort((off[seen], line[seen]))]
     line, nearest = np.unique(line[seen], return_index=True)
     seen, cell, way = seen[nearest], cell[line], way[line]
-    # what is buried there and not on the cell's line only ends at the foot of something
+    # a surface buried there, and not on the cell's line, only ends at the foot of something
     is_side = ~_are_buried(rays, line, rays.z[seen])
     is_side |= _are_buried(columns.crossings, cell, rays.z[seen])
     seen, cell, way = seen[is_side], cell[is_side], way[is_side]
@@ -101,7 +100,7 @@ def _are_buried(crossings: Crossings, cells: Int, z: Float) -> Bool:
 
 
 def _add(columns: Columns, cell: Int, rays: Crossings, seen: Int) -> Columns:
-    """Columns with some surfaces more, which are given by cell and then height."""
+    """Add surfaces to columns, by cell and then height."""
     old, z = columns.crossings, rays.z[seen]
     place, last = old.start[cell], old.start[cell + 1]
     while (below := (place < last) & (old.z[np.minimum(place, len(old.z) - 1)] < z)).any():

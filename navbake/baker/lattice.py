@@ -34,8 +34,8 @@ def list_differing(values: NDArray[Any]) -> Int:
 def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     """Lay one lattice over the scene, or over the bounds of the settings.
 
-    A scene's extents count less a micrometre for each metre from the origin: so meshes in float32,
-    in inches or 10 km away, get as many cells as exact numbers would.
+    A scene's extents are reduced by `BOX_ROUNDING`, so that meshes in float32, in inches or 10 km
+    away, get as many cells as exact numbers would.
     """
     settings = config.grid
     if settings.bounds is not None:
@@ -64,10 +64,10 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
 
 
 def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[Lattice, Window]:
-    """Lay a lattice over a whole scene, of which a given lattice is a window; returns both.
+    """Extend a lattice to the whole scene; returns it, and the given one as its window.
 
-    It goes on beyond the window by whole cells, up to the scene's `bounds`, (2, 3) [m], None if it
-    is endless. Where that would be too many cells, it goes on as far to all sides as it can.
+    It is extended by whole cells up to the scene's `bounds`, (2, 3) [m], but not if these are None,
+    for an endless scene. With too many cells it is extended to all sides as far as possible.
     """
     if bounds is None:
         return lattice, (slice(0, lattice.height), slice(0, lattice.width))
@@ -99,7 +99,7 @@ def lay_whole(lattice: Lattice, bounds: Float | None, max_cells: int) -> tuple[L
 
 
 def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
-    """The cells within `reach` [m] of boxes, (n, 6) [m], and one more on each side; ascending."""
+    """The cells within `reach` [m] and one cell of boxes, (n, 6) [m]; ascending."""
     x0, y0, x1, y1 = lattice.bounds
     far = reach + 4 * lattice.cell_size  # boxes may be endless
     low, high = (x0 - far, y0 - far), (x1 + far, y1 + far)
@@ -111,7 +111,7 @@ def cells_near(lattice: Lattice, boxes: Float, reach: float) -> Int:
 
 
 def bounding_window(mask: Bool) -> Window:
-    """The smallest window that holds all marked cells, of which there is one at least."""
+    """The smallest window that holds all marked cells, one at least."""
     rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 

@@ -7,7 +7,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Float, Int, Int32
 
-# Chunks of boxes for each thread; fewer boxes than so many a tile aren't worth counts of their own
+# Chunks for each thread, where there are more boxes than so many a tile
 CHUNKS, WORTH = 2, 4
 
 
@@ -19,7 +19,7 @@ def tile_of(lattice: Lattice, cell: Int | int) -> Int:
 
 
 def list_by_tile(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
-    """List, for each tile, the boxes, shape (n, 6), that reach into it, grown in the plane [m].
+    """List, for each tile, the boxes, shape (n, 6), that reach into it, widened by `grow` [m].
 
     Returns:
         The list of tile t is ``item[start[t] : start[t + 1]]``, ascending; start, shape

@@ -1,4 +1,4 @@
-"""The bake, end to end: its stages, and the grid that is put together from what they found."""
+"""The bake, end to end: its stages, and the grid that is made of their results."""
 
 from __future__ import annotations
 
@@ -144,8 +144,8 @@ def run_bake(
 ) -> BakeResult:
     """Bake a scene, `opened` where its model is in memory, into a navigation grid.
 
-    With `limits`, MuJoCo compiles the scene in a child process, within these. `tell` is called with
-    the warnings that say that axes or units look wrong, before anything that takes long.
+    With `limits`, MuJoCo compiles the scene in a child process. `tell` is called early with each
+    warning that axes or units look wrong.
     """
     clock = StageClock(progress)
     with limit_threads(threads):
@@ -172,7 +172,7 @@ def run_bake(
 def _verified(
     grid: SceneGrid2D | MultiLevelGrid, stages: Stages, sample: int
 ) -> SceneGrid2D | MultiLevelGrid:
-    """The grid with what a verification by MuJoCo and FCL found, and a warning if it disagrees."""
+    """The grid with its verification by MuJoCo and FCL, and a warning if that disagrees."""
     # a bake that doesn't verify starts without FCL's and MuJoCo's shapes of the scene
     from navbake.verifier.verify import verify_scene
 
@@ -196,7 +196,7 @@ def _verified(
 
 
 def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
-    """Put what the stages found into the grid that is written."""
+    """Make the grid of the stages' results."""
     doors = _cut_doors(stages)
     metadata = _metadata(stages, doors)
     numbers = range(len(stages.floors.levels))

@@ -1,4 +1,4 @@
-"""Seams: vertical faces of two geoms, one from either side, in which the lines of cells run."""
+"""Seams: vertical faces of two geoms that meet where the lines of cells run."""
 
 from __future__ import annotations
 
@@ -24,11 +24,9 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     """Give the lines that run in two faces at once to the geoms on one side.
 
     On round coordinates the centres of cells often lie where one geom ends and the next one
-    begins; both are in the column then, a tread and the slab beside it. As by the top-left rule of
-    rasterizers, such a line belongs to what lies east of the seam, and north of it: its column is
-    that of a line 1e-6 m further on. Lines in an outer face, with nothing from the other side,
-    stay. Faces are those of boxes and triangles that run along the axes; of others the centres of
-    cells hit no two by chance.
+    begins, and both are in the column. As by the top-left rule of rasterizers, such a line belongs
+    to what lies east and north of the seam: it is cast again 1e-6 m further on. Only faces of boxes
+    and triangles along the axes count; the centres of cells meet no two others by chance.
 
     Args:
         cells: those whose columns are known, ascending; those of the columns' rows if None.
@@ -65,7 +63,7 @@ def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
 
 
 def _find_seams(tiled: TiledShapes, axis: int, boxes: Float, corners: Float, known: Bool) -> Int:
-    """The known cells whose lines run in faces that look both ways along x or y, ascending."""
+    """The known cells whose lines run in faces of both directions along x or y, ascending."""
     other = 1 - axis
     low, high = corners.min(axis=1), corners.max(axis=1)
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -83,12 +81,9 @@ def _find_seams(tiled: TiledShapes, axis: int, boxes: Float, corners: Float, kno
 
 
 def _mark_lines(tiled: TiledShapes, axis: int, at: Float, begin: Float, end: Float) -> Bool:
-    """Mark the cells whose centres lie on lines along y or x, shape (cells,).
+    """Mark the cells, shape (cells,), with centres on lines at an x (`axis` 0) or a y (1).
 
-    Args:
-        axis: 0 for lines at an x, 1 for lines at a y.
-        at: where each is [m].
-        begin, end: from where to where it goes along the other axis [m].
+    Each reaches from `begin` to `end` along the other axis [m].
     """
     lattice = tiled.lattice
     centers = lattice.center_x(), lattice.center_y()[::-1]  # ascending

@@ -16,12 +16,11 @@ from navbake.baker.stages import Stages
 from navbake.errors import printable
 
 SPARSE = 64  # a first look at floors reads one row of so many
-# How far below a ground that was given the floor lies that was meant, at most: the thickness of a
-# slab with what is laid on it, so that the top of one is not taken for another storey's [m]
+# How far below a given ground the floor that it means lies at most: the thickness of a slab [m]
 NEAR_GROUND = 0.5
 LEAST_HOLE = 0.05  # of the holes of a mesh that a warning names [m²]
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
-# What is said of large surfaces that are floors or not, from which size on [m²]
+# Warnings of large surfaces, from which size on [m²]
 DROPPED = {
     "tops": (
         LARGE_TOP,
@@ -158,9 +157,7 @@ def _warn_patches(stages: Stages, texts: dict[str, tuple[float, str]]) -> Iterat
 def _warn_high_grounds(stages: Stages) -> Iterator[str]:
     """Warn of grounds in `levels` that are a little higher than the floors that were meant.
 
-    Such a floor goes to another level, and the name to whatever lies above. A ground is told of
-    where its level has no floor within a step above it, and another has one as large as a sheet
-    has to be within `NEAR_GROUND` below it.
+    Their level has no floor within a step above, another a large one within `NEAR_GROUND` below.
     """
     config, levels = stages.config, stages.floors.levels
     given = [] if config.levels == "auto" else [level.ground for level in config.levels]
@@ -199,7 +196,7 @@ def _warn_unreached(stages: Stages) -> Iterator[str]:
 
 
 def _warn_holes(stages: Stages) -> Iterator[str]:
-    """Warn of holes in the floor of a mesh, which nobody saw, or which are none."""
+    """Warn of holes in the floor of a mesh."""
     area = stages.holes[stages.holes >= LEAST_HOLE]
     if len(area):
         holes = "a hole" if len(area) == 1 else f"{len(area)} holes"

@@ -18,7 +18,7 @@ from navbake.errors import QueryError
 from navbake.formats.source import Files, import_extra, write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
-from navbake.navgrid.doors import Door
+from navbake.navgrid.doors import DOOR_REACH, Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import Room
 from navbake.runtime.flat_grid import map_rooms
@@ -32,7 +32,6 @@ sparse = lazy("scipy.sparse")
 csgraph = lazy("scipy.sparse.csgraph")
 
 OUTSIDE = "(outside)"  # the node that doors without a second room lead to
-DOOR_REACH = 0.4  # from a door's cells to its opening [m]
 # a cell's neighbours by their place in a row of the matrix: row and column steps, bit of its moves
 # (see `navbake.runtime.kernels.arrays`)
 WAYS = (

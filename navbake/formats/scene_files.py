@@ -15,7 +15,7 @@ from urllib.parse import unquote
 from navbake.errors import SceneError
 from navbake.files import check_regular
 
-XML_SUFFIXES = (".xml", ".mjcf", ".urdf")
+XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
 LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
 # attributes of a compiler that name folders; of looks as well

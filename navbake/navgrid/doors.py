@@ -16,6 +16,8 @@ from navbake.types import Int, Json
 State: TypeAlias = Literal["modelled", "open", "closed", "removed"]
 STATES: tuple[str, ...] = get_args(State)
 WHERE = "metadata.navbake.doors"
+# A door is in an opening if they are at most this far apart [m]
+DOOR_REACH = 0.4
 
 Runs = list[int]
 """Cell ids as runs: first id, count, first id, count, …"""

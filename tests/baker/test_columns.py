@@ -1,6 +1,6 @@
 """Columns against MuJoCo's own scalar ray, geom by geom, and along seams where that one leaks.
 
-Run ``NAVBAKE_EXAMPLES=500 pytest tests/bake/test_columns.py`` for more scenes.
+Run ``NAVBAKE_EXAMPLES=500 pytest tests/baker/test_columns.py`` for more scenes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Bakes of scenes made at random against exact geometry that shares nothing with navbake.
 
-Run ``NAVBAKE_EXAMPLES=3000 pytest tests/bake/test_ground_truth.py`` for more, other scenes.
+Run ``NAVBAKE_EXAMPLES=3000 pytest tests/baker/test_ground_truth.py`` for more, other scenes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The same scene, shifted, turned, by other threads, another time: the same grid.
 
 Many of these scenes have faces exactly on cells' edges and centres, and heights exactly on limits.
-Run ``NAVBAKE_EXAMPLES=1000 pytest tests/bake/test_invariance.py`` for more of them.
+Run ``NAVBAKE_EXAMPLES=1000 pytest tests/baker/test_invariance.py`` for more of them.
 """
 
 from __future__ import annotations

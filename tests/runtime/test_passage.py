@@ -1,6 +1,6 @@
 """The widest agent that gets somewhere, against a bisection over inflated grids.
 
-``NAVBAKE_EXAMPLES=200 pytest tests/runtime/paths/test_passage.py`` asks more grids.
+``NAVBAKE_EXAMPLES=200 pytest tests/runtime/test_passage.py`` asks more grids.
 """
 
 from __future__ import annotations

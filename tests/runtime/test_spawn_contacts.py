@@ -1,6 +1,6 @@
 """Spawned agents stand in MuJoCo as cylinders, and touch neither the scene nor one another.
 
-``NAVBAKE_EXAMPLES=500 pytest tests/runtime/spawns/test_spawn_contacts.py`` draws 10,000 a scene.
+``NAVBAKE_EXAMPLES=500 pytest tests/runtime/test_spawn_contacts.py`` draws 10,000 a scene.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from navbake.types import Int
 
 Names = dict[str, list[str]]
 
-# Bits: how a geom is in a cell, and the keys of user data that they end up under
+# Bits: how a geom is in a cell, and the keys of user data for them
 OBJECTS, WALLS, BLOCKERS = 1, 2, 4
 KEYS = {"objects": OBJECTS, "walls": WALLS}
 NAMED = OBJECTS | WALLS
@@ -47,14 +47,14 @@ def name_cells(
 
     Args:
         cell, geom: cells on the lattice, and a geom in each, shape (n,).
-        bits: how it is there, of OBJECTS, WALLS and BLOCKERS, shape (n,); none if 0.
+        bits: OBJECTS, WALLS and BLOCKERS of each, shape (n,); those with 0 don't count.
         names: by geom id.
         lattice, window: the cells, and those that the grid holds.
 
     Returns:
-        Cell ids on the window, ascending; which entry each has; and the entries: sorted names
-        under each key that has any, and ``blockers`` where they aren't all the other names. See
-        `navbake.navgrid.user_data.Shared`.
+        The fields of `navbake.navgrid.user_data.Shared`: cell ids on the window, ascending; the
+        entry of each; and the entries: sorted names by key, ``blockers`` only where these differ
+        from all other names.
     """
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms
     numbers: dict[str, int] = {}
@@ -72,7 +72,7 @@ def name_cells(
 
 
 def _merge(cell: Int, name: Int, bits: Int, num_names: int) -> tuple[Int, Int, Int]:
-    """Cells, names and their bits, by cell and then name, none twice."""
+    """Unique pairs of cell and name, sorted, with their bits."""
     kept = bits > 0
     cell, name, bits = cell[kept], name[kept], bits[kept]
     pair = cell * num_names + name

@@ -1,6 +1,6 @@
 """What stands in each cell: whether it is occupied, by which geoms, what they are, and their names.
 
-All is found by one walk over the cells, block by block; and again for some cells where things move.
+One walk over the cells finds all, block by block, and again for some cells where things move.
 """
 
 from __future__ import annotations
@@ -50,11 +50,10 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.types import Bool, Float, Int
 
-# Lists get so many times the room that they are expected to need, and where some are replaced, as
-# what was there before stays in them
+# Lists get so many times the room that they are expected to need, and so many where some are
+# replaced, as the old ones stay
 SPARE, ROOM = 1.1, 2
-# How far above its floors the last storey ends [m]: not at the scene's top, which things that move
-# anywhere may change
+# How far above its floors the last storey ends, whatever moves at the scene's top [m]
 OPEN_ABOVE = 100.0
 
 
@@ -65,8 +64,7 @@ class Contents:
     Attributes:
         levels: the storeys' cells, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
-        partitions: the same for rooms: what is a wall by its shape, or closes an opening as a pane
-            does, parts rooms whatever it is named.
+        partitions: the same for rooms, which walls by shape and panes part whatever their names.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
         taken: how many cells each body with a free joint takes, see `count_taken`; shape
@@ -81,7 +79,7 @@ class Contents:
     taken: Int
 
     def have_same_walls(self, other: Contents, cells: Int) -> bool:
-        """Whether the same cells are marked in contents that differ in some cells at most."""
+        """Whether `mark_walls` is the same in contents that differ at most in some cells."""
         same_kinds = np.array_equal(self.partitions, other.partitions)
         asked = cells if same_kinds else None
         levels = range(len(self.levels))
@@ -90,10 +88,9 @@ class Contents:
         )
 
     def mark_walls(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
-        """Mark the cells with a floor that walls are in, on the whole lattice or of some cells.
+        """Mark the cells, all or some, that a wall stands in and blocks.
 
-        Returns those that a wall stands in and blocks, and those that a building's mesh blocks only
-        below `WALL_BAND`.
+        Also returns those that a building's mesh blocks only below `WALL_BAND`.
         """
         listed = self.levels[level]
         asked = np.arange(len(listed.first)) if cells is None else cells
@@ -105,16 +102,15 @@ class Contents:
     def user_data(self, level: int, window: Window) -> UserData:
         """Name what stands in a storey's cells, as the original client does.
 
-        `objects` are all things but walls and the building's own floors, ceilings and stairs;
-        `walls` the walls. Both reach from the floor up to the next storey, whether they stand,
-        hang or lie. `blockers` are what the agent's disc or square meets in its band, be that in
-        the cell or beside it, where that is not exactly what stands there. A thing is in the cells
-        where one stands on it, too (rugs, pallets). Doors are no part of the contents: see
-        `navbake.navgrid.doors.with_door_names`.
+        `objects` are all things but walls and the building's own floors, ceilings and stairs, also
+        those that one stands on (rugs, pallets); `walls` the walls. Both stand, hang or lie between
+        the floor and the next storey. `blockers` are what the agent's disc or square meets in its
+        band, where these are not the same names. `navbake.navgrid.door_states.with_door_names` adds
+        the doors.
 
         The data is by cell id on the window: sorted names under each key that has any.
         """
-        # deferred: it takes a while, and planning and plotting don't need it
+        # deferred: planning and plotting don't need it
         return UserData(partial(self._name_cells, level, window))
 
     def _name_cells(self, level: int, window: Window) -> Shared:
@@ -139,10 +135,10 @@ class CellFinder:
     """Finds what stands in all cells, block by block, and again in some where things move.
 
     Attributes:
-        occupancy: of the cells that were looked at; others have an open floor yet.
+        occupancy: of the cells looked at so far; the others count as open.
 
     Args:
-        scene: without doors, as is all that is looked at.
+        scene: the scene without its doors.
         floors: the storeys.
         agent: who stands there.
         extents: of the scene's geoms; None where contents are not asked for.
@@ -179,7 +175,7 @@ class CellFinder:
         self._classified: Classified | None = None
 
     def add(self, columns: Columns, tiled: TiledShapes) -> None:
-        """Look at the cells of a block; blocks come in the order of their rows."""
+        """Add the cells of a block; blocks come in the order of their rows."""
         lattice = columns.lattice
         cells = np.arange(*columns.known_rows.cells(lattice))
         self._look(columns, tiled, cells, (int(cells[-1]) + 1) / (lattice.width * lattice.height))
@@ -193,11 +189,11 @@ class CellFinder:
         cells: Int,
         moved: Bool,
     ) -> None:
-        """Bring cells up to date where things moved; what `found` returned before stays as it is.
+        """Update cells where things moved; earlier results of `found` are not changed.
 
         Args:
             cells: all near what moved, and all whose column or floor changed, ascending.
-            moved: by geom id, whether its geometry differs.
+            moved: by geom id, whether its geometry changed.
         """
         self._scene, was, self._floors = scene, self._floors, floors
         if not np.array_equal(was.links, floors.links):
@@ -208,8 +204,7 @@ class CellFinder:
             for old, now in zip(extents, new, strict=True):
                 old[moved] = now[moved]
             self._extents = extents
-            # a static panel is furniture, not a wall, by the size of the body that it is a part of,
-            # moving parts included
+            # moving parts count in the body whose size makes a static panel furniture
             static, roots = is_static(scene), np.asarray(scene.model.body_rootid)
             roots = roots[scene.model.geom_bodyid]
             own = np.unique(roots[moved])
@@ -219,7 +214,7 @@ class CellFinder:
         self._look(columns, tiled, cells, None)
 
     def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
-        """Look at some cells, ascending; see `_put_lists` for `share`."""
+        """Find what stands in some cells, ascending; `share` as for `_put_lists`."""
         floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
         # each storey ends at the next one's ground, or else high above its floors [m]
         tops = [*(level.ground for level in floors.levels[1:]), np.inf]
@@ -260,9 +255,7 @@ class CellFinder:
     ) -> None:
         """Put the lists of some cells into a level's contents.
 
-        Args:
-            share: how much of all cells is known with these, > 0 to 1; None where they were known,
-                and the contents as they were are not to be written to.
+        `share` of all cells are known with these; None for an update, which copies the contents.
         """
         listed, used, num = self._listed[k], self._used[k], len(found.geom)
         carrier, gap = np.full(len(cells), -1, dtype=np.int32), np.full(len(cells), np.inf)
@@ -289,7 +282,7 @@ class CellFinder:
         count_taken(listed, cells, self._free_body, self._taken, 1)
 
     def found(self, settings: NameSettings) -> Contents | None:
-        """What stands in all cells, and what each geom is; None where that is not asked for."""
+        """The contents of all cells; None where they are not asked for."""
         extents, floors, scene, agent = self._extents, self._floors, self._scene, self._agent
         if extents is None:
             return None
@@ -299,8 +292,8 @@ class CellFinder:
             self._steps = find_steps(floors, carrier, self._listed[0].lattice)
         cell_size, step = self._listed[0].lattice.cell_size, agent.traversable_floor_height
         carriers = find_carriers(counts, stood_on, cell_size, step, self._steps)
-        # geoms are classified again only where something that decides this has changed: that is not
-        # how deep one reaches under a floor, as all that begins so low may be a wall
+        # geoms are classified again only where their basis has changed, in which it does not matter
+        # how deep one reaches under a floor
         static = is_static(scene)
         decisive = static | is_surface(scene) | wall_candidates(scene, extents)
         base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
@@ -317,7 +310,7 @@ class CellFinder:
         return Contents(levels, kinds, partitions, self._names, warnings, taken)
 
     def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
-        """How geoms stand over floors; and how they carry them, see `find_carriers`."""
+        """How geoms stand over floors, and the arguments of `find_carriers`."""
         num, heights = len(extents.low), (extents.low, extents.high)
         over, stood_on = (np.full(num, np.inf), np.full(num, -np.inf)), np.zeros(num, np.bool_)
         on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
@@ -331,10 +324,10 @@ class CellFinder:
 
 
 def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:
-    """Add `by` to what each body has in `taken` for each of some cells that it takes.
+    """Add `by` to `taken` for each body and each of some cells that it takes.
 
-    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
-    joint, `body_of` each geom, -1 for none. So a cup on a table takes none.
+    A cell that only bodies with a free joint block is taken by each of these; `body_of` each geom
+    is -1 for none. So a cup on a table takes none.
     """
     if not (body_of >= 0).any():
         return
@@ -349,7 +342,7 @@ def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by:
 
 
 def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
-    """Contents without the lists of no cell, and how long all others are."""
+    """Contents without the lists that no cell has, and the length of the others."""
     cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
     is_first = np.diff(cell, prepend=-1) > 0
     # an end before each list but the first, which begins at 1
@@ -374,7 +367,7 @@ def classify_geoms(
     agent: AgentSettings,
     settings: NameSettings,
 ) -> Classified:
-    """What each geom is, see `Contents.kinds` and `partitions`; and what the user should know."""
+    """Kinds and partitions of geoms, see `Contents`, and warnings."""
     buildings = find_buildings(scene, extents, over_floors)
     ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)

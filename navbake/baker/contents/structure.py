@@ -16,7 +16,7 @@ from navbake.types import Bool, Float, Int, Int32
 # A thing that one can stand on is at most this large, and lies at most this high over a floor
 # unless it is solid down to it [m², m], in at least this share of its cells
 THING_AREA, THING_HEIGHT, MOSTLY = 4.0, 1.0, 0.9
-# What is no higher than this is no step on the way up [m]
+# A lower rise is no step on the way up [m]
 COVERING = 0.03
 # A ceiling is at least this wide both ways [m]
 CEILING_WIDTH = 1.5
@@ -31,8 +31,7 @@ class Carriers(NamedTuple):
     Attributes:
         building: those that belong to the building.
         things: those that only lie on its floors.
-        stood_on: those of both that one can stand on somewhere; the others only carry floor
-            that continues under something.
+        stood_on: those of both that one can stand on somewhere; others carry floor under things.
     """
 
     building: Bool

@@ -21,7 +21,7 @@ from navbake.types import Bool, Float, Int
 
 HINTED = re.compile("wall|partition")  # in the names of walls, whatever the case
 
-# A wall begins at most this far over a floor (as a window over its sill), and is this high [m]
+# A wall begins at most this far over a floor (a window over its sill), and is this high [m]
 NEAR_FLOOR, TALL = 0.6, 1.5
 # Most thickness, least length and least ratio of both, of a thin wall and of a thick one [m, m, 1]
 THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
@@ -29,12 +29,12 @@ THIN = ((0.25, 0.5, 3.0), (0.5, 3.0, 6.0))
 THICK, AS_HIGH = (1.2, 3.0, 3.0), 0.1
 # Two walls meet at a corner where they are no nearer to one direction than 45 degrees [1]
 CROSSWISE = 0.5**0.5
-# Least heights of what is named like a wall, and of that if it is thin and long, too [m]
+# Least heights of geoms named like a wall, and of those of them that are thin and long [m]
 NAMED_TALL, LOW = 1.0, 0.5
-# A body that is deeper than its panel by this, and at most so deep, long [m] and made of so many
-# geoms, is furniture
+# A body is furniture if it is this much deeper than its panel, and at most so deep, so long [m],
+# and of so many geoms
 DEEPER, FURNITURE_DEPTH, FURNITURE_LENGTH, FURNITURE_PARTS = 0.1, 1.2, 3.0, 200
-# What continues a wall is thicker by at most this on a side, and at most so far from its end [m]
+# A piece that continues a wall is at most this thicker on a side, and so far from its end [m]
 IN_LINE, TOUCHING = 0.03, 0.05
 PAIRS = 1_000_000  # of walls and pieces that are compared at once, for the memory they take
 # Least width both ways of a mesh that holds a building [m], and share of it that is filled at most
@@ -78,12 +78,12 @@ def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors)
 
 
 def is_surface(scene: Scene) -> Bool:
-    """Mark the geoms that are made of triangles, and no hulls."""
+    """Mark the geoms made of triangles other than hulls."""
     return np.array([report.shape in TRIANGLES for report in scene.geoms], dtype=np.bool_)
 
 
 def is_static(scene: Scene) -> Bool:
-    """Mark the geoms that no joint moves, up to the world, and no mocap body."""
+    """Mark the geoms that neither a joint nor a mocap body moves."""
     model = scene.model
     body = model.geom_bodyid
     fixed: Bool = (model.body_weldid[body] == 0) & (model.body_mocapid[model.body_rootid[body]] < 0)
@@ -113,16 +113,16 @@ def match_walls(scene: Scene, patterns: Sequence[str]) -> tuple[Bool, list[str]]
 def find_walls(
     scene: Scene, extents: Extents, over_floors: GeomsOverFloors, carriers: Carriers, excluded: Bool
 ) -> Bool:
-    """Mark the walls by their shape, and by their names where the shape leaves it open.
+    """Mark the walls by their shapes and names; excluded geoms are none.
 
     A wall is static, rises from near a floor over 1.5 m, straight up, and is thin (0.25 m) and
-    long; a thicker one (0.5 m) is longer. One that is thicker still (1.2 m) is a wall if it meets
-    another wall, or another such one, at a corner, and is as high: a rack, a container or a row of
-    cupboards does not. A panel of a deeper piece of furniture is none. With
-    `wall` or `partition` in its geom's, mesh's or body's name 1 m is tall enough, however thick
-    it is; and 0.5 m for something thin and long. What continues in the line of a wall is wall,
-    too: parapets, lintels, stubs, windows. Something that one can stand on is a wall only if it
-    is named so, and what carries floors continues no wall. Geoms that are excluded are no walls.
+    long; a thicker one (0.5 m) is longer. One that is thicker still (1.2 m) has to meet a wall, or
+    another such one, at a corner, and be as high, unlike a rack, a container or a row of cupboards.
+    A panel of a deeper piece of furniture is none, nor is what one can stand on.
+
+    With `wall` or `partition` in its geom's, mesh's or body's name, 1 m is tall enough, whatever
+    else; and 0.5 m if it is thin and long. Pieces that continue in the line of a wall are walls,
+    too (parapets, lintels, stubs, windows), unless they carry floors.
     """
     named_by_geom = [" ".join(names).lower() for names in all_names(scene.model).geoms]
     hinted = np.array([bool(HINTED.search(names)) for names in named_by_geom], dtype=np.bool_)
@@ -143,10 +143,10 @@ def find_walls(
 
 
 def find_panes(extents: Extents, over_floors: GeomsOverFloors, walls: Bool) -> Bool:
-    """Mark what closes an opening in a wall, whether it can move or carry somebody, or not.
+    """Mark what closes an opening in a wall: fixed panes, sliding doors, closed leaves.
 
-    It is as thin, long and tall as a wall, begins near a floor or a sill, and ends at walls on both
-    sides, or at another pane of the same opening: fixed panes, sliding doors, closed leaves.
+    A pane is as thin, long and tall as a wall, begins near a floor or a sill, and ends on both
+    sides at walls or other panes of the opening.
     """
     thin, long, ratio = THIN[0]
     panes = _is_slender(extents, (thin, long, ratio)) & (extents.high - extents.low >= TALL)
@@ -176,7 +176,7 @@ def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
 
 
 def _meets_at_corner(thick: Bool, walls: Bool, extents: Extents) -> Bool:
-    """Mark what is thick and meets a wall, or another that is thick, at a corner, as high as it."""
+    """Mark thick geoms that meet a wall, or another thick one, at a corner, as high as it."""
     meets = np.zeros(len(thick), dtype=np.bool_)
     if not thick.any():
         return meets
@@ -249,7 +249,7 @@ def _near_pairs(walls: Int, pieces: Int, extents: Extents) -> Iterator[tuple[Int
 
 
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, ends: Int) -> bool:
-    """Whether a body that holds the geom is deeper than it, and as large as furniture is."""
+    """Whether a body that holds the geom is furniture, see `FURNITURE_DEPTH`."""
     model = scene.model
     for body in _bodies_above(model, geom):
         inside = geoms_of_bodies(model, body, int(ends[body]))

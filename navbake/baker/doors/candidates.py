@@ -51,16 +51,16 @@ class DoorCandidate:
         return self.positions.get(state, self.positions.get("modelled"))
 
     def only(self, shapes: Shapes) -> Shapes:
-        """The candidate's own part of some geometry."""
+        """The part of `shapes` that belongs to this candidate."""
         return shapes.only(mark_geoms(len(shapes.endless), [self]))
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
-    """Find bodies that may be doors, by name or by their looks; warn of unused patterns.
+    """Find bodies that may be doors, by name or by shape, by body id; warn of unused patterns.
 
     A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. One
-    without a joint, as in IFC models, stands between walls that are higher than it. The candidates
-    are sorted by body id. Descendants of one are part of it.
+    without a joint, as in IFC models, stands between walls that are higher than it. The descendants
+    of a candidate are part of it.
     """
     if not settings.patterns and not settings.find:
         return [], []
@@ -108,7 +108,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
 
 
 def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> dict[int, int]:
-    """Bodies' largest geoms, where these are tall, thin and as wide as a door, as modelled."""
+    """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
     mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
     mask[np.concatenate([np.empty(0, dtype=np.int64), *geoms.values()])] = True
     extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
@@ -123,7 +123,7 @@ def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> dict[int, int]:
 
 
 def _stands_between_jambs(leaf: int, own: Int, extents: Extents) -> bool:
-    """Whether something as a wall is at both ends of a leaf, from its foot to above its top."""
+    """Whether both ends of a leaf are at something like a wall, from its foot to above its top."""
     jambs = (extents.thin <= JAMB) & (extents.long > extents.thin)
     jambs &= extents.high >= extents.high[leaf] + HIGHER
     jambs &= extents.low <= (extents.low[leaf] + extents.high[leaf]) / 2

@@ -27,13 +27,11 @@ from navbake.navgrid.doors import STATES
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
-# How far from each side of a closed leaf a room is looked for [m]
+# The length of lines of sight from each side of a closed leaf [m]
 SIGHT = 0.6
-# Where lines of sight begin along the leaf, as shares of its width from its middle; its ends are
-# left out, because the frame is there
+# Where lines of sight begin along the leaf, as shares of its width from its middle, off the frame
 LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
-# From which share on of the cells of a closed door that its open state blocks as well it opens
-# nothing: nobody who needs a doorway gets through a quarter of it
+# A door opens nothing if its open state blocks this share of the closed door's cells
 STUCK = 0.75
 MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
 WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
@@ -41,16 +39,15 @@ WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "w
 
 @dataclass(frozen=True)
 class Placing:
-    """What a candidate turned out to be on the whole lattice."""
+    """A candidate on the whole lattice: a door, a part of the scene, or neither."""
 
     candidate: DoorCandidate
     box: Float | None  # round all of its states, shape (2, 3) [m]; None if it has no geometry
-    is_part: bool = False  # of the scene: it stands on the lattice and joins no two rooms
+    is_part: bool = False  # of the scene: it is on the lattice and joins no two rooms
     rooms: RoomIds = (None, None)
-    # by state and level, the cells that the door blocks and nothing else does, ascending; empty
-    # where the candidate is no door
+    # by state and level, the cells that the door alone blocks, ascending; empty for no door
     cells: dict[str, list[Int]] = field(default_factory=dict)
-    # the same of cells whose squares it meets; empty where the footprint is the square
+    # the cells whose squares the door alone meets; empty where the footprint is the square
     solid: dict[str, list[Int]] = field(default_factory=dict)
     closed_cells: Sequence[Int] = ()  # by level, what the closed door blocks, whatever else does
     travel: str = ""  # by how much its joint opens it, with the unit
@@ -61,7 +58,7 @@ class Placing:
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
 
     def depends_on(self, cells: Int, around: Surroundings) -> bool:
-        """Whether it may be another one where something changed in some cells."""
+        """Whether a change in some cells may change it."""
         lattice = around.rooms.lattice
         reach = max(SIGHT, around.footprint.reach) + lattice.cell_size
         window = None if self.box is None else lattice.window(self.box, reach)
@@ -69,7 +66,7 @@ class Placing:
 
 
 def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
-    """Warn of doors that open nothing, that are `wanted` open without a joint, or carry floor."""
+    """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
     stuck, fixed = list[str](), list[str]()
     for door in doors:
         name, closed = door.candidate.id, door.cells["closed"]
@@ -91,7 +88,7 @@ def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What doors stand in: what was found in the scene without them."""
+    """What was found in the scene without its doors."""
 
     columns: ColumnSource
     floors: Sequence[LevelFloor]
@@ -147,7 +144,6 @@ def _place_door(
         return Placing(candidate, box, is_part)
 
     def only_free(number: int, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
-        """By state and level, the cells that nothing else occupies."""
         pairs = {s: zip(both[number], occupied, strict=True) for s, both in blocked.items()}
         return {s: [ids[~mask.ravel()[ids]] for ids, mask in both] for s, both in pairs.items()}
 
@@ -199,11 +195,10 @@ def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], lis
 def _rooms_beside(
     leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
 ) -> RoomIds | None:
-    """The rooms on a closed leaf's two sides, None for outside; None if they aren't two.
+    """For each side, the last room seen along lines away from the closed leaf; None for one room.
 
-    On each side that is the last room in sight, before the floor may end: a door to a ledge joins
-    the ledge. Only where that is one room on both sides, because the doorway beyond the leaf
-    belongs to the room behind it, the outside begins where the floor ends.
+    If both sides see the same room, as where the doorway belongs to it, the outside, None, begins
+    where the floor ends.
     """
     sizes = [len(cells) for cells in closed_cells]
     if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
@@ -242,9 +237,9 @@ def _rooms_beside(
 
 
 def _walkable_area(shapes: Shapes, extents: Extents, geoms: Int, around: Surroundings) -> float:
-    """How much of the top of a door an agent can stand on, if a step leads there [m²].
+    """The area of a door's top on which an agent can stand, if a step leads there [m²].
 
-    That faces up within the agent's slope, has its headroom, and lies on no floor, as a mat does.
+    What lies on a floor, like a mat, does not count.
     """
     lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
     window = None if bounds is None else lattice.window(bounds)

@@ -1,4 +1,4 @@
-"""The floor of each level: where one can stand, and how it goes on under things."""
+"""The floor of each level: where one can stand, and how it grows under things."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ class FloorGrowth:
     """The floors of all levels, and the links between them, kept up to date.
 
     Attributes:
-        levels: of each, lowest first, by cell: the height of its floor, NaN for none [m]; and its
-            ring: 0 where one can stand, 1 and up where the floor goes on, -1 for none, int32.
+        levels: of each, lowest first, `floor` and `ring` by cell, see `Growing`.
         links: see `Floors`.
-        changed: the cells where the last update changed the height of any floor, or whether there
-            is one, ascending; None where all may be new.
+        changed: the cells where the last update changed any floor, ascending; None where all may
+            be new.
     """
 
     def __init__(self, sheets: Sheets, agent: AgentSettings) -> None:
@@ -43,7 +42,7 @@ class FloorGrowth:
 
         Args:
             placed: the surfaces on their levels.
-            bars: the sheets at whose surfaces no floor goes on, shape (sheets,), bool.
+            bars: the sheets at whose surfaces no floor grows, shape (sheets,), bool.
         """
         sheets, step = self._sheets, self._agent.traversable_floor_height
         stale = placed.changed | sheets.stale
@@ -64,10 +63,9 @@ class FloorGrowth:
             self.links = links[np.lexsort(links.T[::-1])]
 
     def _grow(self, k: int, placed: Placed, bars: Bool, stale: Bool, is_new: bool) -> Int:
-        """Find the floor of a level again; returns the cells where it has another height.
+        """Grow the floor of a level again; returns the cells where its height changed.
 
-        Where it comes out as it was at the edge of a region, nothing beyond it changes; else the
-        blocks beyond that edge are looked at again, too.
+        A region grows by the blocks around it until its outermost cells keep floors and rings.
         """
         sheets, agent, (floor, ring) = self._sheets, self._agent, self.levels[k]
         lattice, blocks = sheets.lattice, sheets.blocks

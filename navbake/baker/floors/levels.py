@@ -43,8 +43,8 @@ class LevelFloor:
         ground: ground height [m].
         floor: floor heights, shape (height, width), float64, NaN for none [m].
         standable: where the floor is a standable surface, shape (height, width), bool.
-        unseen: where it was closed over a hole that nobody saw, shape (height, width), bool, a part
-            of `standable`; None where holes stay.
+        unseen: the part of it that closes a hole, shape (height, width), bool; None where holes
+            stay.
     """
 
     name: str
@@ -61,16 +61,15 @@ class Floors:
     Attributes:
         levels: the storeys.
         links: level a, cell a, level b, cell b, shape (n, 4), int64, cells on the whole lattice:
-            each step between two levels, and each pair of neighbours, on one level or two, that
-            their slopes join but no step does.
+            steps between two levels, and neighbours that slopes join but no step does.
         tops: large tops and shelves that are no floors, the largest first.
         roofs: roofs that a user may miss, the largest first.
-        small_starts: what `floors.from` names, though it is too small for a floor.
+        small_starts: floors only because `floors.from` names them.
         unreached: what no step leads to, by level, lowest first.
         left_out: floors that `floors.reach: steps` leaves out, the largest first.
-        enclosed: floors inside of closed meshes; the geom of each is the mesh's.
-        in_planes: likewise of floors inside of infinite planes.
-        voids: what no step reaches and nobody can stand upright in, left out.
+        enclosed, in_planes: floors inside of closed meshes and of infinite planes, whose geoms the
+            patches have.
+        voids: levels left out as no step reaches them and nobody can stand upright there.
         spare: surfaces left out because all levels of their columns are taken.
     """
 
@@ -90,9 +89,8 @@ class Floors:
 class FloorFinder:
     """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
 
-    All standable surfaces → the sheets that are large enough → without tops, shelves and roofs →
-    their levels → those that are reached → floors, level by level. What is local is found block by
-    block, and again where something changed; what is global is merged.
+    Standable surfaces → large sheets → without tops, shelves and roofs → levels → those that are
+    reached → floors. Blocks are evaluated again where something changed, and merged.
     """
 
     def __init__(
@@ -112,10 +110,10 @@ class FloorFinder:
             BlockTable(self._blocks.num, NO_EDGES),
             BlockAnswers(self._blocks.num),
         )
-        # in which update something last changed in or near a block
+        # the last update in which something changed in or near each block
         self._last = np.zeros(self._blocks.num, dtype=np.int64)
         self._cropped: Bool | None = None
-        # where what is reached decides, surfaces are placed before and after that
+        # for surfaces before and after those that are not reached are left out
         self._storeys, self._kept_storeys = (
             Storeys(self._sheets, agent, settings) for _ in range(2)
         )
@@ -129,7 +127,7 @@ class FloorFinder:
         return None if self._settings.fill else self._growth.changed
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
-        """Replace the columns of some cells, ascending; crossings are numbered as these are."""
+        """Replace the columns of some cells, see `SurfaceStore.replace`."""
         self._stale |= self._blocks.holding(self._store.replace(cells, crossings, planes))
 
     def find(
@@ -137,7 +135,7 @@ class FloorFinder:
     ) -> Floors:
         """Find the floors in columns, which were cast at shapes.
 
-        `near` are the blocks near which these differ from the last time.
+        `near` are the blocks near which shapes have changed.
 
         Raises:
             SceneError: there is no floor at all, none on a given level, or none at a place that one
@@ -197,7 +195,6 @@ class FloorFinder:
         )
 
     def _find_enclosed(self, stale: Bool) -> list[Patch]:
-        """See `find_enclosed`; most scenes hold nothing."""
         surfaces = self._store.surfaces
         is_held = surfaces.marks & HELD != 0
         if not is_held.any():
@@ -210,7 +207,7 @@ class FloorFinder:
         return find_enclosed(self._held, self._agent, self._settings)
 
     def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
-        """Find what a `Site` has from `edges` to `at_edges`; `near` has other geometry."""
+        """The fields of a `Site` from `edges` to `at_edges`; geometry has changed in `near`."""
         sheets, blocks = self._sheets, self._blocks
         reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
         keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
@@ -227,13 +224,9 @@ class FloorFinder:
     def _place_reached(
         self, site: Site, counted: Bool, starts: Bool
     ) -> tuple[Placed, list[Patch], list[Patch], list[Unreached]]:
-        """Place the surfaces that count on levels; of all, or of those that steps lead to.
+        """Place the sheets that count on levels, with `floors.reach: steps` those that are reached.
 
-        What is reached is decided before levels are given, from the lowest level that is no void.
-
-        Returns:
-            The surfaces on their levels, the sheets that are left out because no step leads to
-            them, those of voids, and what no step leads to of those that are not left out.
+        Returns the placed surfaces, and `left_out`, `voids` and `unreached` of `Floors`.
         """
         sheets, given, settings = self._sheets, self._given, self._settings
         by_steps, patches = settings.reach == "steps", list[Patch]()
@@ -273,7 +266,7 @@ def find_floors(
     given: Sequence[LevelSettings] | None,
     is_occupied: OccupancyTest,
 ) -> tuple[Floors, FloorFinder]:
-    """Find the floors of a scene, and what keeps them up to date; see `FloorFinder`."""
+    """Find the floors of a scene; returns also the finder that keeps them up to date."""
     store = SurfaceStore(columns.lattice, agent)
     for block in columns.blocks():
         store.add(block, shapes.planes)
@@ -306,7 +299,7 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
     near &= ~np.isnan(floor)
     free = near.copy()
     free[near] = ~is_occupied(np.flatnonzero(near), floor[near], None)
-    # what is free and hangs together with floor that was seen, and what stands in such a hole
+    # free cells connected to floor that was seen, and things that stand in such a hole
     open_part, _ = label(free)
     reached = free & np.isin(open_part, open_part[free & rim])
     unseen &= reached | (np.isin(holes, holes[reached & unseen]) & ~free)
@@ -315,7 +308,7 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
-    """Cut a window out of the floors of a whole scene, and what is told of it.
+    """Cut a window out of the floors of a whole scene; patches and parts beside it are left out.
 
     Levels without a standable surface in the window are left out.
 

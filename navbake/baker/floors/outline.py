@@ -1,4 +1,4 @@
-"""How sheets end: at walls, at drops, at the lattice's border, or in some other way."""
+"""How sheets end: at walls, at drops, at the lattice's border, or otherwise."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from navbake.types import Bool, Float, Int, Int32
 
 # How an edge of a sheet ends, see `Site.endings`
 WALL, BARRIER, DROP, BORDER, OPEN = range(5)
-# How thick the two bands are that tell a wall, at an agent's feet and at its head [m]
+# The thickness of the bands at an agent's feet and head that both meet a wall [m]
 PROBE = 0.01
 # An empty array of rows of `list_edges`
 NO_EDGES = np.empty((0, 5), dtype=np.int64)
@@ -54,20 +54,19 @@ class Endings(NamedTuple):
 
 
 class Site(NamedTuple):
-    """What the rules that tell tops, roofs and shelves from floors ask about.
+    """The input of the rules for tops, roofs and shelves.
 
     Attributes:
         sheets: all sheets, furniture included.
         is_large: which of them are large enough for floors, shape (sheets,), bool.
         columns: all surfaces.
-        cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
-            shape (4,), bool.
+        cropped: see `find_cropped`.
         edges: the block of each edge of large sheets, and its row, see `list_edges`.
-        reach: how many cells one looks out from a sheet for floors beside it.
-        last: in which update something last changed near each block.
-        near, at_edges: the same for a sheet's surfaces, and for its edges, shape (sheets,).
-        facts: what is known of sheets.
-        walls: how outlines end for the agent that tells roofs.
+        reach: how many cells beyond a sheet's edge floors are looked for.
+        last: the last update in which something changed near each block.
+        near, at_edges: the same near each sheet's surfaces, and near its edges, shape (sheets,).
+        facts: the cache of facts about sheets.
+        walls: the cache of endings for the rule of roofs.
     """
 
     sheets: Sheets
@@ -109,22 +108,20 @@ class Site(NamedTuple):
         return edges
 
     def endings(self, edges: Edges, agent: AgentSettings | None = None) -> Endings:
-        """Tell how a sheet ends at each of its edges, for the agent or another one.
+        """Classify how a sheet ends at each of its edges, for the agent or another one.
 
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
-          agent's feet (just above a step) and at its head (just below its height), whatever the
-          wall does at the ceiling.
+          agent's feet (just above a step) and at its head (just below its height).
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
-        - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand.
-          One looks past what is lower than the sheet, such as a bed's frame, as far as
-          `edges.cells` reach, up to a barrier. Where a surface goes on over that floor from the
-          sheet's height, as in an attic, there is no drop.
+        - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand;
+          in any of `edges.cells` up to a barrier, past a bed's frame. There is no drop where a
+          surface continues from the sheet over that floor, as in an attic.
         - BORDER: the lattice ends.
-        - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
+        - OPEN: an abyss, a steep slope, a floor on which nobody can stand.
         """
         agent, z, is_occupied = agent or self.agent, edges.z, self.is_occupied
         outer = edges.cells[:, 0]
-        # all that is asked about, so that it is found at once
+        # of all these cells at once
         known = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
         kind, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
         floor = np.full(len(z), -1, dtype=np.int32)
@@ -156,7 +153,7 @@ class Site(NamedTuple):
         return Endings(kind, landing, floor, self.is_known(kind, edges.way))
 
     def is_known(self, kind: NDArray[np.uint8], way: Int) -> Bool:
-        """Where edges end at more than the scene's crop, by how they end and which way is out."""
+        """Which edges do not end where the lattice crops the scene, by their endings and ways."""
         known: Bool = (kind != BORDER) | ~self.cropped[way]
         return known
 
@@ -171,7 +168,7 @@ class Site(NamedTuple):
 
 
 def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
-    """Whether a scene goes on beyond the lattice in the east, south, west and north, shape (4,).
+    """Whether a scene continues beyond the lattice in the east, south, west and north, shape (4,).
 
     `bounds` are its box, shape (2, 3) [m]; None if it is endless.
     """
@@ -185,8 +182,7 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
 def find_rims(edges: Edges, lattice: Lattice) -> Int32:
     """Number the rims of each sheet, (edges,) int32: 0 is the outer one, 1 and up those of holes.
 
-    What stands on a roof, or on a shelf, is no wall around it. The cells beyond the edges of a rim
-    hang together, from one to the next along it. `edges` are all those of some sheets.
+    A rim's edges are connected by the cells beyond them. `edges` are all those of some sheets.
     """
     # one sheet after the other on a lattice with a margin, and an empty row between them
     width, height = lattice.width + 2, lattice.height + 3
@@ -216,7 +212,7 @@ def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:
 
 
 def probe_bands(agent: AgentSettings) -> tuple[Band, Band]:
-    """The bands above a floor at an agent's feet and at its head, where walls are felt for [m]."""
+    """The bands above a floor at an agent's feet and at its head, see `Site.endings` [m]."""
     low, high = agent.traversable_floor_height, agent.height
     thickness = min(PROBE, (high - low) / 2)
     return Band(low, low + thickness), Band(high - thickness, high)

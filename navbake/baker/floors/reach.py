@@ -1,4 +1,4 @@
-"""What one reaches: where one starts, what no step leads to, and what closed meshes hold."""
+"""Reach: where agents start, what no step leads to, and floors inside of closed meshes."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from navbake.types import Bool, Int
 
 # A position that is at most this far from a surface lies on it, furniture or not [m]
 ON_SURFACE = 0.02
-# A sheet that no step leads to, beside floors that are reached, is told of from this size on:
-# shafts and niches are smaller [m²]
+# The least sheet that is reported as unreached on a level that is reached: shafts and niches are
+# smaller [m²]
 TOLD_AREA = 6.0
-# A level is a void where at least this share of it has less room above than an adult needs [m]
+# A level is a void where this share of it, or more, has less headroom than an adult needs [m]
 NEARLY_ALL, UPRIGHT = 0.9, 1.8
-# A floor that goes on beyond this share of its outline is what a closed thing stands on
+# A floor in a closed mesh that continues outside, beyond this share of its outline, only carries it
 GOES_ON = 0.25
-# Unless the thing is so large that it may well be a building [m²]
+# Unless it is as large as a building [m²]
 BUILDING = 50.0
 
 
 @dataclass(frozen=True)
 class Unreached:
-    """What no step leads to on a level, from where one starts.
+    """The floors of a level that no step leads to from the starts.
 
     Attributes:
         level: its number.
@@ -48,15 +48,15 @@ class Unreached:
 
 
 def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[float]]) -> Bool:
-    """Find the sheets that one stands on at some positions.
+    """Find the sheets on which agents start, at some positions.
 
-    A position within 2 cm of a surface lies on it. Elsewhere one stands on the highest floor of the
-    column that is at most a step higher than the position, however far below it. Roofs, and tops of
-    at least 6 m², are floors here; over furniture, one stands on the floor that it drops to along
-    most of its outline, or on itself where there is none.
+    A position within 2 cm of a surface lies on it. Any other is on the highest floor of its column
+    that is at most a step higher. Roofs, and tops of at least 6 m², are floors here. Above
+    furniture it is on the floor to which that drops along most of its outline, or on the furniture
+    if there is none.
 
     Args:
-        tops, shelves: the sheets that are no floors unless one starts there.
+        tops, shelves: the sheets that are floors only where an agent starts.
         positions: `floors.from`, x, y, z of each [m].
 
     Returns:
@@ -120,8 +120,8 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
     Args:
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
         reached: which sheets are reached, shape (sheets,), bool.
-        is_given: whether `floors.from` says where one starts; else one starts on the lowest level
-            that is no void.
+        is_given: whether `floors.from` gives the starts; else that is the lowest level that is no
+            void.
 
     Returns:
         Which sheets are reached, and which are those of voids.
@@ -146,7 +146,7 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
 
 
 def _count_low(site: Site, asked: Bool) -> list[int]:
-    """How many surfaces of each sheet nobody can stand upright on, as something hangs over them."""
+    """For each sheet, the number of surfaces without headroom to stand upright."""
     found = []
     for members in map(site.sheets.members, np.flatnonzero(asked).tolist()):
         low = np.zeros(len(members.cell), dtype=np.bool_)
@@ -160,7 +160,7 @@ def _count_low(site: Site, asked: Bool) -> list[int]:
 def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
     """Find the floors that no step leads to, one entry a level, lowest first.
 
-    Of a level where a part is reached, only the sheets count that have at least 6 m² there.
+    On levels that are reached in part, only sheets of at least 6 m² there count.
 
     Args:
         reached: which sheets are reached, shape (sheets,), bool.
@@ -187,11 +187,10 @@ def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreac
 
 
 def find_enclosed(sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:
-    """Find floors that closed meshes hold, so that nobody can stand on them, the largest first.
+    """Find floors inside of closed meshes, where nobody can stand, the largest first.
 
-    Where such a floor goes on outside at its height, a closed thing only stands on it, like a
-    crate, unless it is as large as a building. The geom of each patch is the mesh that holds it.
-    `sheets` are those of surfaces that one mesh holds.
+    A floor that continues outside at its height only carries a closed thing, like a crate, unless
+    that is as large as a building. `sheets` are those of HELD surfaces, each of one mesh.
     """
     surfaces, lattice, found = sheets.surfaces, sheets.lattice, list[Patch]()
     for sheet in np.flatnonzero(sheets.left(sheets.size > 0, settings)).tolist():

@@ -36,33 +36,30 @@ HALF = 0.5
 FLOOR_SHARE, WALLED_SHARE, EAVES = 0.1, 2 / 3, 1.5
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
-# A roof is told of that is this many times as large as the largest floor that is left, as walls and
-# eaves alone make it larger than the floor under it, but not by a third; or that has this area and
-# no walls under it [m²]
+# A roof is reported if it is this many times as large as the largest floor that is left (walls and
+# eaves alone add less than a third); or if it has this area and no walls under it [m²]
 LARGE_ROOF, TOLD_ROOF = 4 / 3, 50.0
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
 
 def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Bool, Bool, Bool]:
-    """Find the large sheets that are no floors, each judged by itself among all the others.
+    """Find the large sheets that are no floors.
 
-    A roof counts as a floor nevertheless where it is the only one there is: in the whole scene,
-    or on a level that is given.
+    A roof that is the only sheet of the scene, or of a given level, is a floor nevertheless.
 
     Args:
-        spans: of the heights on levels that are given, see `given_spans` [m].
+        spans: see `given_spans` [m].
 
     Returns:
-        The tops of what stands on a floor, the shelves and the roofs: masks, shape (sheets,), of
-        which one sheet is in one.
+        Tops, shelves and roofs: masks, shape (sheets,); roofs are neither of the others.
     """
     sheets, is_large = site.sheets, site.is_large
     tops = shelves = roofs = none = np.zeros(len(is_large), dtype=np.bool_)
     above, below, count = sheets.stacks()
     size = np.maximum(sheets.size, 1)
     sky = sheets.tops / size
-    # that may be furniture: what stands in a hall does not take the floor away below its roof
+    # also over furniture: a hall's roof stays over its floor whatever stands there
     over = np.bincount(above, count * (above != below), len(is_large)) / size
     if not site.settings.tops:
         tops = _find_tops(site)
@@ -82,16 +79,16 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Boo
 def _find_tops(site: Site) -> Bool:
     """Find the tops of what stands on a floor: beds, blocks, counters, walls that are metres thick.
 
-    A sheet that no step reaches is such a top when
+    A sheet is a top if
 
-    - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
-      (see `Site.endings`). Holes in a sheet belong to its outline only where they drop;
-    - it has at most 6 m², or is nowhere wider than 3 m, or drops to a floor that is larger, where
-      sizes that differ by less than a tenth are equal: else it is the ground, and what lies lower a
-      pool, a ditch or a track bed. Or a floor winds through it: what drops to that floor, the rims
-      of holes in the sheet and what stands in them, is longer than its outline;
-    - there is no room for an agent under most of it, from the height of that floor up, as there is
-      under a mezzanine.
+    - at least a quarter of its outline drops to floors, see `Site.endings`; of the rims of holes
+      only what drops counts;
+    - it has at most 6 m², is nowhere wider than 3 m, or drops to a floor larger than 0.9 of its
+      size: else it is the ground beside a pool, a ditch or a track bed. Or a floor winds through
+      it: the drops to that floor, from the rims of its holes and of the things in these, are longer
+      than its outline;
+    - under at most half of it, from the height of that floor up, is room for an agent, as under a
+      mezzanine.
     """
     sheets, result = site.sheets, np.zeros_like(site.is_large)
     block, rows = site.edges
@@ -125,12 +122,9 @@ def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
 
 
 def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int], int]]:
-    """What decides whether sheets are tops, see `_find_tops`.
+    """By sheet, how many edges drop to each other sheet, in holes and in all; and how many it has.
 
-    Returns:
-        How many edges drop to each sheet, by its key, in holes and altogether; none where less than
-        a quarter of the outline drops, or where there is room for an agent under it; and how many
-        edges the outline has.
+    There are no drops where `_find_tops` rules out a top by its outline or by the room under it.
     """
     sheets = site.sheets
     edges = site.edges_of(asked, site.reach)
@@ -160,10 +154,7 @@ def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int
 
 
 def _count_over_room(site: Site, sheet: int, floor: float) -> int:
-    """Count the cells of a sheet under which there is room for an agent.
-
-    It stands there at the height of the floor beside, or on a floor above that [m].
-    """
+    """Count a sheet's cells with room for an agent below, on the `floor` beside [m] or higher."""
     agent, members = site.agent, site.sheets.members(sheet)
     step, cells = agent.traversable_floor_height, members.cell
     below, _ = look_below(site.sheets.labelled(site.is_large), cells, members.place)
@@ -180,14 +171,10 @@ def _count_over_room(site: Site, sheet: int, floor: float) -> int:
 def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
-    A storey that was drawn without its ceiling is none: it has walls as high as an agent, and at
-    least 1.5 m, along more than half of its outline, or a little inside of it. Parapets are too
-    low, and a lower roof beside a higher part of the house has a wall on one side only. Most of a
-    roof lies over a floor, or the top of what stands there; or two thirds over a floor, the walls
-    around it, and what is at most 1.5 m from these, and a tenth over the floor at least.
-
-    Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
-    Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
+    A storey drawn without its ceiling has walls as high as an agent, and at least 1.5 m, along more
+    than half of its outline; parapets are lower. Half of a roof lies over a floor or furniture; or
+    two thirds lie over a floor, a wall, or within 1.5 m of one (eaves), and a tenth over a floor.
+    Where the lattice crops the scene all around, walls are unknown, and a sheet is no roof.
     """
     half_over, facts = candidates & (over < HALF), site.facts
     over_walls = facts.mask("over walls", half_over, lambda s: _lie_over_walls(site, s), site.near)
@@ -196,10 +183,7 @@ def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
 
 
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
-    """Whether walls stand along no more than half of the outlines of some sheets.
-
-    They stand at an edge, or on the sheet at most as far inside as it is shrunk.
-    """
+    """Which sheets have walls along at most half of their outline, within `floors.shrink` of it."""
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
     sheets, edges = site.sheets, _outer_edges(site, asked, reach=1)
 
@@ -222,16 +206,16 @@ def _have_no_walls(site: Site, asked: Bool) -> Bool:
 
 
 def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
-    """The edges of some sheets along their outlines, without those of the holes in them."""
+    """The edges of some sheets but for those of their holes."""
     edges = site.edges_of(chosen, reach)
     return edges.only(find_rims(edges, site.sheets.lattice) == 0)
 
 
 def _find_shelves(site: Site, candidates: Bool) -> Bool:
-    """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
+    """Find the sheets that are shelves.
 
-    A shelf lies over a floor, is nowhere deeper than 2.5 m, as a mezzanine is, and more than half
-    of its outline drops to a floor beside it, unlike that of a gallery from wall to wall.
+    A shelf is nowhere deeper than 2.5 m, as a mezzanine is, and more than half of its outline drops
+    to a floor, unlike that of a gallery from wall to wall.
     """
     candidates = candidates & ~_are_wide(site, candidates, SHELF_DEPTH)
 
@@ -244,7 +228,7 @@ def _find_shelves(site: Site, candidates: Bool) -> Bool:
 
 
 def _lie_over_walls(site: Site, asked: Bool) -> Bool:
-    """Which sheets lie over others and walls, eaves left aside, as far as a roof has to."""
+    """Which sheets lie over others, over walls, or within `EAVES` of these as a roof has to."""
     result, (height, width) = np.zeros_like(asked), site.sheets.lattice.shape
     reach = int(EAVES / site.sheets.lattice.cell_size + SLACK)
     every = site.sheets.labelled(np.ones_like(asked))
@@ -263,7 +247,7 @@ def _lie_over_walls(site: Site, asked: Bool) -> Bool:
 
 
 def over_wall_tops(site: Site, members: Members) -> Bool:
-    """Which surfaces lie over the top of a wall: a roof lies on it, or it ends within the roof."""
+    """Which surfaces lie over the top of a wall that carries the roof, or ends within it."""
     cell, z = members.cell, members.z
     columns, is_over = site.columns.at(cell), np.zeros(len(cell), dtype=np.bool_)
     first, end = columns.start[cell], columns.start[cell + 1]
@@ -279,7 +263,7 @@ def over_wall_tops(site: Site, members: Members) -> Bool:
 
 
 def are_told(site: Site, roofs: Bool, floors: Bool) -> Bool:
-    """Which roofs a user may miss: clearly larger than any floor, or large and on no walls."""
+    """Which roofs are reported: those clearly larger than any floor, or large and on no walls."""
     size, area = site.sheets.size, site.sheets.lattice.cell_size**2
     large = roofs & (size * area >= TOLD_ROOF - SLACK)
 

@@ -64,9 +64,9 @@ class Labels:
         return np.repeat(np.arange(self.blocks.num), self.count)
 
     def merge(self) -> tuple[Int32, Int]:
-        """The whole that each part belongs to, numbered by their first parts; and linked wholes.
+        """The whole of each part, numbered by first parts; and the pairs of linked wholes.
 
-        The latter are pairs, each once, shape (2, m), first the one with the lower number.
+        Each pair is there once, the lower number first, shape (2, m).
         """
         block, (rows,) = self._pairs.take()
         one, other, what, _ = rows.T
@@ -88,11 +88,11 @@ class Sheets:
         now: the number of the update.
         last: in which update each block last had other surfaces.
         of_part: the sheet of each part, shape (parts,), int32.
-        key: tells each sheet from all others, also after others came and went, int64, ascending.
+        key: an id of each sheet that stays while others come and go, int64, ascending.
         size: how many surfaces each has, int64.
         tops: over how many of these nothing lies.
         box: its first row and column, and past its last ones, shape (sheets, 4).
-        digest: changes with the sheet's surfaces, shape (sheets,), uint64.
+        digest: a hash of the sheet's surfaces, shape (sheets,), uint64.
     """
 
     of_part: Int32
@@ -125,11 +125,7 @@ class Sheets:
         return stale
 
     def update(self, stale: Bool, key: Int32 = NO_KEY) -> None:
-        """Find the sheets again, of which the surfaces in stale blocks are others.
-
-        Args:
-            key: see `label_blocks`.
-        """
+        """Find the sheets again after surfaces in stale blocks changed; `key` as `label_blocks`."""
         lattice, surfaces, labels = self.lattice, self.surfaces, self.labels
         self.now += 1
         self.last[stale] = self.now
@@ -164,7 +160,6 @@ class Sheets:
                         self.labels.offset, sheet)  # fmt: skip
 
     def sheet_at(self, block: Int, part: Int | Int32) -> Int32:
-        """The sheets of some parts, by their blocks and their numbers there."""
         sheet: Int32 = self.of_part[self.labels.offset[block] + part]
         return sheet
 
@@ -214,10 +209,7 @@ class Sheets:
 
 
 def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
-    """Whether cells are enough for a floor: `min_area` after shrinking.
-
-    Shrinking leaves the cells whose centres are at least `shrink` from the edge of the set.
-    """
+    """The test of `min_area` after shrinking, which leaves centres `shrink` from the set's edge."""
     needed = int(np.ceil(max((settings.min_area - SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
     disc = near_offsets(limit, min(lattice.width, lattice.height))
@@ -249,10 +241,7 @@ class Patch:
 
 
 def describe_members(lattice: Lattice, members: Members, largest: Members | None = None) -> Patch:
-    """Describe some surfaces, one at least.
-
-    The place is the cell that is nearest to the middle of the largest part of them, if it is given.
-    """
+    """Describe some surfaces, one at least; the place is near the middle of the `largest` part."""
     cells, z, *_ = largest or members
     row, col = np.divmod(cells, lattice.width)
     nearest = int(((row - row.mean()) ** 2 + (col - col.mean()) ** 2).argmin())
@@ -263,7 +252,7 @@ def describe_members(lattice: Lattice, members: Members, largest: Members | None
 
 
 class SheetFacts:
-    """Facts about single sheets, kept while a sheet has the same surfaces and is asked about."""
+    """A cache of facts about single sheets, by their digests; what an update does not use goes."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, int], tuple[int, Any]] = {}
@@ -284,11 +273,11 @@ class SheetFacts:
         """A fact about each chosen sheet, in their order.
 
         Args:
-            name: of the fact; facts of other names are kept apart.
+            name: of the fact.
             chosen: the sheets, shape (sheets,), bool.
             find: finds the fact about some sheets, in their order.
-            changed: for each sheet, the number of the last update that changed anything else the
-                fact depends on, shape (sheets,); None if it depends on the sheet alone.
+            changed: for each sheet, the last update that changed anything else the fact depends
+                on, shape (sheets,); None if it depends on the sheet alone.
         """
         asked, names = np.zeros_like(chosen), list[tuple[str, int]]()
         for sheet in np.flatnonzero(chosen).tolist():
@@ -306,7 +295,7 @@ class SheetFacts:
     def mask(
         self, name: str, chosen: Bool, find: Callable[[Bool], Bool], changed: Int | None = None
     ) -> Bool:
-        """Which of the chosen sheets a fact is true of, as `find` returns it, shape (sheets,)."""
+        """The chosen sheets that a fact holds for; `find` returns a mask, shape (sheets,)."""
         result = np.zeros_like(chosen)
         result[chosen] = self.of(name, chosen, lambda asked: find(asked)[asked].tolist(), changed)
         return result
@@ -315,7 +304,7 @@ class SheetFacts:
         """Describe chosen sheets, the largest first.
 
         Args:
-            spans: only what lies in these spans of heights is described, if there are any [m].
+            spans: of heights; if there are any, only surfaces in these are described [m].
         """
 
         def find(asked: Bool) -> list[Patch | None]:

@@ -1,4 +1,4 @@
-"""Storeys: at which heights they begin, what is a stair between them, and what is on which."""
+"""Storeys: where they begin, which surfaces are stairs between them, and the level of each."""
 
 from __future__ import annotations
 
@@ -30,24 +30,20 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
-# A level of its own takes in what lies so little below its ground on the same sheet: rounding, and
-# the noise of meshes [m]
+# A level opened for treads takes in what lies so little below them on their sheet: noise [m]
 FLAT = 0.005
-# A storey rarely begins higher over another one [m]; what has more storeys is a tower
+# A storey rarely begins higher over another one [m]; a scene with more storeys is a tower
 HIGH_STOREY, FEW = 8.0, 4
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
-# Decimals of the grounds that are found: what a float adds to 3.0 is no height
+# Decimals of the grounds that are found
 DECIMALS = 9
-# All floors are left: nothing is shrunk
+# Shrinks nothing
 UNSHRUNK = AreaTest(0, 0, *np.empty((2, 0, 2), dtype=np.int64))
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
-    """From which height to below which one the surfaces of each given level lie [m].
-
-    A level begins a little below its ground, since a hand that writes 3.0 means a floor at 2.99.
-    """
+    """The heights ``[low, high)`` of each given level, a little below its ground on [m]."""
     spans = []
     for number, level in enumerate(given):
         above = given[number + 1].ground - GIVEN_TOLERANCE if given[number + 1 :] else np.inf
@@ -61,11 +57,11 @@ class Placed(NamedTuple):
 
     Attributes:
         grounds, labels: heights and names of the levels that have surfaces, lowest first.
-        level: the level of each by place, less than 0 for none, int32.
-        number: what becomes of these numbers, as levels without surfaces are left out.
+        level: of each surface, less than 0 for none, int32.
+        number: the final number of each `level`, as levels without surfaces are left out.
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
-        changed: the blocks where any of that may be other than before.
-        spare: the surfaces that found all levels of their columns taken and are left out.
+        changed: the blocks where any of that may have changed.
+        spare: see `Floors`.
     """
 
     grounds: list[float]
@@ -95,8 +91,8 @@ class Storeys:
         """Place the surfaces of the sheets that count, shape (sheets,).
 
         Args:
-            given: the levels of the configuration, of which only surfaces between their grounds and
-                tops count; levels are found if there are none.
+            given: the levels of the configuration, whose surfaces lie in `given_spans`; levels are
+                found if there are none.
         """
         sheets = self._sheets
         self._kept, self._known = self._known, {}
@@ -116,11 +112,9 @@ class Storeys:
         return self._assign(kept, self._lower_grounds(kept, self._find_grounds(kept)), [], SLACK)
 
     def _recall(self, name: Any, make: Callable[[], Any], reach: int = 0) -> tuple[Any, Bool]:
-        """What is known under a name, and the blocks where it is to be found again.
+        """What the last update kept under a name, or `make()`, and the blocks that are stale in it.
 
-        Args:
-            make: makes it where nothing is known, as it was not asked for in the last update.
-            reach: how far it rests on what is around it [cells].
+        It depends on cells up to `reach` away.
         """
         tick, known = self._known.get(name) or self._kept.get(name) or (-1, make())
         self._known[name] = self._now, known
@@ -132,11 +126,10 @@ class Storeys:
     def _find_stairs(self) -> Kept:
         """The surfaces that are kept, and which are parts of stairs and ramps.
 
-        A tread, a landing or a piece of a ramp is a part of a stair when by going only up from it
-        one gets to a floor more than four times as large, and so by going only down; a mezzanine,
-        a cellar and the floors of a tower are none. How large a floor is counts everything of its
-        sheet within half a step of its height, since walls and thresholds divide floors. None is a
-        stair where no two surfaces lie over each other: there it makes no difference.
+        A plateau (a tread, a landing, a piece of a ramp) is a part of a stair if going only up from
+        it, and also only down, leads to a floor more than four times as large. A floor is all of a
+        sheet within half a step of its height, since walls and thresholds divide it. Stairs matter
+        only where surfaces lie over each other.
         """
         sheets = self._sheets
         if not self._stacked.any():
@@ -173,9 +166,9 @@ class Storeys:
     def _find_grounds(self, kept: Kept) -> list[float]:
         """Find the ground heights of the storeys, lowest first.
 
-        The lowest storey's ground is the lowest floor that is large enough (as sheets are, after
-        shrinking). A new storey begins where floors that are large enough lie over floors of the
-        storey below: a hill, a half-storey, a stair or a platform with nothing under it opens none.
+        The first is the lowest floor that is large enough after shrinking; each further one the
+        lowest such floor over floors of the storey below. So a hill, a half-storey, a stair or a
+        platform with nothing under it opens none.
         """
         ground = self._lowest_plateau(kept, -np.inf)
         if ground is None:
@@ -196,8 +189,7 @@ class Storeys:
     ) -> float | None:
         """The ground of the lowest large floor over another ground, or None.
 
-        Looks through windows of heights one step high, half a step apart, from the lowest up, below
-        each of some heights.
+        Windows of heights are one step high, half a step apart, below each of `tops` in turn.
         """
         test = area_test(self._sheets.lattice, self._settings)
         for top in tops:
@@ -214,7 +206,7 @@ class Storeys:
                     if not len(rows):
                         chosen = np.isin(every[:, 0], [window, window + 1])
                         rows, low = every[chosen], all_low[chosen]
-                    # the cells that shrinking leaves decide, not stairs or thresholds at the edge
+                    # of the cells that shrinking leaves, so without stairs or thresholds
                     return _common_height(rows, low)
         return None
 
@@ -231,9 +223,9 @@ class Storeys:
         return rows, low
 
     def _lower_grounds(self, kept: Kept, grounds: list[float]) -> list[float]:
-        """Lower each ground to what lies within a step below it, as few floors are quite flat.
+        """Lower each ground to parts of the level below that belong to its floor.
 
-        Such are parts of the level below, but no stairs, that steps join to nothing else.
+        They lie within a step below it, are no stairs, and steps join them to nothing else.
         """
         sheets, joining = self._sheets, Joining(self._step, self._step)
         for _ in grounds[1:]:
@@ -271,11 +263,7 @@ class Storeys:
     def _place(
         self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
     ) -> tuple[Int32, BlockTable]:
-        """Give each surface its level, see `place_blocks`.
-
-        Returns:
-            The levels, and a table of the part of a sheet and the level that surfaces have.
-        """
+        """The level of each surface, see `place_blocks`; and how many of a part are on each."""
         sheets, surfaces = self._sheets, self._sheets.surfaces
         name = "places", leave_floors, tolerance, *grounds
         (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))
@@ -290,15 +278,11 @@ class Storeys:
     def _assign(
         self, kept: Kept, grounds: list[float], names: list[str | None], tolerance: float
     ) -> Placed:
-        """Give each surface its level; none shares a column's level with another.
+        """Give each surface its level, see `place_blocks`; no two of a column share one.
 
-        A surface belongs to the highest ground at or below it (the lowest ones to the first). Where
-        two of a column would be on one level, its surfaces are placed on the levels in their order,
-        treads and landings of stairs moved rather than floors (see `place_blocks`). Where columns
-        have more surfaces than there are levels, treads find no place, or the floors under them,
-        and are left out if nobody needs them, see `_are_spare`. Else a level of its own is opened
-        at the lowest tread that found none, or at what lies a little below it on its sheet, so that
-        a floor that is not quite flat stays whole.
+        Where columns have more surfaces than there are levels, treads or else the floors under them
+        are left out, if they are spare, see `_are_spare`. Else a level is opened at the lowest one
+        without a place, or a little below it on its sheet, so that an uneven floor stays whole.
 
         Args:
             names: the levels' names, None for those without; empty if none has one.
@@ -338,15 +322,15 @@ class Storeys:
         return Placed(grounds, labels, level, number, counts, changed, patches)
 
     def _are_spare(self, kept: Kept, level: Int32, members: list[Members], name: Any) -> bool:
-        """Whether surfaces that found no place are left out, as no storey is opened for them.
+        """Whether surfaces without a place can be left out.
 
-        So it is where they make up no floor that would count by itself, and no walk is cut: without
-        them, steps join the others to no more parts that are large enough for floors.
+        They make up no floor that would count by itself, and cut no walk: without them, the other
+        surfaces make no more connected parts that are large enough for floors.
 
         Args:
             level: of each surface.
-            members: of the sheets of those that found no place.
-            name: of the places.
+            members: of the sheets with such surfaces.
+            name: see `_recall`.
         """
         sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
         for one in members:
@@ -369,11 +353,9 @@ class Storeys:
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:
-    """How many surfaces of a sheet are at about each height, within half a step.
+    """By row, how many surfaces of the sheet lie within half a step of the height.
 
-    Args:
-        sheet, number, count: rows: the sheet, its height in multiples of PLATEAU, and how many
-            surfaces it has there; they may repeat.
+    `number` is the height in multiples of PLATEAU; rows may repeat.
     """
     near = int(half_step / PLATEAU + SLACK)
     # one sheet after the other on one axis, so far apart that no window reaches the next
@@ -395,7 +377,7 @@ def _common_height(rows: Int, low: Float) -> float:
 
 
 def _label(names: list[str | None]) -> list[str]:
-    """Name the levels that have no name by their number; no two are called the same."""
+    """Name the levels that have no name by their number, each differently."""
     labels: list[str] = []
     for number, name in enumerate(names):
         label = name or f"level {number}"

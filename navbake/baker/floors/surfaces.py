@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.blocks import fit, join_parts
+from navbake.baker.blocks import fit, join_parts, list_rows
 from navbake.baker.columns import Columns
 from navbake.baker.floors.kernels import surfaces as kernels
 from navbake.baker.floors.kernels.surfaces import Surfaces
@@ -16,14 +16,16 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
 from navbake.types import Float, Int
 
 LEAST_CELLS = 4096  # so many are worth a call on another thread
+# Empty columns of `list_surfaces`
+NO_SURFACES = (
+    np.empty(0), np.empty(0, np.int32), np.empty(0, np.uint8), np.empty((0, 3), np.float32),
+)  # fmt: skip
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
-    """What an agent can stand and walk on, as kernels take it."""
     min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
     return AgentLimits(min_up, agent.height, agent.traversable_floor_height)
 
@@ -39,8 +41,7 @@ class SurfaceStore:
 
     Attributes:
         surfaces: as kernels take them; its arrays are written to.
-        num_surfaces, num_floor_like: how many crossings were looked at in a bake, and how many of
-            them a floor may go on at.
+        num_surfaces, num_floor_like: how many crossings a bake had, and how many are floor-like.
     """
 
     surfaces: Surfaces
@@ -53,7 +54,7 @@ class SurfaceStore:
         self._length = np.zeros(lattice.width * lattice.height, dtype=np.int32)
 
     def add(self, columns: Columns, planes: Planes) -> None:
-        """Take the columns of a block; blocks come in the order of their rows."""
+        """Add the columns of a block; blocks come in the order of their rows."""
         first, end = columns.known_rows.cells(self.lattice)
         crossings = columns.crossings._replace(start=columns.start[first : end + 1])
         start, *arrays = self._list(np.arange(first, end), crossings, planes)
@@ -63,7 +64,7 @@ class SurfaceStore:
         self._parts.append(arrays)
 
     def finish(self) -> None:
-        """Make the surfaces of what was added."""
+        """Make `surfaces` of what was added."""
         length, arrays = self._length, join_parts(self._parts)
         first = np.cumsum(length, dtype=np.int64) - length
         self._used = len(arrays[0])
@@ -71,13 +72,10 @@ class SurfaceStore:
         del self._parts, self._length
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> Int:
-        """Replace the surfaces of some cells by those of new columns; returns which changed.
+        """Replace the surfaces of some cells, ascending; returns those that changed.
 
-        Those of a cell that are too many for its run go behind all others.
-
-        Args:
-            cells: ascending.
-            crossings: numbered as `cells` are.
+        A cell's surfaces that exceed the room of its run go behind all others. Crossings are
+        numbered as `cells` are.
         """
         start, *found = self._list(cells, crossings, planes)
         first, length, room = self.surfaces[:3]
@@ -117,17 +115,13 @@ class SurfaceStore:
 
     def _list(self, cells: Int, crossings: Crossings, planes: Planes) -> list[NDArray[Any]]:
         """The floor-like surfaces of some cells: where those of each begin, and their arrays."""
-        num, few = len(cells), {"least": LEAST_CELLS}
-        marks, count = np.empty(len(crossings.z), dtype=np.uint8), np.zeros(num + 1, dtype=np.int64)
-        asked = self.lattice, cells, crossings, planes
-        run_in_bands(kernels.mark_surfaces, num, *asked, self._limits, marks, count[1:], **few)
-        start = np.cumsum(count)
-        total = int(start[-1])
-        normal = np.empty((total if self._has_slopes else 0, 3), dtype=np.float32)
-        ids, kept = np.empty(total, np.int32), np.empty(total, np.uint8)
-        found: list[NDArray[Any]] = [start, np.empty(total), ids, kept, normal]
-        run_in_bands(kernels.list_surfaces, num, *asked, marks, tuple(found), **few)
-        return found
+        known = self.lattice, crossings, planes, self._limits
+        count, found = list_rows(
+            kernels.list_surfaces, cells, NO_SURFACES, *known, least=LEAST_CELLS
+        )
+        if not self._has_slopes:
+            found[-1] = NO_SURFACES[-1]
+        return [np.append(0, np.cumsum(count)), *found]
 
 
 def find_near(first: Int, end: Int, heights: Float, z: Float, step: float) -> Float:

@@ -1,9 +1,7 @@
-"""Arrays and numbers that belong together, as kernels take them.
+"""NamedTuples of arrays and numbers, as kernels take them.
 
-numba passes a named tuple to a kernel whole, at no cost in its loops. A literal is a type of its
-own, and would compile all that takes it twice, hence ``np.int64(...)`` here and there.
-Kernels also take tuples that only callers make: `Lattice`, `Solids`, `Planes`, `Footprint` and
-others.
+numba passes a named tuple to a kernel whole, at no cost in its loops. A literal has a type of its
+own, for which a function is compiled once more, hence ``np.int64(...)`` here and there.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from navbake.types import Bool, Float, Int, Int32
 
 SQUARE: Any = np.bool_(False)
-"""What is no disc, see `Prism`; a plain False would compile all that takes it twice."""
+"""`Prism.is_round` of a square; a plain False would be compiled for once more."""
 
 
 class Crossings(NamedTuple):
@@ -36,7 +34,7 @@ class Crossings(NamedTuple):
 
 
 class Facets(NamedTuple):
-    """Triangles with what kernels want to know of them at once.
+    """Triangles, by geom.
 
     Attributes:
         geom: MuJoCo's geom ids, ascending, (m,) int32.

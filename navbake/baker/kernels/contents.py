@@ -1,4 +1,4 @@
-"""The lists of what stands in cells: counted, measured, marked and copied; see `LevelContents`."""
+"""Lists of the geoms in each cell of a storey: count, measure, mark and copy them, in one pass."""
 
 from typing import Any, NamedTuple
 
@@ -21,12 +21,11 @@ class LevelContents(NamedTuple):
         first: shape (cells,), int32.
         geom: MuJoCo's geom ids, ascending in a cell, int32.
         flags: of the same length, uint8: STANDS where the geom meets the cell's square between
-            floor and ceiling; BLOCKS where it meets the volume that the occupancy is about; PROBED
-            where it stands there and meets the square in `WALL_BAND`, be that above the ceiling or
-            not, which is asked only of `wall_candidates`.
+            floor and ceiling; BLOCKS where it meets the volume of the occupancy; PROBED where it
+            stands there and meets the square in `WALL_BAND`, of `wall_candidates` alone.
         carrier: the geom whose surface each cell's floor is, shape (cells,), int32, -1 for none.
         gap: how far the next geom's floor lies below it, shape (cells,), float64, inf for none [m];
-            as it is in the newest contents.
+            of the newest contents.
     """
 
     lattice: Any
@@ -39,10 +38,7 @@ class LevelContents(NamedTuple):
 
 @kernel(nogil=True)
 def take_entries(listed, cells):
-    """All that stands in some cells, by their places in `cells` and then geom.
-
-    Returns places, geoms and flags.
-    """
+    """What stands in some cells, by cell and then geom: places in `cells`, geoms and flags."""
     first, geom, flags = listed.first, listed.geom, listed.flags
     count = 0
     for cell in cells:
@@ -69,12 +65,11 @@ def measure_level(listed, floors, standable, heights, limits, over, counts, stoo
         heights: of the lower and the upper ends of all geoms [m].
         limits: up to which gaps a geom that carries a floor lies on another one, by geom id, and
             up to which it only covers it [m].
-        over: the least height of a geom's lower end over a floor, and the largest of its upper end
-            over its lower one or a floor; are lowered and raised [m].
-        counts: (5, geoms) int64: in how many cells it stands, and does so in the walls' band, how
-            many cells' floor it carries, and where of those it lies on a floor, or covers one;
-            are added to.
-        stood_on: receives whether one can stand on a geom anywhere, (geoms,) bool.
+        over: per geom, in place: the least (low - floor), and the greatest (high - max(low,
+            floor)) [m].
+        counts: per geom, in place, (5, geoms) int64: in how many cells it stands, stands in the
+            walls' band, carries the floor, lies on a floor, and covers one.
+        stood_on: per geom, in place, bool: whether one can stand on it anywhere.
     """
     (lows, highs), (base, rise), (on_floor, covering) = heights, over, limits
     for cell in range(floors.shape[0]):
@@ -101,9 +96,9 @@ def measure_level(listed, floors, standable, heights, limits, over, counts, stoo
 
 @kernel(nogil=True, **UNCOUNTED)
 def mark_walls(listed, kinds, cells, walls, lows):
-    """Mark which of some cells a wall stands in and blocks, and which are blocked only low.
+    """Mark the cells that a wall stands in and blocks; and those blocked only low.
 
-    The latter are those that a building's mesh stands in and blocks, but not in the walls' band.
+    A building's mesh stands in the latter and blocks them, but not in the walls' band.
     """
     for n in range(cells.shape[0]):
         i = listed.first[cells[n]]

@@ -1,9 +1,9 @@
 """Which floors lie beside lines that have none at their height, seen from above.
 
-What an agent can stand on is a set of convex pieces: the triangles and the faces of boxes that face
-up within the slope, and of round solids the part that does, a point or a line with a radius. From a
-line beside a piece, the direction to its nearest point is straight across its edge. So one looks
-across slots of any direction, at edges of any shape, and not along the walls of an inner corner.
+What an agent can stand on is a set of convex pieces: triangles and faces of boxes that face up
+within the slope, and of round solids the part that does, a point or a segment with a radius. The
+direction from a line to the nearest point of a piece is perpendicular to the piece's edge: across a
+slot of any direction, and not along the walls of an inner corner.
 """
 
 import math
@@ -17,17 +17,17 @@ from navbake.compiled import UNCOUNTED, kernel, part
 # A ray's surface is a piece's where it is this near to its height, and its radius more [m]
 SAME_PIECE = 1e-3
 SAME_WAY = 0.9  # least cosine of the angle between directions that are about the same
-# What is noted of a piece beside a line: the direction to its nearest point, how far and how high
-# that is, and its radius [m]; its geom, the cell, and the note before it of the same cell or -1
+# The numbers of a note, a piece beside a line: the direction, distance and height of its nearest
+# point, and its radius [m]; its geom, the cell, and the previous note of the cell or -1
 WAY, AWAY, HEIGHT, RADIUS, GEOM, CELL, BEFORE, NUM_NOTES = 0, 2, 3, 4, 5, 6, 7, 8
-MOST_HEIGHTS = 8  # at which all cells of a tile have a floor, as many as are noticed
+MOST_HEIGHTS = 8  # at which all cells of a tile have a floor; more are not looked for
 
 
 @part(**UNCOUNTED)
 def _take(solids, facets, item, face, min_up, corners):
-    """The corners of a piece; returns how many there are, 0 for none, and its radius.
+    """Write a piece's corners; returns how many there are, 0 for none, and its radius.
 
-    Of a triangle (`face` -1), a face of a box across an axis, or the upper part of a round solid.
+    `face` is -1 for a triangle, an axis for a box, 0 for the upper part of a round solid.
     """
     if face < 0:
         c = facets.corners[item]
@@ -68,9 +68,9 @@ def _take(solids, facets, item, face, min_up, corners):
 
 @part(**UNCOUNTED)
 def _distance(corners, num, radius, x, y, near):
-    """How far a line is from a piece, <= 0 over it.
+    """How far a line is from a piece, <= 0 over it; `near` receives the piece's nearest point.
 
-    Where its nearest point is, less the radius, relative to the line, and how high, into `near`.
+    Its x and y are relative to the line, without the radius.
     """
     best, left, right = math.inf, False, False
     for i in range(num):
@@ -100,10 +100,7 @@ def _has_floor(crossings, cell, z, step, min_up):
 
 @part(**UNCOUNTED)
 def _find_common(lattice, crossings, window, asked, limits, heights):
-    """The heights within half a step of which all cells that are asked about have a floor.
-
-    Returns how many there are, -1 where no cell is asked about.
-    """
+    """Heights within half a step of which all asked cells have a floor; -1 if none is asked."""
     count = -1
     for row in range(window[0], window[1]):
         for col in range(window[2], window[3]):
@@ -127,7 +124,7 @@ def _find_common(lattice, crossings, window, asked, limits, heights):
 
 @part(inline="always")
 def _is_common(heights, num, low, high, step):
-    """Whether all cells of a tile have a floor within a step of all that is between two heights."""
+    """Whether all cells of a tile have a floor within a step of all heights between two."""
     is_common = False
     for k in range(num):
         is_common = is_common or max(high - heights[k], heights[k] - low) <= step / 2.0
@@ -153,15 +150,13 @@ def _is_side(seen, n, last, step):
 def _list_in_tile(
     lattice, crossings, geometry, tile, limits, crack, asked, scratch, found
 ):  # fmt: skip
-    """List the sides of a tile's lines after those that are known; -1 where room ends.
+    """List the sides of a tile's lines behind the known ones; returns their number, -1 for no room.
 
-    Each piece visits the lines that may be beside it, and is noted where they have no floor near
-    its height there. Returns how many sides there are then.
+    Each piece visits the lines near it, and is noted where they have no floor near its height.
     """
     (solids, facets, tiles), (seen, sides, num_sides) = geometry, found
     corners, box, near, heights, latest = scratch
     first, last = tiles.solid_start[tile], tiles.solid_start[tile + 1]
-    # where the triangles would begin if they followed the solids in one list
     shift = tiles.triangle_start[tile] - last
     end, window = tiles.triangle_start[tile + 1] - shift, tile_window(lattice, tile)
     num, count, step = -1, 0, limits.step + SLACK

@@ -215,10 +215,7 @@ FACES = np.array([[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]])
 
 @part(inline="always")
 def _nearest_on_faces(simplex, num):
-    """Nearest point to the origin into v of a triangle, or of a tetrahedron if `num` is 4.
-
-    False where the origin is inside of the tetrahedron.
-    """
+    """Nearest point to the origin into v, on 1 face or the 4 of a tetrahedron; False if inside."""
     points = simplex.points
     best = math.inf
     outside = False
@@ -240,10 +237,7 @@ def _nearest_on_faces(simplex, num):
 
 @part(inline="always")
 def _reduce(simplex, num):
-    """Reduce a simplex to the part that is nearest to the origin, and put that point into v.
-
-    Returns the number of points kept, or 4 with the origin proved inside.
-    """
+    """Nearest point to the origin into v; keeps the points it needs, all 4 if it is inside."""
     points, keep, v = simplex.points, simplex.keep, simplex.v
     if num == 1:
         v[0], v[1], v[2] = points[0, 0], points[0, 1], points[0, 2]

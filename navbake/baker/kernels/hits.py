@@ -1,11 +1,10 @@
-"""Hits: what vertical lines cross, in the order in which it was found, and how it becomes columns.
+"""Hits: what vertical lines cross, in the order in which it was found, and how they become columns.
 
-A column's hits are sorted by insertion, which keeps the order of equals: most columns are short
-and nearly sorted. A line through an edge that triangles share is the hard case. It hits whatever it
-passes within RIM; where that makes two hits of neighbouring triangles of one part, one is dropped.
-A line that runs within an upright side of a closed part hits triangles there that rounding has
-tilted a little, up or down: then the steepest of them are dropped, until the part is left as often
-as it was entered. Else all that lies below would count as inside of it.
+Hits are sorted by insertion, which is stable: most columns are short and nearly sorted. A line
+through an edge that triangles share is the hard case. It hits whatever it passes within RIM; of two
+hits of neighbouring triangles of one part, one is dropped. A line within an upright side of a
+closed part hits triangles that rounding has tilted a little: the steepest of them are dropped until
+the part is left as often as it was entered. Else all that lies below would count as inside.
 """
 
 from typing import NamedTuple
@@ -20,9 +19,9 @@ from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
 RIM = 1e-7
-# In place of a triangle, what a line hits that is none
+# In place of a triangle's number
 OF_SOLID, OF_PLANE = np.int32(-1), np.int32(-2)
-# In place of a geom, what is left behind a column's end by hits that were dropped
+# In place of the geom of hits behind a column's end, which were dropped
 DROPPED = np.int32(-1)
 # Whether a hit is at a triangle's edge; plain bools would be types of their own
 INSIDE, AT_EDGE = np.bool_(False), np.bool_(True)
@@ -55,7 +54,7 @@ def make_hits(count):
 
 @part
 def hits_of(crossings, first, last):
-    """The part of the crossings from the first to before the last, with scratch."""
+    """Crossings ``[first:last]``, with scratch."""
     z, normal, geom = crossings.z[first:last], crossings.normal[first:last], crossings.geom
     closed, facet = crossings.closed[first:last], np.empty(last - first, np.int32)
     return Hits(z, normal, geom[first:last], closed, facet, np.empty(last - first, np.bool_))
@@ -183,8 +182,8 @@ def _settle_edges(hits, first, last, facets):
 def settle(hits, first, last, facets, spare, place):
     """Turn the hits of a line into crossings: sorted, each once; returns how many were dropped.
 
-    What is left behind the last that stays has DROPPED for a geom; `spare` has room for one hit at
-    a place.
+    DROPPED is the geom of those behind the last that stays. `spare` has room for one hit at a
+    place.
     """
     _sort(hits, first, last, spare, place)
     if not _has_edge(hits, first, last):

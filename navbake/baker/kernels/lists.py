@@ -1,7 +1,7 @@
-"""Ragged lists: which of them are equal; a hash table with open addressing.
+"""Which ragged lists are equal, by a hash table with open addressing.
 
-Lists are hashed like FNV-1a (Fowler, Noll and Vo) over their values, with a shift that mixes the
-high bits down. Equal hashes are no proof, so lists are compared.
+The hash is FNV-1a (Fowler, Noll and Vo) over the values, with a shift that mixes the high bits
+down; lists with equal hashes are compared.
 """
 
 import numpy as np

@@ -1,10 +1,9 @@
 """Triangles, half-spaces and a cell's own line against an upright prism: no iteration needed.
 
 Triangles are clipped to the prism, plane by plane (Sutherland and Hodgman, Reentrant polygon
-clipping, 1974); half-spaces are told by their deepest point (the separating axis is their
-normal). A prism is open: what only touches it is outside. To triangles that enclose nothing its
-sides are closed, see `facet_meets_prism`; else a wall without thickness between two cells would
-meet neither.
+clipping, 1974); half-spaces are tested by the prism's deepest point (the separating axis is their
+normal). A prism is open: what only touches it is outside. For triangles that enclose nothing its
+sides are closed, or a wall without thickness between two cells would meet neither.
 """
 
 import math
@@ -53,9 +52,9 @@ def outside(boxes, i, prism):
 
 @part(inline="always")
 def facet_meets_prism(facets, t, prism, polygons):
-    """Does a triangle meet a prism, or, if it encloses nothing, the prism with its edges?
+    """Does a triangle meet a prism; or, if it encloses nothing, the prism with closed sides?
 
-    A prism was narrowed by TOUCH; with its edges it is widened by it instead, only sideways.
+    Prisms are narrowed by TOUCH; closed sides are widened by it.
     """
     edge = 2.0 * TOUCH if facets.closed[t] == OPEN_SURFACE else 0.0
     asked = Prism(prism.x, prism.y, prism.low, prism.high, prism.half + edge, prism.is_round)
@@ -146,14 +145,10 @@ def plane_meets_prism(planes, p, prism):
 
 @part(**UNCOUNTED)
 def line_is_blocked(crossings, cell, band, only):
-    """Whether a cell's line proves that something is between two heights.
+    """Whether a cell's line crosses a geom in a `Band`, or runs inside of one there.
 
-    It does where it crosses a geom there, or runs inside a closed one all along: seen from
-    above, more of them were entered than left (the winding number of the line's ray up).
-
-    Args:
-        band: the two heights, a `Band`: a NamedTuple of another class would be compiled for, too.
-        only: the geom that is asked about, ANY_GEOM for all.
+    It runs inside where the winding number of its ray up is positive. `only` is the geom, or
+    ANY_GEOM.
     """
     inside = 0
     for i in range(crossings.start[cell + 1] - 1, crossings.start[cell] - 1, -1):

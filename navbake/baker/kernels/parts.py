@@ -1,21 +1,20 @@
-"""Which triangles of a mesh enclose something: closed parts, told from what hangs on them loosely.
+"""Which triangles of a mesh enclose something: closed parts, without the sheets that hang on them.
 
-Triangles with a bare edge, on which no other one ends, are peeled off, and so are those whose edges
-that lays bare, as a queue has them: of a sheet nothing is left, of a closed surface all. What is
-left falls into manifold patches, by a flood over the edges at which two triangles meet, which also
-tells which of them face to the other side (Ju, Robust repair of polygonal models, 2004, section 2,
-lists the faults of meshes). Patches that close no edge, membranes, are dropped. The others are
-united where they close each other's edges. A part is closed when each of its edges is met as often
-in one direction as in the other.
+Triangles with a bare edge, where no other one ends, are peeled off, and by a queue those that this
+lays bare: nothing is left of a sheet, all of a closed surface. A flood over the edges where two
+triangles meet divides the rest into manifold patches, and finds the triangles that face the other
+way (Ju, Robust repair of polygonal models, 2004, section 2, lists the faults of meshes). Patches
+that close no edge, membranes, are dropped; the others are united where they close each other's
+edges. A part is closed when each edge is met as often in one direction as in the other.
 """
 
 import numpy as np
 
+from navbake.baker.kernels.connect import find_root, unite
 from navbake.baker.scene.kernels.shells import sort_keys
 from navbake.compiled import kernel, part
-from navbake.navgrid.kernels.connect import find_root, unite
 
-# What a triangle is when it belongs to no closed part: one of a sheet, or a copy of another
+# In place of a closed part's number: of a sheet, or a copy of another triangle
 SHEET, COPY = np.int32(-1), np.int32(-2)
 
 
@@ -27,10 +26,7 @@ def _opposite(faces, half):
 
 @part(inline="always")
 def _direction(faces, turned, half):
-    """1 for a half-edge that runs to the corner with the higher number, -1 for one that runs back.
-
-    One of a triangle that is to be turned runs the other way.
-    """
+    """1 for a half-edge, of turned triangles turned, that runs to its higher corner, else -1."""
     face, k = half // 3, half % 3
     runs_up = faces[face, k] < faces[face, (k + 1) % 3]
     return 1 if runs_up != turned[face] else -1
@@ -38,11 +34,7 @@ def _direction(faces, turned, half):
 
 @part(inline="always")
 def _drop_copies(faces, start, half, part):
-    """Mark triangles that have the corners of an earlier one, the same way round.
-
-    Each triangle is listed at one of its edges, by its third corner and the way it runs: copies are
-    neighbours then.
-    """
+    """Mark triangles that have the corners of an earlier one, the same way round."""
     keys = np.empty(16, np.int64)
     for e in range(start.shape[0] - 1):
         if start[e + 1] - start[e] > keys.shape[0]:
@@ -51,7 +43,7 @@ def _drop_copies(faces, start, half, part):
         for h in half[start[e] : start[e + 1]]:
             f, k = h // 3, h % 3
             here, after, third = faces[f, k], faces[f, (k + 1) % 3], _opposite(faces, h)
-            # the edge behind the lowest corner is the one that copies are listed at
+            # each triangle is listed once, at the edge behind its lowest corner
             if here < after and here < third:
                 keys[count] = (np.int64(third) << 32) | f
                 count += 1
@@ -64,7 +56,7 @@ def _drop_copies(faces, start, half, part):
 
 @part(inline="always")
 def _is_bare(faces, e, start, half, left, kept):
-    """Whether only one triangle is left at an edge, or one and its own back."""
+    """Whether only one triangle is left at an edge, or two back to back."""
     if left[e] == 1:
         return True
     if left[e] != 2:
@@ -80,7 +72,7 @@ def _is_bare(faces, e, start, half, left, kept):
 
 @part(inline="always")
 def _take_at(e, start, half, kept, queue, end):
-    """Take away the triangles at an edge, and queue them; returns where the queue ends."""
+    """Remove the triangles at an edge, and queue them; returns the end of the queue."""
     for h in half[start[e] : start[e + 1]]:
         if kept[h // 3]:
             kept[h // 3] = False
@@ -91,10 +83,7 @@ def _take_at(e, start, half, kept, queue, end):
 
 @part
 def _peel(faces, edge, start, half, kept):
-    """Take away triangles with a bare edge until none is left.
-
-    Returns how many triangles are left at each edge.
-    """
+    """Remove triangles with a bare edge until there is none; returns the triangles at each edge."""
     left = np.zeros(start.shape[0] - 1, np.int32)
     for h in range(edge.shape[0]):
         if kept[h // 3]:
@@ -127,13 +116,10 @@ def _partner(e, face, start, half, kept):
 
 @part
 def _find_patches(faces, edge, start, half, kept, left):
-    """Number what hangs together over edges with two triangles: the manifold patches.
+    """Number the manifold patches, which hang together over edges with two triangles.
 
-    Returns:
-        patch: of each triangle, -1 for one that is not kept, (m,) int32.
-        face, first: the triangles of each patch, ragged, int32.
-        differs: whether a triangle has to be turned to face to the same side as the first one of
-            its patch, (m,) bool.
+    Returns the patch of each triangle, -1 unless kept; the triangles of each patch, ragged; and
+    which triangles face the other way than the first one of their patch.
     """
     num = faces.shape[0]
     patch, differs = np.full(num, np.int32(-1), np.int32), np.zeros(num, np.bool_)
@@ -168,7 +154,7 @@ def _find_patches(faces, edge, start, half, kept, left):
 
 @part(inline="always")
 def _turn_minority(area, face, first, differs, turned):
-    """Turn the triangles of each patch that face to the side that less of its area faces."""
+    """Turn the triangles of each patch that face as less than half of its area does."""
     for p in range(first.shape[0] - 1):
         one = other = 0.0
         for f in face[first[p] : first[p + 1]]:
@@ -184,9 +170,9 @@ def _turn_minority(area, face, first, differs, turned):
 
 @part(inline="always")
 def _take_away(faces, edge, face, left, turned, balance, sign):
-    """Take a triangle's half-edges at edges with more than two from their balance, or add them.
+    """Remove a triangle from edges with more than two, or add it (`sign` -1).
 
-    Returns how many half-edges are without partner less than before.
+    Returns how many fewer half-edges are without partner.
     """
     gain = 0
     for k in range(3):
@@ -202,7 +188,7 @@ def _take_away(faces, edge, face, left, turned, balance, sign):
 def _drop_membranes(faces, area, edge, left, face, first, turned, kept):
     """Drop patches, the smallest first, if that leaves fewer half-edges without partner.
 
-    Such as a wall without thickness across the inside of a block. Returns whether any was.
+    A wall without thickness across a block is one. Returns whether any was dropped.
     """
     balance = np.zeros(left.shape[0], np.int32)
     size = np.zeros(first.shape[0] - 1)
@@ -227,13 +213,9 @@ def _drop_membranes(faces, area, edge, left, face, first, turned, kept):
 
 @part
 def _unite_patches(faces, start, half, kept, patch, turned, num):
-    """Unite patches at the edges that they close for each other, in `num` patches.
+    """Unite patches at edges that neither closes by itself, as blocks that touch there do.
 
-    A patch that by itself is met as often in one direction as in the other at an edge, such as one
-    of two blocks that touch there, needs no other one.
-
-    Returns:
-        By patch, its root, and by root, whether an edge of it stays without partner.
+    Returns each patch's parent, and by root, whether an edge of it stays without partner.
     """
     parent, is_open = np.arange(num), np.zeros(num, np.bool_)
     own = np.zeros(num, np.int64)  # balance of each patch at one edge

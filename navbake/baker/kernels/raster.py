@@ -1,14 +1,11 @@
 """Triangles over the cells' centres that they cover: which of them a vertical line crosses, where.
 
-Each triangle visits the cells it covers, row by row, instead of each cell looking at all triangles
-nearby: most triangles of a fine mesh cover no centre at all. A line is inside of a triangle by the
-signs of its edge functions (Pineda, A parallel algorithm for polygon rasterization, 1988), as
-MuJoCo's own rays are not used here: `mj_rayMesh` loses lines that run through a shared edge, and
-stops at the first crossing. A line within RIM of an edge crosses the triangle.
-
-The distance to an edge is the edge function by the edge's length. Both are rounded, and RIM is
-exact, so the length is taken from the line's own point of view where it may decide; a line that is
-twice as far from all edges as RIM is told without.
+Each triangle visits the cells it covers, row by row: most triangles of a fine mesh cover no centre
+at all. A line is inside of a triangle by the signs of its edge functions (Pineda, A parallel
+algorithm for polygon rasterization, 1988). `mj_rayMesh` is not used, as it loses lines that run
+through a shared edge, and stops at the first crossing. A line within RIM of an edge crosses the
+triangle; its distance is the edge function by the edge's length, both of coordinates relative to
+the line, which keeps rounding small. Lines twice as far as RIM need no length.
 """
 
 import math
@@ -20,7 +17,7 @@ from navbake.baker.kernels.tiles import cell_center, centers_between
 from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
 from navbake.compiled import UNCOUNTED, part
 
-# Edges shorter than this tell nothing without their own length [m]
+# Lines are never surely far from edges shorter than this [m]
 SHORT = 1e-6
 # No line is far from the edges by these
 NEVER_FAR = (np.inf, np.inf, np.inf)
@@ -49,10 +46,9 @@ def _far_of_edge(corners, t, i, j):
 
 @part(inline="always")
 def _cross_triangle(corners, t, x, y, far):
-    """Where the line at (x, y) crosses a triangle, and whether it does.
+    """Whether a line crosses a triangle: 0 for no, 1 inside, 2 within RIM of an edge; and how high.
 
-    `far` has for each corner what `_far_of_edge` says of the edge opposite, or is NEVER_FAR.
-    Returns 0 for nowhere, 1 for inside, 2 for within RIM of an edge; and the height.
+    `far` are `_far_of_edge` of the edges opposite the corners, or NEVER_FAR.
     """
     ax, ay = corners[t, 0, 0] - x, corners[t, 0, 1] - y
     bx, by = corners[t, 1, 0] - x, corners[t, 1, 1] - y
@@ -86,10 +82,7 @@ def _cross_triangle(corners, t, x, y, far):
 
 @part(inline="always")
 def hit_triangle(facets, t, x, y, far, hits, at, writing):
-    """Note that a line crosses a triangle that isn't upright, at a place of the hits.
-
-    Returns how often it does, 0 or 1; where not `writing`, it does nothing else.
-    """
+    """Whether a line crosses a triangle that isn't upright, 0 or 1; notes the hit if `writing`."""
     place, z = _cross_triangle(facets.corners, t, x, y, far)
     if place == 0:
         return 0
@@ -109,8 +102,7 @@ def hit_triangle(facets, t, x, y, far, hits, at, writing):
 def _span_of_row(corners, t, left, right, y, far):
     """Between which x a triangle may be crossed at some y, within (left, right) [m].
 
-    There all its edge functions, which change evenly along the row, are above those of lines that
-    are surely outside.
+    Edge functions are linear along a row, so each bounds the span.
     """
     x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
     area = (corners[t, 1, 0] - x0) * (corners[t, 2, 1] - y0)
@@ -139,7 +131,7 @@ def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writi
         rows: the first of the rows that are asked about, and past the last.
         hits: those of the rows' lines.
         end: for each line of the rows, where its next hit goes; is advanced.
-        writing: whether hits go there; else they are only counted, and their place is the first.
+        writing: else hits are only counted.
     """
     corners, bounds = facets.corners, facets.bounds
     y_max, x_min, cell = lattice.y_max, lattice.x_min, lattice.cell_size

@@ -1,17 +1,15 @@
 """Vertical lines through all geometry: every crossing, both ways.
 
 Solids and infinite planes are crossed by MuJoCo's own rays (`mju_rayGeom`), one up from below and
-one down from above: a convex solid's line has two ends. Triangles are crossed in `raster`, and
-`hits` tells how what was hit becomes a column.
+one down from above. Triangles are crossed in `raster`; `hits` makes columns of what was hit.
 
-Geometry visits the cells that it lies over, rather than each cell asking all that is nearby (as
-rasterizers do; Pineda 1988): each thread takes bands of rows, so no two write to one column, and
-within a band planes, solids and triangles come in their order, so the answer is the same for any
-number of threads. All is done twice: to count, then to write.
+Geometry visits the cells that it lies over, as in rasterizers (Pineda, 1988). Each thread takes
+bands of rows, so no two write to one column, and within a band the order is fixed: the result is
+the same for any number of threads. All is done twice: to count, then to write.
 
-Level faces make most of the crossings: the ends of upright boxes and cylinders, and level planes.
-There MuJoCo's ray gives the same heights on all lines to the last bit, as x and y are multiplied by
-zero; so one ray through the middle speaks for all that are well inside of the rim.
+Most crossings are of level faces: ends of upright boxes and cylinders, and level planes. MuJoCo's
+ray gives the same heights there on all lines to the last bit, as x and y are multiplied by zero; so
+one ray through the middle serves all lines well inside of the rim.
 """
 
 import math
@@ -95,7 +93,7 @@ def _cast(pos, mat, size, kind, point, ray):
 
 @part(inline="always")
 def _cast_at_rim(solids, s, ray):
-    """A ray that, where it misses a rim by at most RIM, is moved onto the geom."""
+    """Cast a ray at a solid; one that misses its rim by at most RIM is moved onto it."""
     pos, mat, size, kind = solids.pos[s], solids.mat[s], solids.size[s], solids.kind[s]
     distance = _cast(pos, mat, size, kind, ray.point, ray)
     if distance >= 0.0:
@@ -123,7 +121,7 @@ def _aim(ray, way, low, high):
 
 @part(inline="always")
 def _hit(hits, at, z, normal, up, geom):
-    """Note what a line hits that is no triangle; all but `closed` and `facet`."""
+    """Note a hit of a solid or a plane, but for `closed` and `facet`."""
     hits.z[at] = z
     hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = normal[0], normal[1], up
     hits.geom[at] = geom
@@ -132,7 +130,7 @@ def _hit(hits, at, z, normal, up, geom):
 
 @part(**UNCOUNTED)
 def _hit_solid(solids, s, x, y, ray, hits, at):
-    """Note where a line enters and leaves a solid, at a place of the hits; returns how often."""
+    """Note where a line enters and leaves a solid, from a place of the hits; returns how often."""
     box, count = solids.bounds[s], np.int64(0)
     ray.point[0], ray.point[1] = x, y
     for way in range(2):
@@ -176,10 +174,7 @@ def _hit_plane(planes, p, x, y, heights, ray, hits, at):
 
 @part(inline="always")
 def _beyond_rim(solids, s, x, y):
-    """How far a line is beyond an upright solid's rim, less than 0 inside [m].
-
-    For a box, along the axis of the two on which it is further.
-    """
+    """How far a line is beyond an upright solid's rim, of a box along one axis, < 0 inside [m]."""
     mat, size, kind = solids.mat[s], solids.size[s], solids.kind[s]
     dx, dy = x - solids.pos[s, 0], y - solids.pos[s, 1]
     if kind == BOX:
@@ -205,9 +200,9 @@ def _has_level_ends(solids, s):
 
 @part(**UNCOUNTED)
 def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
-    """Note where the lines of some rows cross a solid; the arguments are `raster_triangles`'.
+    """Note where the lines of some rows cross a solid, as `raster_triangles` does triangles.
 
-    `middle` has room for the hits of the line through the solid's middle.
+    `middle` has room for the hits of the line through its middle.
     """
     box, cell = solids.bounds[s], lattice.cell_size
     x_min, y_max = lattice.x_min, lattice.y_max
@@ -239,7 +234,7 @@ def _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing):
 
 @part(**UNCOUNTED)
 def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing):
-    """Note where the lines of some rows cross an infinite plane; else as `_cast_solid`."""
+    """Note where the lines of some rows cross an infinite plane, see `_cast_solid`."""
     is_level = _is_upright(planes.mat[p])
     count, zero = np.int64(0), np.int64(0)
     for line in range(end.shape[0]):
@@ -254,10 +249,7 @@ def _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writi
 
 @part(**UNCOUNTED)
 def _settle_lines(hits, start, end, facets, spare):
-    """Turn the hits of some lines into crossings, see `settle`; returns how many were dropped.
-
-    `start`, of the whole columns, and `end`, of these hits, tell where each line's hits are.
-    """
+    """`settle` the hits of lines, from `start`, of whole columns, to `end`; returns the dropped."""
     dropped = 0
     for line in range(end.shape[0]):
         first = start[line] - start[0]
@@ -275,16 +267,14 @@ def make_ray():
 def cast_lines(
     lattice, solids, facets, planes, items, heights, crossings, dropped, first_band, end
 ):  # fmt: skip
-    """Cross every cell's vertical line with all geometry; twice: to count, then to write.
-
-    Looks at the bands of rows ``range(first_band, end)``.
+    """Cross the lines of cells in bands ``range(first_band, end)``; twice: to count, then to write.
 
     Args:
         items: what lies over which band of rows.
         heights: a `Band` below and above everything [m].
-        crossings: in the first call all but `start` are empty, and ``start[cell + 1]``
-            receives the number of hits; in the second, the running sums stand there, and
-            the others receive the crossings, and after a column's last what is DROPPED.
+        crossings: while counting all but `start` are empty, and ``start[cell + 1]`` receives the
+            number of hits; while writing `start` has their running sums, and the others receive
+            the crossings, and behind each column's last those that are DROPPED.
         dropped: by band, int64; receives the number of hits that are no crossings.
     """
     start, writing = crossings.start, crossings.z.shape[0] > 0
@@ -315,7 +305,7 @@ def cast_lines(
 
 @part(inline="always")
 def most_hits(tile, planes, tiles):
-    """How much room the hits of a line over a tile need, with that for sorting them."""
+    """The room that the hits of a line over a tile need, scratch for sorting included."""
     solids = tiles.solid_start[tile + 1] - tiles.solid_start[tile]
     triangles = tiles.triangle_start[tile + 1] - tiles.triangle_start[tile]
     return 2 * (solids + planes.geom.shape[0]) + triangles + 1
@@ -323,10 +313,7 @@ def most_hits(tile, planes, tiles):
 
 @part(**UNCOUNTED)
 def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
-    """Cross the line at (x, y) with all geometry near a tile.
-
-    The crossings are the first of the hits, which have room for `most_hits`; returns their number.
-    """
+    """Write the crossings of the line at (x, y) over a tile to the first hits; returns how many."""
     zero, count = np.int64(0), np.int64(0)
     for p in range(planes.geom.shape[0]):
         count += _hit_plane(planes, p, x, y, heights, ray, hits, count)

@@ -1,9 +1,9 @@
 """Does a solid meet an upright prism? By its shape where that is plain, else by iteration.
 
-For spheres, upright boxes and cylinders the distance to a prism has a closed form: that of a
-point or a rectangle to a rectangle or a disc in the plane, and of two intervals in height. For
-leaning capsules and cylinders there is a bound. What these leave open within rounding, and
-everything that leans otherwise, goes to `gjk`.
+For spheres, upright boxes and cylinders the distance to a prism has a closed form: that of a point
+or a rectangle to a rectangle or a disc in the plane, and of two intervals in height. For leaning
+capsules and cylinders there is a bound. `gjk` decides what these leave open within rounding, and
+all other leaning solids.
 """
 
 import math
@@ -26,9 +26,9 @@ def _point_gap(dx, dy, half, is_round):
 
 @part(inline="always")
 def _plan_gap(solids, s, upright, dx, dy, half, is_round):
-    """How far a box or cylinder is from a column, seen from above; negative where they overlap.
+    """How far a box or cylinder is from a column at (dx, dy), seen from above; < 0 for an overlap.
 
-    Its own axis number `upright` points up or down; dx, dy is the column's centre less its own.
+    Its own axis number `upright` points up or down.
     """
     mat, size = solids.mat[s], solids.size[s]
     if solids.kind[s] == CYLINDER:
@@ -67,7 +67,7 @@ def _axis_gap(solids, s, prism, half, is_round):
 
 @part(inline="always")
 def _gap(solids, s, prism, half, is_round):
-    """How far a solid is from a prism, or less; negative where they overlap; 0 for unknown."""
+    """A lower bound of a solid's distance to a prism; < 0 for an overlap, 0 for unknown."""
     kind, pos = solids.kind[s], solids.pos[s]
     dx, dy = prism.x - pos[0], prism.y - pos[1]
     if kind == SPHERE:

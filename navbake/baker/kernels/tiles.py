@@ -1,10 +1,9 @@
 """Which items lie over which tile of a lattice, so that a cell looks at few of them.
 
 A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
-2005, 7.1), of tiles of TILE x TILE cells. The lists are one counting sort: count, sum up, write;
-by chunks of the items, each with counts of its own, so that several threads do it, and an item
-follows those before it for any number of them.
-Bands of BAND rows are what one thread works on where items visit the cells under them.
+2005, 7.1), of tiles of TILE x TILE cells. The lists are made by a counting sort over chunks of the
+items, each with its own counts: several threads do it, and the order is the same for any number.
+Where items visit the cells under them, a thread takes bands of BAND rows.
 """
 
 import math
@@ -31,16 +30,13 @@ def tile_window(lattice, tile):
 
 @part(inline="always")
 def cell_bit(row, col):
-    """The bit of a cell by its row and column in a tile, in a number with a bit for each cell."""
+    """The bit of a cell by its row and column in a tile."""
     return np.int64(1) << (row * TILE + col)
 
 
 @part(inline="always")
 def cell_bits(window, near):
-    """The bits of the cells of a window in the window of a tile that holds it; 0 for none.
-
-    Both are what `tile_window` returns, the tile's first.
-    """
+    """The bits, in a tile with a window, of the cells in a smaller one; see `tile_window`."""
     row0, row1, col0, col1 = near
     if row0 >= row1 or col0 >= col1:
         return np.int64(0)
@@ -135,17 +131,15 @@ def _bands_under(boxes, n, grow, lattice):
 
 @kernel(nogil=True, **UNCOUNTED)
 def list_boxes(boxes, grow, lattice, by_band, under, cursor, item, first, end):
-    """Count, or list, the (n, 6) boxes that reach into each tile; or into each band.
-
-    The boxes fall into chunks of about the same size, of which it looks at ``range(first, end)``.
+    """Count, or list, the (n, 6) boxes of chunks ``range(first, end)`` that reach into each tile.
 
     Args:
-        grow: how much larger the boxes are taken to be, in the plane [m].
-        by_band: whether bands are asked about, and boxes that hold a cell's centre there.
-        under: by box, (n, 4) int32: the first and last row of the tiles under it, and so with the
-            columns; is written while counting.
+        grow: by how much the boxes are widened on each side [m].
+        by_band: in place of tiles, bands in which a box holds a cell's centre.
+        under: by box, (n, 4) int32: the first and last row and column of the tiles under it;
+            written while counting.
         cursor: by chunk and tile, (chunks, tiles) int64: where the chunk's next box over the tile
-            goes; is advanced.
+            goes; advanced.
         item: receives the boxes, int32; they are only counted where it is empty.
     """
     num, num_chunks, writing = boxes.shape[0], cursor.shape[0], item.shape[0] > 0

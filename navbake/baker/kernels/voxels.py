@@ -1,14 +1,13 @@
-"""Filling voxels: what each geom has over the square of a column of voxels.
+"""Fill voxels, column by column, with the labels of the geoms that meet them.
 
-What a convex solid or a half-space meets of a column is one run of voxels. Whether it meets a
-stretch of the column is the question that occupancy asks, too (see `solids` and `overlap`), so both
-ends of the run are found by bisection. A triangle is clipped to the column's square: it meets the
-voxels between its lowest and its highest point there. What the triangles of a closed surface leave
-alone is inside of it as a whole or not at all: the crossings of the column's middle line tell, by
-the winding rule (scan conversion of solids: Lee and Requicha, 1982).
+A convex solid or a half-space meets one run of a column's voxels; both ends are found by bisection
+with the tests of occupancy (see `solids` and `overlap`). A triangle is clipped to the column's
+square, and meets the voxels between its lowest and its highest point there. A voxel that no
+triangle of a closed surface meets is inside of it as its centre is, by the winding number of the
+column's middle line (scan conversion of solids: Lee and Requicha, 1982).
 
 Voxels are narrowed by TOUCH on all sides: what reaches in by less only touches. Where several geoms
-meet a voxel the least label stays, in whatever order they come.
+meet a voxel the least label stays, in any order.
 """
 
 import math
@@ -68,10 +67,7 @@ def _fill_between(voxels, column, low, high, label):
 
 @part(**UNCOUNTED)
 def _meets(voxels, solids, planes, item, x, y, first, end, simplex):
-    """Whether a solid, or the plane that comes so long after the solids, meets voxels of a column.
-
-    Of the column at (x, y), from the first voxel to before the end.
-    """
+    """Whether a solid or, numbered after these, a plane meets voxels ``[first, end)`` at (x, y)."""
     low, high = voxels.bottom + first * voxels.res + TOUCH, voxels.bottom + end * voxels.res - TOUCH
     prism = Prism(x, y, low, high, voxels.res / 2.0 - TOUCH, SQUARE)
     num = solids.geom.shape[0]
@@ -132,10 +128,7 @@ def _fill_inside(voxels, column, crossings, cell, labels):
 
 @part(**UNCOUNTED)
 def _fill_triangle(voxels, lattice, window, facets, t, label, polygons, strip):
-    """Label the voxels of a tile's columns that a triangle meets.
-
-    It is clipped to each strip of columns along y first.
-    """
+    """Label the voxels that a triangle meets; it is clipped to each strip of columns first."""
     half, num_rows = voxels.res / 2.0, lattice.height
     row0, row1, col0, col1 = cells_near(lattice, window, facets.bounds, t, half)
     for col in range(col0, col1):
@@ -166,7 +159,8 @@ def fill_voxels(
         lattice: of the voxels' columns: column (i, j) is the cell at row ``ny - 1 - j``, column i.
         tiles: what lies over each tile of the lattice.
         crossings: of the columns' middle lines with the triangles.
-        labels: by geom id, > 0, in the dtype of the grid's values; they are added to these.
+        labels: by geom id, > 0, in the dtype of the grid's values. A voxel keeps the least of those
+            that meet it and of its own, unless that is 0; labels are neither summed nor ORed.
     """
     polygons, strip, simplex = make_polygons(), np.empty((12, 3)), make_simplex()
     for tile in range(first_tile, end):

@@ -1,11 +1,10 @@
-"""One walk over what stands near cells: what occupies them, and which geoms stand in each.
+"""One walk over the geoms near cells: what occupies the cells, and which geoms stand in each.
 
-Tile by tile, each geom goes to the cells near it, not the cells to the geoms, as a rasterizer goes
-over pixels. So a triangle smaller than a cell costs one or two questions, and one over none of the
-cells that are still open costs none: they are the bits of a number. A cheap test goes before an
-exact one: the winding number of the cell's line, then boxes (broad phase), then the shapes' own
-tests in `overlap` (clipping) and `solids` (closed forms, then GJK). What is asked of a cell does
-not depend on the order of the cells, so that any number of threads gives the same answers.
+Tile by tile, each geom visits the cells near it, as in a rasterizer. A triangle smaller than a cell
+costs one or two tests, and one over no undecided cell costs none: these are the bits of a number.
+Cheap tests come before exact ones: the winding number of the cell's line, then boxes (broad phase),
+then `overlap` (clipping) and `solids` (closed forms, then GJK). The tests of a cell do not depend
+on the order of the cells, so any number of threads gives the same result.
 """
 
 import math
@@ -38,25 +37,24 @@ from navbake.baker.kernels.tiles import (
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
-# What a geom does in a cell: it stands there, blocks the occupancy's volume, meets the square in
-# the probed band, and meets the square alone in the band of the occupancy
+# What a geom does in a cell: it stands there, meets the occupancy's volume, meets the square in the
+# probed band, and meets the square in the band of the occupancy
 STANDS, BLOCKS, PROBED, SOLID = 1, 2, 4, 8
-# It meets the occupancy's volume or not, or the square there, without a proof either way
+# No proof whether it meets the occupancy's volume, or the square there
 UNPROVED, UNPROVED_SOLID = 16, 32
-BY_LINE = 64  # of a cell: its line alone proves that it is occupied
+BY_LINE = 64  # of a cell: its line alone proves it occupied
 PLANE, SOLIDS, TRIANGLES = np.int64(0), np.int64(1), np.int64(2)
 NO_GEOM = np.int32(2**31 - 1)
 
 
 class Queries(NamedTuple):
-    """Floors of cells that are asked about, and what is found over each, arrays of shape (n,).
+    """Floors of cells, and what is found over each, arrays of shape (n,).
 
     Attributes:
         cell: ids, ascending, int64.
         floor: [m].
-        state: receives BLOCKS, SOLID, UNPROVED and UNPROVED_SOLID where any geom does that, and
-            BY_LINE, uint8.
-        wanted, flags: scratch: what is asked about a geom, and what it does, uint8.
+        state: receives BLOCKS, SOLID, UNPROVED and UNPROVED_SOLID of all geoms, and BY_LINE, uint8.
+        wanted, flags: scratch: what is tested of a geom, and what it does, uint8.
     """
 
     cell: Int
@@ -72,8 +70,8 @@ class Listing(NamedTuple):
     Attributes:
         ceiling: (n,), at least as high as the agent [m].
         first: receives where each query's list begins, (n,) int32, see `look_near`.
-        carrier, gap: receive what carries the floors, see `describe_floor`.
-        probed: by geom id, bool: those that are looked for in the probed band.
+        carrier, gap: receive the geoms of the floors, and the gaps below, see `_describe_floor`.
+        probed: by geom id, bool: whether it is tested in the probed band.
         low, high: the probed band, over the floor [m].
         min_up: least z of the normal of what carries a floor.
     """
@@ -102,8 +100,8 @@ class Here(NamedTuple):
     Attributes:
         run: the queries of each of its rows of cells, first and past the last, (TILE, 2) int64.
         first, end: the queries of each cell, (TILE, TILE) int64.
-        span: the heights between which anything is asked, (2,) float64 [m].
-        open: of the cells about which anything is asked, a bit each; (1,) int64.
+        span: the heights of all volumes that are tested, (2,) float64 [m].
+        open: a bit for each undecided cell; (1,) int64.
         box: around a geom over the tile, (1, 6) float64 [m].
         planes: the numbers of all planes, int32.
     """
@@ -120,7 +118,7 @@ class Here(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """All that a walk looks at and writes; `window` is the tile's, see `tile_window`."""
+    """All that a walk reads and writes; `window` is the tile's, see `tile_window`."""
 
     lattice: Any
     window: tuple[int, int, int, int]
@@ -138,17 +136,16 @@ class Walk(NamedTuple):
 def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, first, end):
     """Find what stands near the queries in the rows of tiles ``range(first, end)``.
 
-    A cell is occupied where its line or a geom meets `footprint`, what an agent sweeps over its
-    floor. Where something is listed, a geom stands in a cell if it meets the cell's square between
-    a hair over the floor and the ceiling; it is PROBED if it stands there and meets the square in
-    the probed band.
+    A cell is occupied where its line or a geom meets `footprint` over its floor. A listed geom
+    STANDS in a cell if it meets the cell's square between a hair over the floor and the ceiling; it
+    is PROBED if it also meets the square in the probed band.
 
     Args:
         geometry: solids, facets and planes.
 
     Returns:
-        Geom ids, int32, and flags, uint8: a query's list goes on from its `first` to the geom -1,
-        by geom. Lists begin at 1; place 0 is for all empty ones.
+        Geom ids, int32, and flags, uint8: each query's list, by geom, from its `first` to the geom
+        -1. Lists begin at 1; place 0 is that of all empty ones.
     """
     here = Here(
         np.zeros((TILE, 2), np.int64),
@@ -194,7 +191,7 @@ def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, 
 
 @part(**UNCOUNTED)
 def _find_queries(lattice, window, cells, here):
-    """Find the queries of each row of a tile's cells, and return how many there are."""
+    """Find the queries of each row of a tile's cells; returns how many there are."""
     count, run = 0, here.run
     for row in range(window[0], window[1]):
         r = row - window[0]
@@ -220,7 +217,7 @@ def _find_queries(lattice, window, cells, here):
 
 @part(**UNCOUNTED)
 def _write_lists(run, entries, count, first, geom, flags, used):
-    """Write a tile's entries as lists behind the `used` part, and return how much is used then."""
+    """Write a tile's entries as lists behind the `used` part; returns the end of the lists."""
     for e in range(count):
         first[entries.query[e]] += 1
     for r in range(TILE):
@@ -238,7 +235,7 @@ def _write_lists(run, entries, count, first, geom, flags, used):
 
 @part(inline="always")
 def _column(walk, n, row, col):
-    """The volume in which anything is asked of a query; a hair wider, see `facet_meets_prism`."""
+    """The volume around all that is tested of a query; a hair wider, see `facet_meets_prism`."""
     lattice, footprint, floor = walk.lattice, walk.footprint, walk.queries.floor[n]
     x, y = center_of(lattice, row, col)
     reach = max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
@@ -266,7 +263,7 @@ def _volumes(walk, n, row, col):
 
 @part(**UNCOUNTED)
 def _ask_lines(walk):
-    """Ask the lines of a tile's cells, and note where anything is left to ask."""
+    """Test the lines of a tile's cells, and note the cells that these leave undecided."""
     queries, listing, here, crossings = walk.queries, walk.listing, walk.here, walk.crossings
     footprint, lists = walk.footprint, listing.ceiling.shape[0] > 0
     here.first[:], here.end[:] = 0, 0
@@ -296,10 +293,7 @@ def _ask_lines(walk):
 
 @part(inline="always")
 def _describe_floor(crossings, cell, floor, min_up):
-    """The geom that carries a floor, -1 for none, and how far below the next floor lies [m].
-
-    That is the nearest surface below that faces up within the slope and belongs to another geom.
-    """
+    """The geom that carries a floor, or -1, and the gap to another geom's floor below [m]."""
     carrier, gap = np.int32(-1), math.inf
     for i in range(crossings.start[cell], crossings.start[cell + 1]):
         if crossings.z[i] == floor and crossings.normal[i, 2] >= min_up:
@@ -315,10 +309,7 @@ def _describe_floor(crossings, cell, floor, min_up):
 
 @part(**UNCOUNTED)
 def _look_at_tile(walk, tiles, tile, entries):
-    """Ask the geoms over a tile, by geom id; the number of entries, -1 for too little room.
-
-    A tile's triangles are sorted by geom, as all triangles are. Those of a geom follow one another.
-    """
+    """Test the geoms over a tile, by geom id; returns the number of entries, -1 for no room."""
     solids, facets, planes, here = walk.solids, walk.facets, walk.planes, walk.here
     _ask_lines(walk)
     p, count = 0, np.int64(0)  # see `used` above
@@ -355,10 +346,9 @@ def _look_at_tile(walk, tiles, tile, entries):
 
 @part(**UNCOUNTED)
 def _ask_geom(walk, kind, items, geom, entries, count):
-    """Ask a plane, a solid or a geom's triangles about the queries near; see `_look_at_tile`.
+    """Test a plane, a solid or a geom's triangles for the queries near; see `_look_at_tile`.
 
-    Triangles are looked at together, behind the box of those that lie over the tile. Where lines
-    have proved all that is asked about the geom, none of them is.
+    A geom's triangles follow one another; the box around them is tested first.
     """
     lattice, window, here, queries = walk.lattice, walk.window, walk.here, walk.queries
     if here.box[0, 2] >= here.span[1] or here.box[0, 5] <= here.span[0]:
@@ -409,10 +399,10 @@ def _ask_geom(walk, kind, items, geom, entries, count):
 
 @part(inline="always")
 def _begin(walk, kind, geom, n, volumes):
-    """Note what is wanted of a geom over a query, and what the cell's line alone proves of it."""
+    """Note what is wanted of a geom over a query, and what the cell's line proves of it."""
     queries, listing, footprint = walk.queries, walk.listing, walk.footprint
     state, wanted, flags = np.int64(queries.state[n]), 0, 0
-    # the square alone may be a part of the footprint; else it is asked until any geom meets it
+    # a square that is a part of the footprint is tested for each geom, others until one meets it
     if footprint.radius > 0.0 and (footprint.square > 0.0 or not state & SOLID):
         wanted = SOLID
     if listing.ceiling.shape[0] > 0:
@@ -430,7 +420,7 @@ def _begin(walk, kind, geom, n, volumes):
 
 @part(**UNCOUNTED)
 def _ask_line(crossings, cell, geom, volumes):
-    """The flags that a cell's line alone proves of a geom: `line_is_blocked` for each volume."""
+    """The flags that a cell's line proves of a geom: `line_is_blocked` for each volume."""
     stands, blocks, probed, _ = volumes
     lowest = min(stands.low, blocks.low, probed.low)
     flags, in_stands, in_blocks, in_probed = 0, 0, 0, 0
@@ -498,7 +488,7 @@ def _ask_shape(walk, kind, i, n, volumes):
 
 @part(**UNCOUNTED)
 def _note_entries(walk, near, geom, entries, count):
-    """Note what a geom does over the queries that were asked about it; -1 for too little room."""
+    """Note what a geom does over the queries near; the number of entries, -1 for no room."""
     here, queries, footprint = walk.here, walk.queries, walk.footprint
     lists = walk.listing.ceiling.shape[0] > 0
     for row in range(near[0], near[1]):

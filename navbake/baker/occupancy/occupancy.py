@@ -1,4 +1,4 @@
-"""Occupancy: does anything stand in the band above a cell's floor, over its footprint?"""
+"""Occupancy: whether a geom meets the agent's footprint in the band above a cell's floor."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ NO_LISTING = Listing(
 
 
 class Footprint(NamedTuple):
-    """What a cell sweeps over its floor: its square joined with the agent's disc, in a band.
+    """The volume over a cell's floor: its square joined with the agent's disc, in a band.
 
     Attributes:
         square: half of the square's edge less TOUCH, 0 where the disc covers the square [m].
@@ -91,9 +91,9 @@ class Occupancy(NamedTuple):
         levels: of each storey, shape (height, width) of the whole lattice, bool: a geom meets
             the volume over the cell's floor, or there is no floor.
         by_ray: how many cells a ray alone proved occupied.
-        by_fcl: how many had no proof either way, so that FCL decided.
-        solid: the same as `levels` for the volume over the cell's square alone; None where the
-            agent's disc doesn't reach beyond it.
+        by_fcl: how many cells FCL decided.
+        solid: `levels` for the volume over the cell's square alone; None where the agent's disc
+            doesn't reach beyond it.
     """
 
     levels: list[Bool]
@@ -128,16 +128,14 @@ def look_at_cells(
     floors: Float,
     listing: Listing = NO_LISTING,
 ) -> Found:
-    """Check for cells and floor heights, shape (n,), whether a geom meets the volume above.
+    """Check for cells and floor heights, shape (n,), whether a geom meets the footprint above.
 
-    The volume stands over the cell's footprint, between the floor plus the traversable height
-    and the floor plus the agent's height. A ray of the cell's column that crosses a geom there,
-    or runs inside of one, proves it occupied. Otherwise each geom nearby is proved apart or
-    overlapping; where rounding leaves no proof, FCL decides. Geoms that reach in by less than
-    TOUCH only touch.
+    A ray of the cell's column that crosses a geom there, or runs inside of one, proves it occupied.
+    Otherwise each geom nearby is proved apart or overlapping; where rounding leaves no proof, FCL
+    decides. Geoms that reach in by less than TOUCH only touch.
 
     Args:
-        listing: receives what stands there; cells ascend then.
+        listing: receives what stands there; then cells have to ascend.
     """
     if len(cells) and np.any(cells[1:] < cells[:-1]):  # the kernel goes tile by tile
         order = np.argsort(cells, kind="stable")
@@ -180,7 +178,7 @@ def look_at_cells(
         for n in np.flatnonzero(occupied & ~solid & ((state & UNPROVED_SOLID) > 0)):
             solid[n] = ask_fcl(tiled, square, int(cells[n]), float(floors[n]))
         solid &= occupied
-    if len(listing.first):  # what FCL found out about the cell decides
+    if len(listing.first):  # FCL has decided about the cell
         for n in np.flatnonzero(occupied & ((state & UNPROVED) > 0)):
             i = listing.first[n]
             while geom[i] >= 0:

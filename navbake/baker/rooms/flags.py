@@ -1,4 +1,4 @@
-"""What rooms are found from: flags of each level's cells, and marks; nothing else decides rooms."""
+"""The input of rooms: flags of each level's cells, and marks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
 
 
 class LevelFlags(NamedTuple):
-    """What rooms need of the cells of a level, shape (height, width) of the whole lattice."""
+    """Flags of a level's cells, shape (height, width) of the whole lattice."""
 
     floor: Float  # heights, NaN for none [m]
     open: Bool  # with a floor, and no wall or window
@@ -46,7 +46,7 @@ class LevelFlags(NamedTuple):
 
 
 class RoomFlags(NamedTuple):
-    """All that rooms depend on beside settings: `find_rooms` is a function of these."""
+    """All that rooms depend on besides settings."""
 
     lattice: Lattice
     levels: list[LevelFlags]
@@ -72,14 +72,14 @@ def are_equal(one: Any, other: Any) -> bool:
 
 
 class ColumnFlags:
-    """What rooms read of each cell's column: `bits` by level, (cells,), see `flag_columns`."""
+    """Flags of each cell's column: `bits` by level, (cells,), see `flag_columns`."""
 
     def __init__(self, floors: Floors, agent: AgentSettings) -> None:
         self._limits = agent_limits(agent)
         self.bits = [np.zeros(level.floor.size, dtype=np.uint8) for level in floors.levels]
 
     def look(self, cells: slice | Int, crossings: Crossings, levels: Sequence[LevelFloor]) -> bool:
-        """Look at the columns of some cells, numbered as they are; whether any flag changed."""
+        """Flag some cells, as which the columns are numbered; whether any flag changed."""
         changed, found = False, np.empty(len(crossings.start) - 1, dtype=np.uint8)
         for bits, level in zip(self.bits, levels, strict=True):
             asked = crossings, level.floor.ravel()[cells], level.ground, self._limits, WALL_BAND[0]
@@ -98,7 +98,7 @@ def read_flags(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> RoomFlags:
-    """Read from a scene, and from what was found in its columns, all that its rooms depend on."""
+    """Read all that rooms depend on from a scene and its earlier stages."""
     lattice, levels = columns.lattice, list[LevelFlags]()
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
@@ -125,7 +125,7 @@ def read_flags(
 
 
 def edge_cells(is_open: Bool, sides: Bool) -> Bool:
-    """Cells that aren't open, at those `sides` of the lattice or at open cells that reach them."""
+    """Closed cells at some `sides` of the lattice, or beside open cells connected to these."""
     empty = np.pad(is_open, 1)
     empty[[0, -1]] |= sides[0][:, None]
     empty[:, [0, -1]] |= sides[1]

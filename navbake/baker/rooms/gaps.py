@@ -1,7 +1,4 @@
-"""Gaps between walls, and the spaces that they part: where the space along a line widens at once.
-
-All gaps part spaces at first; then spaces are joined where a gap is as wide as they are.
-"""
+"""Gaps between walls, and the spaces that they part, see `segment_by_gaps`."""
 
 import heapq
 from collections.abc import Sequence
@@ -28,27 +25,27 @@ GROWTH, RISE = 1.15, 0.2
 THICKNESS = 0.6
 # Where a gap goes on in the next column, its middle is on a line at most so far apart [lines]
 DRIFT = 2
-# What is smaller is no space but part of the gaps round it: where walls are at an angle to the
-# lattice, lines of a gap that are next to each other leave single cells between them [m²]
+# A smaller space belongs to the gaps round it, whose neighbouring lines leave single cells between
+# them where walls are at an angle to the lattice [m²]
 ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
 # Two spaces are one where the gap between them is at least this share of both, or of the narrower
 BOTH, NARROWER = 0.8, 0.78
-# A passage opens into a space as wide as it is, but is its own from this length on, measured in
-# its widths, where the space is wider by this factor
+# A passage is a space of its own from this length on, in widths, where the other space is wider by
+# this factor
 LONG, WIDER = 3.0, 1.5
 # A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
 # are so large [m²]
 CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
-# Where so many cells could decide, widths are measured on the walls' geometry
+# Widths are measured on the walls' geometry where so many cells could decide
 WAVERING = 2.0
-# A gap that is wider than the widest by so little is none the wider: rounding [m]
+# Of the widest gap [m]
 ROUNDING = 1e-9
 
 
 class CloseCall(NamedTuple):
-    """A gap that hardly parts two spaces, or nearly: row and column of its middle, width [m]."""
+    """A gap that just parts two spaces, or just not: row and column of its middle, width [m]."""
 
     cell: tuple[float, float]
     width: float
@@ -64,14 +61,14 @@ def find_gaps(
 ) -> tuple[list[Found], Int32, Int]:
     """The gaps of each direction, the spaces that all of them part, and how many cells each has.
 
-    Holes have no floor, but no wall either. A gap wider than `door_width` [m] parts no spaces.
+    Space includes `holes`, without floor or wall. A gap wider than `door_width` [m] parts none.
     """
     space = open_cells | holes
     directions = find_directions(space, cell_size)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
-    # doorways, come first, and are walls to the others: so a line across a corridor does not lead
-    # through a door, and a wall that ends in a wide opening goes on up to the line of that opening
+    # doorways, come first, and close the way for others: so a line across a corridor does not go
+    # through a door, and a wall's end at a wide opening is continued up to the opening's line
     marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
     marked, least = np.zeros_like(space), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
@@ -105,9 +102,9 @@ def find_gaps(
 
 
 def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
-    """The gaps of a direction: neighbouring columns of marked cells between the same two spaces.
+    """The gaps of a direction: neighbouring columns of at most `thickness` marked cells.
 
-    Columns cross at most `thickness` marked cells, one of them a gap of this direction's `own`.
+    They lie between the same two spaces, and one cell of each is marked in `own`.
     """
     label, shift = scan.label, scan.shift
     col, top, end, _ = list_runs(marked.T)
@@ -143,10 +140,10 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
 
 
 class Spaces:
-    """The spaces between gaps, and the one, `whole`, that each is part of now.
+    """The spaces between gaps, joined pair by pair; `whole` is the current space of each.
 
-    They are joined a pair at a time, at the widest gap of all. A gap's shares are measured again
-    only where one of its two spaces is joined to one that the gap's lines met.
+    A gap's shares are measured again only where one of its spaces is joined to one that the gap's
+    lines met.
     """
 
     def __init__(
@@ -188,9 +185,9 @@ class Spaces:
         self.measure(np.arange(len(self._width)))
 
     def join_all(self) -> None:
-        """Join spaces that a gap leaves as wide as both of them are, then as the narrower is.
+        """Join spaces at gaps as wide as both of them are, then as wide as the narrower is.
 
-        A line across a room that is drawn at a doorway's edge goes before the doorway.
+        A line across a room at a doorway's edge is decided before the doorway.
         """
         for both in (True, False):
             apart = self.list_apart(np.arange(len(self._width))).tolist()
@@ -198,7 +195,7 @@ class Spaces:
             heapq.heapify(queue)
             while queue:
                 order, gap = heapq.heappop(queue)
-                # what was measured again is in the queue again; a passage may have grown long
+                # gaps measured again are in the queue again; a passage may have grown long
                 if not len(self.list_apart([gap])) or order != self._order(gap, both):
                     continue
                 for k in self.join(gap):
@@ -206,7 +203,7 @@ class Spaces:
                         heapq.heappush(queue, (again, k))
 
     def _order(self, gap: int, both: bool) -> tuple[bool, float] | None:
-        """When a gap's spaces are joined, by the share of both or the narrower; None for never."""
+        """The priority of joining at a gap, by the share of both or the narrower; None if never."""
         share = float(self._shares[gap].min()) if both else self._decide(gap)
         if share < (BOTH if both else NARROWER):
             return None
@@ -227,7 +224,7 @@ class Spaces:
         return max(above, below)
 
     def close_calls(self) -> list[CloseCall]:
-        """The gaps between two spaces of some size that were decided by little."""
+        """The gaps between two spaces of some size whose share was close to the limit."""
         close = np.abs(self._decided - NARROWER) <= CLOSE
         close &= self._width * self._cell_size >= CLOSE_WIDTH
         calls = []
@@ -246,7 +243,7 @@ class Spaces:
         return calls
 
     def list_apart(self, gaps: Sequence[int] | Int) -> Int:
-        """Those of some gaps whose sides are two spaces still."""
+        """Those of some gaps that still part two spaces."""
         chosen = np.asarray(gaps, dtype=np.int64)
         sides = self.whole[self._pairs[chosen]]
         apart: Int = chosen[sides[:, 0] != sides[:, 1]]
@@ -265,7 +262,7 @@ class Spaces:
             through = width + passed.sum(axis=3, keepdims=True)
             shares = (through / length)[..., 0].min(axis=2)
             off = np.min([np.abs(shares - share) for share in (BOTH, NARROWER, 1 / WIDER)], axis=0)
-            # others are decided wherever in the last cells the walls begin
+            # for others it makes no difference where in the last cells the walls begin
             close = np.flatnonzero((off * length[..., 0].min(axis=2) <= WAVERING).any(axis=1))
             if len(close) and self._rays is not None:
                 self._measure_widths(number, chosen[close])
@@ -277,7 +274,7 @@ class Spaces:
             self._shares[chosen] = shares
 
     def _measure_widths(self, number: int, gaps: Int) -> None:
-        """Measure how far some gaps of a direction reach beyond their first and last cells."""
+        """Measure some gaps of a direction beyond their first and last cells."""
         direction, scan, listed = self._found[number]
         new = gaps[~self._is_measured[gaps]]
         k = new - self._start[number]
@@ -288,10 +285,9 @@ class Spaces:
         self._is_measured[new] = True
 
     def _beyond(self, number: int, cells: Int) -> Float:
-        """How far lines' ends are from the walls beyond them, shape (…, 2) [columns].
+        """How far the centres of lines' end `cells` are from walls beyond, shape (…, 2) [columns].
 
-        That is from the centres of their last `cells` before and after, half a column where one is
-        -1: the line ends at no wall.
+        Half a column for -1, where the line ends at no wall.
         """
         direction, scan, _ = self._found[number]
         rest = np.full(cells.shape, 0.5)

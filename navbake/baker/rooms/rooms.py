@@ -28,6 +28,7 @@ from navbake.baker.rooms.segmentation import (
 from navbake.baker.rooms.sources import MarkedRooms
 from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
+from navbake.navgrid.doors import DOOR_REACH
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room
 from navbake.types import Bool, Float, Int, Int32
@@ -47,8 +48,6 @@ ID_LIKE = re.compile(r"\d+:\d+")
 MICRO = 1e6  # micrometres in a metre
 # Two indices of rooms make one number, to sort by: the first times this, and the second
 PAIR = 1 << 16
-# A door is in an opening if they are at most this far apart [m]
-DOOR_REACH = 0.4
 
 
 @dataclass(frozen=True)
@@ -118,11 +117,11 @@ class NamedRoom(NamedTuple):
 def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Rooms:
     """Find the room that each cell belongs to.
 
-    A cell's room is that of the first source that has one for it; what is left is segmented by
-    itself, see `share_rest`. Cells without a floor, and cells that a wall or a window stands in,
-    belong to none. On each level, rooms are numbered by their first cells in reading order: from
-    large y to small, from small x to large. A room that reaches over several levels is one room
-    on each. Rooms of a level meet where steps of at most `max_step` [m] lead from one to another.
+    A cell's room is that of the first source that has one for it; for ``auto`` see `share_rest`.
+    Cells without a floor, or in a wall or a window, belong to none. On each level, rooms are
+    numbered by their first cells in reading order: from large y to small, from small x to large. A
+    room over several levels is one room on each. Rooms of a level meet where steps of at most
+    `max_step` [m] lead from one to another.
     """
     assignment = _Assignment(flags, settings)
     for source in settings.sources:
@@ -183,10 +182,7 @@ class _Assignment:
                 np.copyto(under, number[cover], where=under == 0)
 
     def segment(self) -> None:
-        """Divide the remaining cells at gaps; see `segment_by_gaps` and `share_rest`.
-
-        What is outdoors becomes one room, as far as it hangs together; see `find_outdoors`.
-        """
+        """Divide the remaining cells, see `segment_by_gaps`, `share_rest` and `find_outdoors`."""
         lattice, least = self._flags.lattice, self._settings.min_area
         given = self._settings.door_width
         door_width = None if given == "auto" else given
@@ -211,7 +207,7 @@ class _Assignment:
 
 
 def _describe_close(close: Sequence[CloseCall], level: int, lattice: Lattice) -> str:
-    """The warning of openings that might as well have been taken the other way."""
+    """The warning of openings that were a close call."""
     listed = []
     for cell, width, parts in close[:LISTED]:
         x, y = lattice.positions(*cell).tolist()
@@ -284,11 +280,10 @@ def match_doors(
     ids: Mapping[RoomKey, str],
     lattice: Lattice,
 ) -> dict[int, list[str]]:
-    """Find the opening that each door is in; `doors` as for `Rooms.with_doors`, `ids` of rooms.
+    """The sorted ids of each opening's doors, by its number; `doors` as for `Rooms.with_doors`.
 
-    That is, of the openings between the two rooms that the door joins, the one of whose cells most
-    are within 0.4 m of cells that the closed door blocks; of two as good, the nearer. A door in no
-    opening is left out. Returns the sorted ids of each opening's doors, by its number.
+    Of the openings between the two rooms that it joins, a door is in the one with most cells within
+    `DOOR_REACH` of cells that it blocks when closed; of two as good, the nearer. It may be in none.
     """
     reach = DOOR_REACH / lattice.cell_size + SLACK
     found: dict[int, list[str]] = {}

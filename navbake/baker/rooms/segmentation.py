@@ -1,7 +1,4 @@
-"""The spaces of a level as rooms: gaps part them, stairs and what is small join another one.
-
-What is open, floor under the sky up to the edge of the grid, is outdoors.
-"""
+"""The spaces of a level as rooms: gaps part them, stairs and small ones join another; outdoors."""
 
 import heapq
 
@@ -16,21 +13,20 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
-# What marked rooms leave is no room of its own if it is nowhere as wide as this [m]
+# The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
 SLIVER = 0.5
 # A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
 # on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
 STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
-# Walls at an angle to the lattice make the distance from a corridor's middle to its walls vary by
-# at most this, as measured over all angles and offsets [half cells]
+# By how much the distance from a corridor's middle to its walls varies at most, over all angles and
+# offsets to the lattice [half cells]
 ROUGHNESS = 1.0
 ROUNDING = 1e-6  # of a cell, or of half a cell
-# What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
-# edge is so wide [m]
+# Outdoors reaches the edge over more than this in one piece, wider than any opening in a wall [m]
 EDGE_LENGTH = WIDEST
-# What is no further from the edge lies under eaves, if it isn't under the sky [m]
+# Eaves cover what is no further from the edge [m]
 EAVES = 1.2
-# A space that nothing leads into is a room from this area on, and this width somewhere [m², m]
+# A space that nothing leads into is a room from this area and greatest width on [m², m]
 CAVITY = 2.0, 1.0
 # Outdoors, at least this share of the floor is under the sky or under eaves
 OPEN_SHARE = 0.5
@@ -46,21 +42,21 @@ def segment_by_gaps(
 ) -> tuple[Int32, list[CloseCall]]:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
-    A gap is where walls come near to each other at once: a line in the direction of a wall that is
-    closed at both ends after at most 2.5 m, and beside which the space is wider at once. All gaps
-    part spaces at first. Then spaces are joined, the widest gaps first:
+    A gap is a line in the direction of a wall, closed at both ends after at most 2.5 m, beside
+    which the space is abruptly wider. All gaps part spaces at first. Then spaces are joined, the
+    widest gaps first:
 
-    - where a gap is as wide as both spaces are along its line: parts of one corridor, of an
-      L-shaped room;
+    - where a gap is as wide as both spaces along its line: parts of one corridor, of an L-shaped
+      room;
     - then where it is as wide as the narrower one: niches, bays, the depth of a doorway. A long
       passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
     - with a `door_width` [m], where it is wider than that, in place of the two widths above.
 
-    How wide a space is along a gap is measured close behind it: up to the geometry of `walls` on
-    the `lattice`, where both are given, else in cells. Gaps in one line between the same spaces
-    count as one, so that a row of pillars parts nothing. Stairs that open to a room over their full
-    width belong to it, at their foot rather than their head. What is smaller than
-    `min_area` [m²] joins the room that it opens to the widest, or is no room.
+    The width of a space is measured close behind the gap: up to the geometry of `walls` on the
+    `lattice`, where both are given, else in cells. Gaps in one line between the same spaces count
+    as one, so that a row of pillars parts nothing. Stairs that open to a room over their full width
+    belong to it, at their foot rather than their head. A room smaller than `min_area` [m²] joins
+    the one that it opens to the widest, or is none.
 
     Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
 
@@ -106,10 +102,10 @@ def segment_by_gaps(
 
 
 def spread(label: Int32, open_cells: Bool) -> None:
-    """Give the open cells without a label one from beside them, wave by wave across edges.
+    """Spread labels to the open cells without one, wave by wave across edges.
 
-    Of several in one wave, the nearest own cell wins, then the lower label, then of one label's
-    cells the one further clockwise, because that turns with the map.
+    Of several in one wave, the nearest labelled cell wins, then the lower label, then the cell
+    further clockwise, which turns with the map.
     """
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
@@ -137,10 +133,7 @@ def spread(label: Int32, open_cells: Bool) -> None:
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
-    """Mark the cells with a label over which the floor rises like a stair, both axes together.
-
-    What isn't there, or has no label, is taken for level.
-    """
+    """Mark the labelled cells where the floor rises like a stair; what has no label is level."""
     steps = max(1, round(SLOPE_REACH / cell_size))
     rise = STEEPNESS * 2 * steps * cell_size
     steep = np.zeros(label.shape, dtype=np.bool_)
@@ -199,9 +192,9 @@ class _Regions:
     def join_small(self, least: float, at_edge: Int, widest: float) -> None:
         """Join regions of fewer cells, the smallest first, to the one they open to the widest.
 
-        What has cells `at_edge` of the grid goes on along it: a ledge round a house goes on round
-        its corners and not in at the door. So it joins the one with most cells there; all that have
-        `widest` are as good, and one with more, outside of the walls, only joins one with as many.
+        A region with cells `at_edge` of the grid, such as a ledge round a house, joins the one with
+        most cells there, of which `widest` are enough; with more than `widest` it joins only one
+        with as many.
         """
         is_small = (self._whole == np.arange(len(self._cells))) & (self._cells < least)
         queue = [(int(self._cells[k]), k) for k in np.flatnonzero(is_small).tolist() if k]
@@ -246,9 +239,9 @@ def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:
 
 
 def give_covered(owner: Int32, under: Int32, segment: Int32) -> Int32:
-    """Give cells to the room whose floor lies under theirs, if that room reaches their segment.
+    """Give cells (a podium) to the room whose floor lies under theirs, if it is in their segment.
 
-    So a podium is part of its room, and a house is none of the ground that it stands on.
+    So a house is no part of the ground that it stands on.
     """
     base = int(max(owner.max(initial=0), under.max(initial=0))) + 1
     held = np.unique(segment[owner > 0].astype(np.int64) * base + owner[owner > 0])
@@ -262,9 +255,9 @@ def share_rest(
 ) -> tuple[Int32, Int32]:
     """Make rooms of what marked rooms, `owner`, leave of segments: owners, and new rooms.
 
-    A segment without a mark is a room as it is. In one with marks, each connected part of the rest
-    is a room by itself. Only one smaller than `min_area` [m²], or nowhere half a metre wide though
-    its segment is (a doorway's depth), goes to the marked room that it touches most.
+    A segment without a mark is a room. In others each connected part of the rest is one, unless it
+    is smaller than `min_area` [m²], or nowhere half a metre wide though its segment is (a doorway's
+    depth): then it goes to the marked room that it touches most.
     """
     least = min_area / cell_size**2 - ROUNDING
     has_marks = np.zeros(int(segment.max(initial=0)) + 1, dtype=np.bool_)
@@ -326,8 +319,8 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
 def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) -> Bool:
     """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
 
-    No walk leads into one from any other space or level, none is at the edge of the grid, and it
-    is smaller than `CAVITY` or nowhere as wide as that says. A scene's only space is none.
+    A cavity meets no other space or level, nor the edge of the grid, and is smaller or narrower
+    than `CAVITY`. The largest segment is none.
     """
     cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
     area = np.bincount(segment.ravel(), minlength=count) * cell_size**2
@@ -352,10 +345,10 @@ def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) ->
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
     """Find the segments of a level that are outdoors, and unite those that touch.
 
-    They reach the edge of the grid in one piece that is wider than any door; and at least half of
-    their cells have nothing above an agent's head, or lie under eaves, 1.2 m from where the scene
-    ends at most. Walls part two pieces of outdoors; a ditch does not, nor what stands on endless
-    ground, because one walks round it. Returns the segments and the numbers of those outdoors.
+    They reach the edge of the grid in one piece wider than any door; and at least half of their
+    cells have nothing above an agent's head, or lie under eaves. Walls part two pieces of outdoors,
+    unless the ground is endless; a ditch does not. Returns the segments and the numbers of those
+    outdoors.
     """
     own, cell_size = flags.levels[level], flags.lattice.cell_size
     count = int(segment.max(initial=0)) + 1
@@ -365,7 +358,7 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
     asked = candidates[segment]
     is_open = own.sky[asked]
     if not is_open.all() and flags.ends.any():
-        # a window of a larger scene cuts through rooms, and they go on beyond it
+        # where the lattice crops the scene, rooms go on beyond it
         end = asked & edge_cells(flags.empty, flags.ends)
         if end.any():
             away = squared_distances(end, int(EAVES / cell_size) + 1)[asked]
@@ -380,7 +373,7 @@ def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, 
 
 
 def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
-    """By segment, the least chosen one that it touches, steep ground between or not, or itself."""
+    """By segment, the least chosen one that it touches, maybe over steep ground, or itself."""
     part, count = label_parts(steep)
     node = np.where(steep, part + len(chosen) - 1, segment)
     joins = np.concatenate([chosen, np.ones(count, dtype=np.bool_)])
@@ -392,7 +385,7 @@ def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
 
 
 def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
-    """How far each segment's cells at the edge reach at most without a break [cells]."""
+    """The extent of each segment's longest connected piece at the edge [cells]."""
     rows, cols = np.nonzero(edge)
     number = segment[rows, cols]
     cell = rows * segment.shape[1] + cols

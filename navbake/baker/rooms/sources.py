@@ -39,7 +39,7 @@ FLOOR_PREFIXES = ("floor|", "floor_")
 
 
 class MarkedRooms(NamedTuple):
-    """The rooms that one source marks, by level; the room of ``names[k]`` has the number k + 1."""
+    """The rooms that one source marks, by level; room k + 1 is called ``names[k]``."""
 
     names: Sequence[str | None]
     labels: Sequence[Int32]  # the number of each cell's room, shape (height, width), 0 for none
@@ -68,7 +68,7 @@ def mark_rooms(
 
 
 def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
-    """What of a scene may mark rooms: which geoms, (ngeom,) bool, and how sites are placed."""
+    """The geoms of a scene that may mark rooms, (ngeom,) bool, and the poses of such sites."""
     model, data = scene.model, scene.data
     geoms = np.zeros(model.ngeom, dtype=np.bool_)
     if "geoms" in settings.sources:
@@ -85,12 +85,11 @@ def _mark_by_geoms(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room whose geom is its floor.
+    """Give each cell the room of the matching geom that is its floor.
 
-    Of the geoms that match, that is the one whose surface lies highest from 5 cm below the
-    floor to 5 mm above it, and of several at one height the first. So a rug does not hide the
-    room's floor. Furniture may be named like a room: so a geom counts only if half of its upper
-    side is floor, or lies up to a step under one (a carpet, a podium), which then is `covered`.
+    Its surface lies highest from 5 cm below (under a rug) to 5 mm above the floor, and of several
+    the first counts. Furniture may be named like a room: so half of its upper side has to be floor,
+    or lie up to a step under one (a carpet, a podium), which then is `covered`.
     """
     num = scene.model.ngeom
     names = all_names(scene.model).own_geoms
@@ -130,9 +129,9 @@ def _mark_by_sites(
     settings: RoomSettings,
     agent: AgentSettings,
 ) -> MarkedRooms:
-    """Give each cell the room in whose site's volume, the first one, an agent in it stands.
+    """Give each cell the room of the first site in which an agent stands there, see `_stand_in`.
 
-    A site that marks less than `rooms.min_area` of floor, on all levels together, is no room.
+    A site with less than `rooms.min_area` of floor, on all levels together, is no room.
     """
     names = all_names(scene.model).sites
     chosen, warnings = _match(names, tuple(settings.sites), "sites")
@@ -158,9 +157,8 @@ def _stand_in(
 ) -> list[Bool]:
     """The cells of each level whose agent stands in a site's volume.
 
-    From 5 cm below a cell's floor to the agent's height over it has to be at least half of what
-    the volume has of the vertical line through the cell's centre, or half of the agent. So markers
-    and boxes are as large as they look from above, and none reaches into the next storey.
+    The cell's line meets the volume over a length, of which at least half, or half of an agent,
+    lies between 5 cm below the floor and the agent's height.
     """
     model, data = scene.model, scene.data
     kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
@@ -218,7 +216,7 @@ def _mark_by_polygons(
 def _upward_surfaces(
     scene: Scene, columns: ColumnSource, chosen: set[int]
 ) -> tuple[Int, Float, Int32]:
-    """The surfaces of geoms that face up: cells, heights, geoms; of hulls, those of their mesh."""
+    """Cells, heights and geoms of surfaces that face up; of hulls, those of their mesh."""
     num = len(scene.geoms)
     known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
     parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
@@ -238,7 +236,7 @@ def _upward_surfaces(
     return cells, heights, owners
 
 
-@lru_cache(maxsize=8)  # a scene that is kept up to date asks each time
+@lru_cache(maxsize=8)  # each update calls it
 def _match(
     names: tuple[str, ...], patterns: tuple[str, ...], setting: str
 ) -> tuple[list[int], list[str]]:

@@ -17,26 +17,25 @@ from navbake.types import Bool, Float, Int, Int32
 T = TypeVar("T", bound=np.generic)
 
 STRIP = 64  # columns that are worth a thread's while
-# The directions of walls are taken at this distance from them, in bins of so many degrees; those
-# count that belong to this length of wall, and to this share of all
+# Directions of walls are measured at this distance from them [m], in bins of so many degrees; each
+# needs this length of wall [m], and this share of all
 OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 1.2, 0.01
-# Of a wall's length, so much lies on one line; its gaps begin or end so near to it [m]
+# So much of a wall lies on one line; its gaps begin or end so near to it [m]
 LINE_WALL, NEAR_WALL = 0.8, 1.5
-# Each is then found in steps of so many degrees, by lines so wide [cells], and about so many
-# points; an axis of the lattice is taken if it is as sharp as this share of the sharpest
+# The steps [°] in which a direction is refined, by lines so wide [cells], and about so many points;
+# an axis of the lattice is taken if it is as sharp as this share of the sharpest
 FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
-# What so large a share of walls runs in is a direction of the whole building, as is what is at
-# right angles to it, to so many degrees
+# A direction with this share of walls is one of the whole building, as is the one at right angles,
+# within so many degrees
 MANY, SQUARE = 0.15, 1.0
-# Nearer to it [cells] the lattice's steps disturb it
+# The lattice's steps disturb what is nearer to a wall [cells]
 OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
-# At which height over the floor walls are measured: over what they may begin at, and below what
-# the lowest reach; and a quarter of the tiles by which rays find them [m]
+# At which height over the floor walls are measured; and the cells of the lattice for rays [m]
 RAY_HEIGHT, RAY_TILE = 1.0, 0.1
-# Walls begin so near to where cells say that they do [columns]
+# Walls farther from the cells' ends are ignored [columns]
 FAR = 4.0
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
@@ -53,10 +52,10 @@ def squared_distances(target: Bool, reach: int) -> Int32:
 
 
 def wall_nodes(open_cells: Bool) -> Bool:
-    """Mark the nodes of a lattice half as wide that lie on a cell that isn't open, or beyond all.
+    """Mark the nodes, shape (2 height + 1, 2 width + 1), on a closed cell or the lattice's edge.
 
     Node (2 r + 1, 2 c + 1) is the centre of cell (r, c); the others are edges' middles and
-    corners, so that gaps can be measured to half a cell. Shape (2 height + 1, 2 width + 1).
+    corners, so that gaps can be measured to half a cell.
     """
     closed = np.pad(~open_cells, 1, constant_values=True)
     rows = closed.repeat(2, axis=0)[1:-1]
@@ -108,7 +107,7 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
         off = np.abs((angle - best * BIN + 90.0) % 180.0 - 90.0)
         near = left & (off <= 1.5 * BIN)
         chosen = _align(foot[:, near], best * BIN)
-        # what lies on its walls is no wall of another direction, be that a few degrees off
+        # points on its walls count for no other direction, a few degrees off
         near = left & (off <= 2.5 * BIN)
         explained = _on_walls(foot[:, near], chosen, LINE_WALL / cell_size)
         if explained.sum() >= least:
@@ -149,10 +148,9 @@ def _on_walls(foot: Float, angle: float, least: float) -> Bool:
 
 
 def _align(foot: Float, around: float) -> float:
-    """The angle within 1.5 bins at which points on walls, (2, n), are on the fewest lines [°].
+    """The angle within 1.5 bins at which points, (2, n), are on the fewest lines [°].
 
-    A Radon transform of the points, whose sharpest projection is that along the walls; an axis of
-    the lattice where that is about as sharp. Slopes alone are off by some degrees.
+    It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
     """
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
     angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
@@ -242,10 +240,9 @@ class WallRays:
 def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     """Mark the cells of sills and parapets that continue a wall.
 
-    Where walls, floors and furniture are one mesh, `low` are the cells that it blocks at an agent's
-    height, but not above heads; `wall` those that it blocks there, too. Along the direction of a
-    wall a sill goes from one piece of wall to the next without a break, and is as thin as a wall,
-    other than tables, beds, counters along a wall, and what fills a niche.
+    Where walls, floors and furniture are one mesh, it blocks `low` cells below heads only, and
+    `wall` cells above, too. A sill goes from one piece of wall to the next along the wall's
+    direction without a break, and is as thin as a wall, unlike furniture.
     """
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():

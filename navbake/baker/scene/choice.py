@@ -30,12 +30,12 @@ def choose_geoms(
 ) -> tuple[list[Choice], list[str]]:
     """Decide for each geom whether it counts, and meshes as what.
 
-    Excluded geoms never count. `collision` counts what can collide (contype or conaffinity not 0),
-    drawn or not. `auto` does the same, but counts all geoms where none of those left can collide.
-    `visual` counts what is drawn: alpha above 0, a geom group that MuJoCo's viewers draw, and no
-    stand-in, which is a geom that can collide on a body (not the world) that has drawn geoms of
-    another group that can't. `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo
-    does, unless that hides room for an agent. `ground` counts whatever the settings say.
+    Excluded geoms never count. `collision` counts geoms that can collide (contype or conaffinity
+    not 0). `auto` does the same, but counts all geoms if none of those left can collide. `visual`
+    counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw), but for
+    those that can collide on a body, not the world, with drawn geoms of another group that can't.
+    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless that hides
+    room for an agent. `ground` always counts.
 
     Returns a choice for each geom, by its id, and what the user should know.
     """
@@ -109,10 +109,7 @@ def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tu
 def _find_excluded(
     model: Any, settings: SceneSettings, names: list[GeomNames]
 ) -> tuple[list[str], list[str]]:
-    """The reason each geom is excluded, empty where it isn't; and patterns that match nothing.
-
-    A body is excluded with all that hangs on it, the world never is.
-    """
+    """Why each geom is excluded, with its body or one above, or empty; and unmatched patterns."""
     exclude, parents = settings.exclude, model.body_parentid.tolist()
     free = set(model.jnt_bodyid[model.jnt_type == FREE].tolist())
     of_bodies, bodies = [""] * model.nbody, all_names(model).bodies

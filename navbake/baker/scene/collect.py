@@ -54,7 +54,7 @@ def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> G
 
 
 class MeshTriangles:
-    """What the meshes of a model count by, each found once, however many geoms have it."""
+    """The triangles of a model's meshes by mode, each found once."""
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -105,7 +105,7 @@ def collect_shapes(
 ) -> Collected:
     """Gather the geometry of the geoms that count, of all or of some ids, ascending.
 
-    Exact meshes by geom id are in the world's frame, and none of the model's.
+    `parts` are exact meshes by geom id, world frame, in place of the model's.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
@@ -191,18 +191,14 @@ def _height_field(model: Any, hfield: int) -> Float:
 
 
 def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int32, Int32 | None]:
-    """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame.
-
-    Source: `mesh_graph` of MuJoCo's mjModel: the numbers v of vertices and m of faces, two lists
-    of v, one of v + 3 m, and the faces' vertices, 3 m.
-    """
+    """A mesh's vertices, its faces, and its hull's faces if MuJoCo has one; its geom's frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     faces, hull = model.mesh_face[first : first + count], np.empty((0, 3), dtype=np.int32)
     name = name_at(model, model.name_meshadr[mesh])
     address = int(model.mesh_graphadr[mesh])
-    if address >= 0:
+    if address >= 0:  # of MuJoCo's `mesh_graph`: v, m, two lists of v, v + 3 m numbers, the faces
         num_vertices, num_faces = (int(n) for n in model.mesh_graph[address : address + 2])
         first = address + 2 + 3 * (num_vertices + num_faces)
         corners = np.asarray(model.mesh_graph[first : first + 3 * num_faces])

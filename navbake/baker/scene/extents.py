@@ -38,8 +38,8 @@ class Extents(NamedTuple):
 def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
     """Measure the counted geoms.
 
-    A solid's box follows whichever of its own axes makes it smallest. The box of what is made
-    of triangles follows the direction that most of its upright faces look in.
+    A solid's box follows whichever of its own axes makes it smallest, that of triangles the
+    direction that most of their upright faces look in.
     """
     pairs = (np.full((num_geoms, 2), np.nan) for _ in range(2))
     extents = Extents(*pairs, *(np.full(num_geoms, np.nan) for _ in range(4)))

@@ -16,12 +16,12 @@ from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool
 
-# The lines that look for room are this far apart, or further where there would be more of them [m]
+# The spacing of the lines, unless there would be too many of them [m]
 SPACING, MOST_LINES = 0.1, 10_000
 
 
 class HiddenRoom:
-    """Tells of the meshes of a posed model whether their hulls hide room for an agent."""
+    """Finds the meshes of a posed model whose hulls hide room for an agent."""
 
     def __init__(
         self,
@@ -38,10 +38,10 @@ class HiddenRoom:
     def is_in_hull(self, geom: int) -> bool:
         """Whether a mesh's hull hides room for an agent to stand in.
 
-        Room is what a vertical line has free inside of the hull over at least the agent's height:
-        over a surface that faces up, or under one that faces down, or where the mesh has none at
-        all; but not inside of the mesh's closed parts, nor behind its front. It has to be as large
-        as a floor (`floors.min_area` after `floors.shrink`), which the box alone rules out often.
+        Room is a free stretch of a vertical line inside of the hull, at least as long as the agent
+        is high: over a surface that faces up, or under one that faces down, or where the mesh has
+        none; but not inside of the mesh's closed parts. It has to be as large as a floor
+        (`floors.min_area` after `floors.shrink`).
         """
         if not self.is_large(geom):
             return False
@@ -51,7 +51,7 @@ class HiddenRoom:
         return self._answers[key]
 
     def is_large(self, geom: int) -> bool:
-        """Whether an agent may find room in the box of a mesh."""
+        """Whether the box of a mesh is large enough for room."""
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(mat).all():
             return False
@@ -73,7 +73,7 @@ class HiddenRoom:
             return False
         x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
         width, depth = x1 - x0, y1 - y0
-        # what is long and thin needs no more lines for its length than others for their area
+        # a limit for a long and thin box, too
         by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)

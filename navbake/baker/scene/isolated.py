@@ -1,7 +1,7 @@
-"""Lets MuJoCo compile a scene in a process of its own, with limits of time and memory.
+"""Compile a scene in a child process, with limits of time and memory.
 
-What crashes MuJoCo's compiler ends its process, and what keeps it busy can't be stopped from
-Python. In a child process both are an error like any other. The model comes back as a file (MJB).
+A crash of MuJoCo's compiler ends its process, and Python can't stop it while it is busy. In a child
+process both become errors. The model comes back as a file (MJB).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from navbake.errors import NavbakeError, SceneError
 from navbake.files import scratch_folder
 from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
 
-# The child finds modules where this process did: with -c, Python would look in the current folder
-# first, which is as little to be trusted as the scene. So the path is set before anything else.
+# The child gets this process's module path first of all: with -c, Python would look in the current
+# folder, which is as little to be trusted as the scene.
 CHILD = (
     "import sys; sys.path[:] = {path!r}; "
     "from navbake.baker.scene.isolated import compile_job; compile_job(sys.argv[1])"
 )
-IMPORT_SECONDS = 120.0  # what the child may take besides to start and to end; machines are busy
+IMPORT_SECONDS = 120.0  # what the child may take besides, to start and to end, on a busy machine
 ALARM = int(getattr(signal, "SIGALRM", 14))
 JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
 STARTED = "started"  # what the child writes when it begins to compile
@@ -79,7 +79,7 @@ def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list
 
 
 def compile_job(folder: str) -> None:
-    """What the child does: compile the scene of a job, and leave the model or the error."""
+    """Compile the scene of a job, in the child, and write the model or the error."""
     place = Path(folder)
     settings, limits = pickle.loads((place / JOB).read_bytes())
     limit_memory(limits.memory)

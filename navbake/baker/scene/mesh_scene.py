@@ -1,7 +1,7 @@
-"""Takes mesh files and trimesh scenes as named parts. Only this module imports trimesh.
+"""Reads mesh files and trimesh scenes as named parts. Only this module imports trimesh.
 
-It reads some files wrongly in silence, so these are checked and made ready for it. Plain binary PLY
-and STL are read without it, as its import takes longer than they do.
+Files that trimesh would silently misread are checked or repaired first. Plain binary PLY and STL
+are read without it, as its import takes longer than they do.
 """
 
 import io
@@ -73,7 +73,7 @@ def read_mesh_parts(path: Path, up: Direction = "z", unit: float = 1.0) -> list[
 
 
 def is_mesh_scene(scene: Any) -> bool:
-    """Whether something is a trimesh.Scene or a trimesh.Trimesh; loads trimesh only for its own."""
+    """Whether something is a trimesh.Scene or a trimesh.Trimesh; others don't load trimesh."""
     if not any(kind.__module__.partition(".")[0] == "trimesh" for kind in type(scene).__mro__):
         return False
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
@@ -186,10 +186,7 @@ def _silence() -> Iterator[None]:
 
 
 def stated_up(path: Path) -> str | None:
-    """The axis that is up in a mesh file, as its format or the file itself says; None for neither.
-
-    That of glTF is y by its specification; a DAE states its own.
-    """
+    """The axis that is up in a mesh file: y by glTF's specification, a DAE's own, else None."""
     suffix = path.suffix.lower()
     if suffix == ".dae" and path.is_file():
         with suppress(ElementTree.ParseError):  # whoever reads the mesh says what is wrong
@@ -208,7 +205,7 @@ def turn_up(up: Direction) -> Float:
 
 
 def _dae_asset(path: Path) -> tuple[float, str | None]:
-    """Metres per unit as a DAE states it, 1 where it doesn't; and its axis that is up, or None."""
+    """Metres per unit of a DAE, 1 if it states none; and its axis that is up, or None."""
     meters, up = 1.0, None
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rpartition("}")[2]
@@ -228,7 +225,7 @@ def _dae_asset(path: Path) -> tuple[float, str | None]:
 
 
 def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
-    """Leave out what hangs together over vertices and is smaller than `SPECK`; with a warning.
+    """Leave out connected pieces smaller than `SPECK`, with a warning.
 
     Scanners see people, reflections and dust as small pieces that stand in mid-air.
     """
@@ -258,7 +255,7 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
 
 
 def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
-    """Turn parts into the world frame, and name each by a name of its own."""
+    """Turn parts into the world frame, with unique names."""
     turn = scale * turn_up(up)
     taken = {"world"}  # MuJoCo's own body
     parts = [_clean(part, turn, path) for part in found]

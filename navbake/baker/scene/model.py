@@ -24,11 +24,10 @@ from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.scene_files import check_inputs, mesh_places
+from navbake.formats.scene_files import XML_SUFFIXES, check_inputs, mesh_places
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int
 
-XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 MJB_SUFFIX = ".mjb"
 TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 """Vertices and faces, counter-clockwise from outside."""
@@ -48,8 +47,8 @@ def mujoco_version() -> str:
 class OpenScene(NamedTuple):
     """A scene's compiled mujoco.MjModel, before geoms are chosen.
 
-    With the exact meshes of a mesh scene by geom id, the geom of `scene.ground`, what MuJoCo warned
-    of, and the pose where it is not for the settings to say.
+    With the exact meshes of a mesh scene by geom id, the geom of `scene.ground`, MuJoCo's warnings,
+    and the pose, None where the settings say it.
     """
 
     model: Any
@@ -63,8 +62,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     """Open a scene file.
 
     `scene.ground` is added as an endless plane on a body of its own, the last one, so that all
-    other geoms and bodies keep their ids. Where MuJoCo fails, `warnings`, which `catch_warnings`
-    collects, are a part of the reason.
+    other ids stay. `warnings` are those of `catch_warnings`, for the reason where MuJoCo fails.
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
@@ -138,7 +136,7 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
 
 
 def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
-    """Make textures plain whose file is missing, with a warning: they matter to no bake."""
+    """Make textures with a missing file plain, with a warning: no bake needs them."""
     missing = list[str]()
     for texture in spec.textures:
         files = [name for name in (texture.file, *texture.cubefiles) if name]
@@ -158,10 +156,10 @@ def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
 def model_of_parts(
     parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
 ) -> tuple[Any, dict[int, MeshPart]]:
-    """A model of mesh parts' names, and the parts by geom id.
+    """A model with mesh parts' names, and the parts by geom id.
 
-    Each is a static body with one geom, which can't collide and has a tetrahedron in place of its
-    triangles, which MuJoCo would compile for many seconds.
+    Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would
+    compile the part's triangles for many seconds.
     """
 
     def build() -> Any:
@@ -178,7 +176,7 @@ def model_of_parts(
 
 
 def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
-    """What `load` compiles; MuJoCo's error is raised as a SceneError, with its warnings."""
+    """Call `load`; MuJoCo's error is raised as a SceneError, with its warnings."""
     try:
         return load()
     except (ConfigError, SceneError):
@@ -231,7 +229,7 @@ def _build_urdf(
 
 
 def _compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec whatever its masses and inertias are: they do not matter to a bake."""
+    """Compile a spec with any masses and inertias, which a bake does not need."""
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
@@ -317,9 +315,9 @@ def _not_found(urdf: Path, filename: str) -> str:
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of; otherwise it goes to stderr and ./MUJOCO_LOG.TXT.
+    """Collect MuJoCo's warnings, which otherwise go to stderr and ./MUJOCO_LOG.TXT.
 
-    Each warning begins with `BY_MUJOCO`.
+    Each begins with `BY_MUJOCO`.
     """
     with _WARNING_LOCK:
         before = mujoco.get_mju_user_warning()
@@ -346,9 +344,8 @@ def name_of(scene: Any) -> str:
 def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     """The model of a scene in memory, in the pose of a data; neither is changed.
 
-    MuJoCo warned of a model when that was compiled, so warnings are known of specs alone. Of the
-    data, joint positions and mocap bodies are the pose; without, the settings say it. Errors name
-    the settings' path.
+    Warnings are known of specs alone, which are compiled here. Joint positions and mocap bodies of
+    the data are the pose; without it, the settings say it. Errors name the settings' path.
     """
     path, ground = settings.path, settings.ground
     parts: dict[int, MeshPart] = {}

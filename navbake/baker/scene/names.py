@@ -12,7 +12,7 @@ from navbake.types import Int
 
 
 class GeomNames(NamedTuple):
-    """The names that patterns match a geom by, and reports tell it by."""
+    """The names of a geom in patterns and reports."""
 
     geom: str  # ``geom <id>`` where it has none
     mesh: str  # empty where it has none
@@ -40,7 +40,7 @@ class ModelNames(NamedTuple):
     sites: tuple[str, ...]
 
 
-# Each stage asks for all names again, and they never change
+# Every stage needs the names, which never change
 _names: WeakKeyDictionary[Any, ModelNames] = WeakKeyDictionary()
 
 

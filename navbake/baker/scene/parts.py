@@ -38,16 +38,16 @@ class MeshParts(NamedTuple):
 
 
 def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
-    """Tell the parts of a mesh that enclose a volume from the sheets in it.
+    """Separate the parts of a mesh that enclose a volume from the sheets in it.
 
-    Parts are what hangs together over edges; vertices at one place count as one. A part encloses
-    a volume when each of its edges is met as often in one direction as in the other, and it faces
-    out. One that faces in is a cavity, and counts, where it lies inside of one that faces out; by
-    itself it is a room drawn from inside. Stray triangles that hang on a closed part by less than
-    all of their edges open nothing, and membranes across its inside hollow nothing.
+    Parts are connected over edges; vertices at one place count as one. A part encloses a volume
+    when each of its edges is met as often in one direction as in the other, and it faces out. One
+    that faces in is a cavity, and counts, inside of one that faces out; by itself it is a room
+    drawn from inside. Stray triangles at a closed part do not open it, nor do membranes across its
+    inside.
 
-    Triangles that face to the other side than most of the area that they hang together with, over
-    edges at which two triangles meet, are taken as turned; in a closed part they are.
+    Triangles that face to the other side than most of their patch, see
+    `navbake.baker.kernels.parts`, are turned in closed parts.
     """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
     number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
@@ -120,10 +120,9 @@ def _find_enclosing(
 
 
 def _find_around(corners: Float, part: Int32, point: Float) -> tuple[Int, Int]:
-    """Find the parts that lie round points: of their triangles over one, more face up than down.
+    """Pairs of a part and the number of a point inside of it, by the winding number over the point.
 
-    Each triangle on the vertical line over a point counts by how it winds round that line (Sunday,
-    Inclusion of a point in a polygon, 2001). Returns pairs of a part and the number of a point.
+    Triangles count as they wind round the vertical line (Sunday, Inclusion of a point, 2001).
     """
     order = np.argsort(point[:, 0])
     west, east = corners[:, :, 0].min(axis=1), corners[:, :, 0].max(axis=1)

@@ -14,7 +14,7 @@ from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.types import Int32
 
-# How far beyond its range a joint may be told to go, for angles that someone rounded [rad or m]
+# How far beyond its range a joint may go, for rounded angles [rad or m]
 RANGE_SLACK = 1e-4
 EXPECTED = {
     FREE: "7 numbers (x, y, z [m], quaternion w, x, y, z)",
@@ -25,7 +25,7 @@ EXPECTED = {
 
 
 def pose_model(model: Any, settings: SceneSettings) -> Any:
-    """The model's data, with all geoms placed by the keyframe and the joint values asked for."""
+    """The model's data, with all geoms placed by the keyframe and the joint values of settings."""
 
     def id_of(name: str, kind: str, setting: str, code: int, addresses: Int32) -> int:
         """The id of a keyframe or joint; raises a ConfigError that lists those that there are."""

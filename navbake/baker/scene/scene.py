@@ -73,10 +73,10 @@ def load_scene(
     limits: CompileLimits | None = None,
     opened: OpenScene | None = None,
 ) -> Scene:
-    """Load a scene, pose it and choose the geoms that count. Nothing of it changes later.
+    """Load a scene, pose it and choose the geoms that count.
 
-    Agent and floors are for `scene.meshes: auto`, which looks for room in the hulls of meshes.
-    With limits, MuJoCo compiles in a child process; `opened` is the model of a scene in memory.
+    Agent and floors are for `scene.meshes: auto`, see `HiddenRoom`. With limits, MuJoCo compiles in
+    a child process; `opened` is the model of a scene in memory.
     """
     model, parts, ground, compiled, data = opened or open_file(settings, limits)
     with catch_warnings() as warned:
@@ -143,7 +143,7 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
 def _warn_size(
     settings: SceneSettings, parts: dict[int, MeshPart], bounds: Float | None
 ) -> list[str]:
-    """Warn of a scene whose size says that its unit is none that anybody stands in."""
+    """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
     sides = np.diff(box_of(parts.values()) if parts else bounds, axis=0)[0]
@@ -167,7 +167,7 @@ DigestedNames = tuple[Any, NDArray[np.uint8], NDArray[np.uint8]]
 
 
 def digest_names(model: Any) -> DigestedNames:
-    """What the names of a model add to the digest of a scene; they never change."""
+    """The part of a scene's digest that depends on names, which never change."""
     digest = hashlib.sha256()
     for names in all_names(model).geoms:
         digest.update("\0".join(names).encode() + b"\n")
@@ -181,9 +181,9 @@ def digest_names(model: Any) -> DigestedNames:
 def start_digest(
     model: Any, data: Any, parts: dict[int, MeshPart], names: DigestedNames | None = None
 ) -> Callable[[], str]:
-    """Start the sha256 of what the bake can see of a posed model; returns what waits for its hex.
+    """Start the sha256 of all of a posed model that a bake uses; the result waits for its hex.
 
-    Small arrays are hashed as one: a hash lets go of Python's lock for each that it is given.
+    Small arrays are hashed together, as hashing releases Python's lock each time.
     """
     begun, sites, joints = names or digest_names(model)
     digest, left = begun.copy(), bytearray()

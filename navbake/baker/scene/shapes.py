@@ -15,8 +15,8 @@ from navbake.types import Bool, Float, Int32
 
 spatial = lazy("scipy.spatial")
 
-# Half-size that stands for the infinite side of a plane that has a finite one: heights on a tilted
-# one are off by about 1e-16 FAR^2 [m]
+# Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
+# off by about 1e-16 FAR^2 [m]
 FAR = 1e4
 
 

@@ -20,9 +20,9 @@ from navbake.baker.scene.mesh_scene import (
 from navbake.config.settings import SceneSettings
 from navbake.types import Bool, Float
 
-MOST_TRIANGLES = 30_000  # that are looked at; of more, each second one, or third, …
-# Floors and ceilings have at least this many times the area of walls of one direction, if a mesh
-# is to be taken for one that lies on its side
+MOST_TRIANGLES = 30_000  # that are used; of more, each second one, or third, …
+# How many times the area of walls of one direction the floors and ceilings have at least of a mesh
+# that lies on its side
 LYING = 1.5
 UNCLEAR = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
 NUM_AXES = 400  # of the hemisphere's directions in which surfaces are counted, 7° apart
@@ -57,11 +57,11 @@ def stand_up(
 ) -> list[MeshPart]:
     """Take the parts of a mesh in the world frame, as `scene.up` says; warn where that looks wrong.
 
-    `auto` is the axis that the file says, else z; but where a file that says nothing looks as if it
-    lay on its side, and what stands in it says so, too, it is that axis.
+    `auto` is the axis that the file states, else z; or y where a file without one seems to lie on
+    its side, see `lies_on_side`, and `find_up` agrees.
 
     Args:
-        read: takes ``up``, a direction in the file, and gives the parts [m].
+        read: takes ``up``, a direction in the file, and returns the parts [m].
     """
     said = stated_up(Path(settings.path)) if settings.up == "auto" else None
     is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)
@@ -109,8 +109,7 @@ def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
 def lies_on_side(parts: Collection[MeshPart]) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
-    It does where its box is lowest along y, and the surface within 45° of facing along y has
-    `LYING` times the area of that facing along z, as floors and ceilings have of walls.
+    Its box is lowest along y, and `LYING` times as much area faces within 45° of y as of z.
     """
     low, high = box_of(parts)
     width, depth, height = np.subtract(high, low)
@@ -130,11 +129,11 @@ def _name(direction: Float) -> str:
 
 
 def find_up(parts: Collection[MeshPart]) -> tuple[list[Upright], bool]:
-    """The directions that may be up, the likeliest first, and whether that is clearly it.
+    """The directions that may be up, the likeliest first, and whether the first is clearly up.
 
-    Those in which large flat surfaces face, both ways, levelled by the planes fitted to them. Up is
-    where the most stands on these: things gather on floors, and spread along walls. It is clear
-    where as much is in no other direction. Of two that are alike, that nearer to +z comes first.
+    They are those that large flat surfaces face, and the opposite ones, exact by fitted planes. Up
+    is where most stands on these: things gather on floors. It is clear where no other direction has
+    as much. Of two that are alike, that nearer to +z comes first.
     """
     center, normal, area = _take_triangles(parts)
     found = [_find_planes(axis, center, normal, area) for axis in _find_axes(normal, area)]
@@ -163,7 +162,7 @@ def find_up(parts: Collection[MeshPart]) -> tuple[list[Upright], bool]:
 
 
 def _take_triangles(parts: Collection[MeshPart]) -> tuple[Float, Float, Float]:
-    """Centres, unit normals and areas of triangles, or of so many as say enough."""
+    """Centres, unit normals and areas of `MOST_TRIANGLES` triangles."""
     step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
     corners = np.concatenate([part.vertices[part.faces[::step]] for part in parts])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

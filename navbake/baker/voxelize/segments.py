@@ -40,12 +40,10 @@ class Labels:
 def label_geoms(scene: Scene, segments: Segments) -> Labels:
     """Give the counted geoms of a scene their IDs.
 
-    `geom` gives MuJoCo's geom id and 1, which is what a camera's segmentation image holds for the
-    geom, whichever geoms count. `body` and `top` (the top-most body; a geom that hangs on the
-    world stands for itself) count from 1, in the order of the geoms. Patterns match a geom's
-    name, its mesh's, its body's, and those of the bodies that this one hangs on; the first that
-    matches decides, and what none matches gets the greatest of their IDs and 1, under the name
-    ``other``.
+    `geom` is MuJoCo's geom id plus 1, as in a camera's segmentation image. `body` and `top` (the
+    top-most body; a geom of the world stands for itself) count from 1, in the order of the geoms.
+    Patterns match the names of a geom, its mesh, its body and the bodies above; the first match
+    decides. All other geoms are ``other``, with the greatest of the IDs plus 1.
 
     Args:
         segments: ``geom``, ``body``, ``top``, a mapping of name patterns (``*``, ``?``, ``[…]``)
@@ -124,7 +122,7 @@ def _counted(scene: Scene) -> list[int]:
 
 
 def _known_as(model: Any, geom: int) -> list[str]:
-    """The names that a geom is known by, those of all bodies that it hangs on included."""
+    """The names of a geom, its mesh and all bodies above it."""
     names = all_names(model).geoms[geom]
     bodies, body = [], int(model.geom_bodyid[geom])
     while body:

@@ -22,6 +22,7 @@ from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
+from navbake.formats.convert import OCTREES
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_bands
 from navbake.voxels.grid import VoxelGrid, dtype_of
@@ -29,8 +30,6 @@ from navbake.voxels.placement import Placement, check_memory, place_grid
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack
-
-OCTREES = (".bt", ".ot")  # files whose voxels lie on whole multiples of their edge
 
 
 class GridOptions(TypedDict, total=False):

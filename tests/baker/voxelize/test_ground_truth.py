@@ -1,6 +1,6 @@
 """Voxels of random scenes against exact geometry that shares nothing with navbake.
 
-Run ``NAVBAKE_EXAMPLES=3000 pytest tests/voxels/test_ground_truth.py`` for more, other scenes.
+``NAVBAKE_EXAMPLES=3000 pytest tests/baker/voxelize/test_ground_truth.py`` tries more, other scenes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""How floors go on under things, ring by ring, breadth first; and the steps between levels.
+"""Floors grow under things, ring by ring (breadth-first search); and the links between levels.
 
-A cell's answer depends on its own heights and on what its neighbours had when its turn came: their
-floors, and the rings in which they got them. So with the rings of the cells around a region, the
-region can be decided again by itself; and where its outermost cells come out as they were, floors
+A cell's floor depends on its heights and on the floors and rings that its neighbours had before. So
+a region can be grown again from the rings around it, and if its outermost cells keep their floors
 and rings, nothing outside of it changes.
 """
 
@@ -20,17 +19,17 @@ from navbake.types import Float, Int, Int32
 
 
 class Growing(NamedTuple):
-    """The level whose floor goes on.
+    """The level whose floor grows.
 
     Attributes:
         surfaces: all that floors may go on at.
-        level: of each by place, less than 0 for none, int32.
-        number: what becomes of these numbers, int64.
-        own: the number of the level.
+        level: of each surface, less than 0 for none, int32.
+        number: the final number of each level, int64.
+        own: the number of the level that grows.
         height: of the agent [m].
         step: the highest step [m].
         floor: by cell, float64 [m]; NaN where there is none.
-        ring: by cell, int32: in which ring it got its floor, 0 where one can stand, -1 for none.
+        ring: by cell, int32: the ring of its floor, 0 where one can stand, -1 for none.
     """
 
     surfaces: Surfaces
@@ -60,11 +59,11 @@ def _is_option(labelled, growing, block, last, j, lowest, highest):
 
 @kernel(nogil=True, **UNCOUNTED)
 def list_options(labelled, growing, blocks, counts, columns, begin, end):
-    """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may go on.
+    """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may grow.
 
-    A floor goes on only where no other floor is, nor a roof, nor the top of furniture: at no
-    labelled surface, nor a step at most below one that does not count; and with room for an agent
-    up to the level above, and down to the one below.
+    A floor grows at surfaces that have no level and belong to no labelled sheet (a roof, the top of
+    furniture), nor lie at most a step below one. Between them and the levels above and below is
+    room for an agent.
 
     The rows, see `navbake.baker.blocks.list_rows`: the cell, and a height [m].
     """
@@ -112,10 +111,7 @@ def _around(lattice, cell):
 
 @part(**UNCOUNTED)
 def _nearest_height(lattice, floor, ring, now, cell, heights, step):
-    """The height at which a floor goes on in a cell of a ring, or NaN.
-
-    Of the ring before, a neighbour at least has to be.
-    """
+    """The height at which a floor grows into a cell, or NaN; a neighbour is of the last ring."""
     best, best_gap, is_new = math.nan, step + SLACK, False
     for other in _around(lattice, cell):
         if other < 0 or not 0 <= ring[other] < now:
@@ -133,18 +129,17 @@ def _nearest_height(lattice, floor, ring, now, cell, heights, step):
 
 @kernel(nogil=True, **UNCOUNTED)
 def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
-    """Let the floor go on in the cells of a region, in place.
+    """Grow the floor into the cells of a region, in place.
 
-    A cell without a floor takes that of its heights that is nearest to the floor of a neighbour
-    (the lower one if two are equally near), when they differ by at most a step. All cells of a
-    ring are decided before any is written, so their order decides nothing.
+    A cell takes that of its heights that is nearest to the floor of a neighbour, and at most a step
+    from it; the lower one if two are equally near. All cells of a ring are decided before any is
+    written, so their order does not matter.
 
     Args:
-        region: by block, bool; floors and rings of the cells outside are not written to.
-        cells, start, height: those of the region where the floor may go on, and the heights at
-            which it may in each, ragged [m].
+        region: by block, bool; cells outside are only read.
+        cells, start, height: the options of the region, ragged, see `list_options` [m].
         floor, ring: see `Growing`.
-        local: (all cells,) int32, -1 everywhere, and so again afterwards.
+        local: (all cells,) int32, -1 before and after.
         room: scratch: (3, cells) int64; (cells,) bool, all False; (cells,) float64.
     """
     num, width, everywhere = cells.shape[0], lattice.width, region.all()
@@ -153,7 +148,7 @@ def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
     # cells at the region's edge, of a ring, and of the next one; which are in these; the answers
     (edge, queue, following), queued, answer = room
     num_edge, num_queue = 0, 0
-    # beyond the last of the rings around, only what is new can bring more
+    # after the last of the rings around, only new cells can have new neighbours
     last = 0
     for n in range(num):
         at_edge, is_near = False, False
@@ -210,9 +205,9 @@ def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
 def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, columns, begin, end):
     """List where levels meet: steps between two, and pairs that slopes join but no step does.
 
-    Looks at the cells of ``blocks[begin:end]``, and from these to the east and the south. `placed`
-    has `level` and `number` of `Growing`. The rows, see `navbake.baker.blocks.list_rows`: a level,
-    its cell, the other level, which is not lower, and its cell.
+    Pairs each cell of ``blocks[begin:end]`` with those east and south of it. `placed` has `level`
+    and `number` of `Growing`. The rows, see `navbake.baker.blocks.list_rows`: a level, its cell,
+    the other level, which is not lower, and its cell.
     """
     (rows,), (level, number), num = columns, placed, 0
     first, length, z = surfaces.first, surfaces.length, surfaces.z

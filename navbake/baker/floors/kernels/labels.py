@@ -1,7 +1,8 @@
 """Connected parts of surfaces, block by block, the pairs of parts that meet, and their sizes.
 
-Union-find inside of each block; parts that meet over a border are pairs, which the caller unites.
-Rows count how often three numbers were met; they may repeat. See `navbake.baker.blocks.list_rows`.
+Union-find inside of each block (see `navbake.baker.kernels.connect`); the caller unites parts that
+meet over a border. Rows, see `navbake.baker.blocks.list_rows`, are three numbers and their count;
+the same three may come in several rows.
 """
 
 import math
@@ -11,15 +12,15 @@ import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
 from navbake.baker.kernels.blocks import block_window
+from navbake.baker.kernels.connect import unite
 from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.navgrid.kernels.connect import unite
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other
 JOINS, LINKS = 0, 1
 # Floors whose heights round to the same multiple of this are one plateau [m]
 PLATEAU = 0.02
-# So many of the last rows are looked through for one that is met again
+# So many of the last rows are searched for the same three numbers
 FEW = 8
 
 
@@ -27,8 +28,8 @@ class Joining(NamedTuple):
     """What joins surfaces of neighbouring cells, and what only links them.
 
     Attributes:
-        step: surfaces of one group at most so far apart are of one part [m].
-        reach: parts that have surfaces at most so far apart are linked, none if less than 0 [m].
+        step: the greatest gap between joined surfaces of one group [m].
+        reach: the greatest gap between linked surfaces, less than 0 for no links [m].
         by_slopes: whether slopes join surfaces, too.
     """
 
@@ -39,7 +40,7 @@ class Joining(NamedTuple):
 
 @part(**UNCOUNTED)
 def note_row(rows, begin, num, a, b, c):
-    """Note three numbers in rows that begin and end somewhere: the row, -1 for no room."""
+    """Count three numbers in ``rows[begin:num]``; returns their row, -1 for no room."""
     for at in range(num - 1, max(begin, num - FEW) - 1, -1):
         if rows[at, 0] == a and rows[at, 1] == b and rows[at, 2] == c:
             rows[at, 3] += 1
@@ -58,7 +59,7 @@ def bin_of(z):
 
 @part(inline="always")
 def _group(surfaces, key, j):
-    """The group of a surface, less than 0 for none: its key, or whether one can stand there."""
+    """The group of a surface, less than 0 for none, see `label_blocks`."""
     if key.shape[0] > 0:
         return np.int64(key[j])
     return np.int64(0) if surfaces.marks[j] & STANDS else np.int64(-1)
@@ -66,7 +67,7 @@ def _group(surfaces, key, j):
 
 @part(inline="always")
 def _joins(lattice, surfaces, key, joining, a, b, way):
-    """Whether two surfaces of neighbouring cells, which have parts, are of one part."""
+    """Whether two surfaces of neighbouring cells are of one part."""
     if _group(surfaces, key, a) != _group(surfaces, key, b):
         return False
     if abs(surfaces.z[a] - surfaces.z[b]) <= joining.step + SLACK:
@@ -76,7 +77,7 @@ def _joins(lattice, surfaces, key, joining, a, b, way):
 
 @part(inline="always")
 def _far(joining):
-    """Surfaces farther apart than this neither join nor are linked [m]."""
+    """The greatest gap between surfaces that join or are linked [m]."""
     return math.inf if joining.by_slopes else max(joining.step, joining.reach) + SLACK
 
 
@@ -87,8 +88,8 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
             that one can stand on are one group. Only surfaces of one group are connected.
-        part: receives the part of each surface, numbered by the parts' first members in the order
-            of cells, -1 for surfaces of no group, (n,) int32.
+        part: receives the part of each surface, by the parts' first members, -1 for none, (n,)
+            int32.
         count: receives the number of parts of each block.
     """
     first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
@@ -115,7 +116,7 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
                                 continue
                             if _joins(lattice, surfaces, key, joining, i, j, way):
                                 unite(part, i, j)
-        # then, of those that are numbered, n as -2 - n
+        # then part n as -2 - n, for surfaces that are numbered
         num = 0
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
@@ -139,10 +140,8 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
 def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
     """List the pairs of parts that meet, inside of blocks and over their east and south borders.
 
-    Parts JOIN over a border as surfaces do inside, and LINK everywhere, see `Joining`.
-
-    The rows: the part in the block; the other one, in the same block, or in the one east or south
-    of it; and three times the kind, more by 1 for the east and by 2 for the south.
+    The rows: the part in the block; the other one; and three times the kind, JOINS (over borders
+    alone) or LINKS, plus 1 if the other one is in the block east of it, 2 in that south of it.
     """
     rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
     first, length, z = surfaces.first, surfaces.length, surfaces.z
@@ -185,7 +184,7 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
 
 @part(inline="always")
 def _mix(cell, bits, geom):
-    """A number for a surface, so that the sum over a sheet tells sheets apart."""
+    """A hash of a surface (the finalizer of splitmix64); their sum identifies a sheet."""
     x = np.uint64(bits) ^ (np.uint64(cell) * np.uint64(0x9E3779B97F4A7C15))
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27)) ^ (np.uint64(geom) << np.uint64(40))) * np.uint64(
@@ -198,11 +197,14 @@ def _mix(cell, bits, geom):
 def measure_parts(lattice, surfaces, bits, own, num_parts, blocks, counts, columns, begin, end):
     """Measure the parts of ``blocks[begin:end]``, in rows by block and part.
 
-    The columns: how many surfaces each part has, and over how many nothing lies, int64; its first
-    member, as its cell and its place there, int64; its first row and column, and past its last
-    ones, (n, 4) int64; and a sum over its members, uint64. `bits` are those of heights, int64;
-    `num_parts` how many parts each block has. `own` is the part of each surface, and receives the
-    next one below it, -1 for none.
+    The columns: how many surfaces a part has, and how many of these lie uppermost, int64; its first
+    member, by cell and rank, int64; its first row and column, and past its last ones, (n, 4) int64;
+    and the sum of its members' hashes, uint64.
+
+    Args:
+        bits: the heights as int64.
+        own: the part of each surface; and receives that of the next surface below, -1 for none.
+        num_parts: of each block.
     """
     part, below = own
     size, tops, first_key, box, digest = columns
@@ -238,10 +240,10 @@ def measure_parts(lattice, surfaces, bits, own, num_parts, blocks, counts, colum
 
 @kernel(nogil=True, **UNCOUNTED)
 def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, end):
-    """Count the surfaces of ``blocks[begin:end]`` that have an `own` number, >= 0.
+    """Count the surfaces of ``blocks[begin:end]`` whose `own` number is >= 0.
 
-    The rows: this number, an `other` one, and the level, of which -1 is none; or, if `level` is
-    empty, the multiple of PLATEAU. With the lowest height of each [m].
+    The rows: the `own` and the `other` number, and the level, unless that is -1; if `level` is
+    empty, the multiple of PLATEAU. A column more has the lowest height of each row [m].
     """
     (rows, low), num = columns, np.int64(0)
     for k in range(begin, end):

@@ -1,8 +1,8 @@
-"""Which surfaces are on which level, block by block: what is measured of heights, and places.
+"""Which surfaces are on which level, block by block: counts of heights, and places.
 
-Places are an alignment of two ordered lists, a column's surfaces and the levels, by dynamic
-programming (Needleman and Wunsch, 1970). Climbs are longest paths of a directed graph without
-circles, edge by edge in the order of height.
+Surfaces are placed by aligning two ordered lists, a column's surfaces and the levels, with dynamic
+programming (Needleman and Wunsch, 1970). `climb` relaxes the edges of an acyclic graph in
+topological order, which is that of height.
 """
 
 import math
@@ -17,12 +17,12 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Int, Int32
 
-# What it costs to move a stair's tread, or a floor, by one level, and to leave it out of order.
-# A tread moves rather than a floor, and is out of order rather than a floor moves.
+# What it costs to move a stair's tread, or a floor, by one level, and to take it out of the order:
+# a tread moves rather than a floor, and leaves the order rather than a floor moves
 MOVE_STAIR, MOVE_FLOOR, SKIP_STAIR, SKIP_FLOOR = 1, 10_000, 100, 10_000_000
-# In place of the number of a window: none; each by itself; the lowest of columns, stairs included
+# In place of a window's number: none; all windows; the lowest of each column, stairs included
 NO_WINDOW, EVERY, LOWEST = -(1 << 62), -(1 << 61), -(1 << 60)
-# In place of the level of a surface that found all levels taken, and of one that is a ground, too
+# In place of the level of a surface that found all levels taken, and the same at a ground's height
 LOST, LOST_GROUND = -2, -3
 
 
@@ -30,8 +30,8 @@ class Kept(NamedTuple):
     """The surfaces that levels are made of.
 
     Attributes:
-        key: 0 for those that are kept, -1 for all others, by place, int32.
-        plateau: the number of each one's plateau in its block, int32; empty if no column has two.
+        key: of each surface, 0 if it is kept, else -1, int32.
+        plateau: of each, its plateau's number in its block, int32; empty if no column has two.
         offset: the number of each block's first plateau, int64.
         is_stair: which plateaus are parts of stairs, bool.
     """
@@ -44,7 +44,6 @@ class Kept(NamedTuple):
 
 @part(inline="always")
 def _is_stair(kept, block, j):
-    """Whether a surface in a block is a part of a stair."""
     if kept.plateau.shape[0] == 0:
         return False
     return kept.is_stair[kept.offset[block] + kept.plateau[j]]
@@ -84,7 +83,7 @@ def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
 
 @part(inline="always")
 def _window_of(surfaces, kept, block, j, heights, is_lowest):
-    """The number of the window that `list_heights` counts a kept surface in, or NO_WINDOW."""
+    """The window in which `list_heights` counts a kept surface, or NO_WINDOW."""
     ground, window, half, _ = heights
     if is_lowest != (ground == -math.inf):
         return NO_WINDOW
@@ -97,10 +96,10 @@ def _window_of(surfaces, kept, block, j, heights, is_lowest):
 
 @part(**UNCOUNTED)
 def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, num):
-    """See `list_heights`; of one block. Returns how many rows there are then, -1 for no room."""
+    """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
     (rows, low), (ground, _, _, top), reach, before = columns, heights, test.reach, num
     row0, row1, col0, col1 = block_window(lattice, block)
-    # the cells of the window are marked, with a margin, before those that are left are counted
+    # the window's cells are marked, with a margin, before those that shrinking leaves are counted
     for marks in (True, False):
         if marks and reach == 0:
             continue
@@ -141,15 +140,14 @@ def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, nu
 def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
 
-    `heights` are the ground that they lie over [m], the number of a window, EVERY or LOWEST, half a
-    window's height, and the height from which on nothing counts [m]. Floors are the kept surfaces,
-    without stairs, that lie over another one at or above the ground in their column; over a ground
-    of -inf, they are the lowest of their columns. Window n reaches from ``n * half`` to
-    ``(n + 1) * half``; where one is asked for, it counts with the one above it. The cells of
-    windows are shrunk together; without a `reach` all of them are left.
+    Floors are the kept surfaces, without stairs, that lie over another one at or above the ground
+    in their column; over a ground of -inf, the lowest of their columns. Window n reaches from
+    ``n * half`` to ``(n + 1) * half``; one window counts together with the one above it, and their
+    cells are shrunk together, by the disc of `test`.
 
-    The rows, see `navbake.baker.blocks.list_rows`: the window, the multiple of PLATEAU that heights
-    round to, 0, and how many there are; with the lowest of these heights [m].
+    `heights` are the ground [m], the number of a window, EVERY or LOWEST, `half` [m], and the
+    height from which on nothing counts [m]. The rows, see `navbake.baker.blocks.list_rows`: the
+    window, the multiple of PLATEAU, 0, and how many; with the lowest of these heights [m].
     """
     size, num = SIZE + 2 * test.reach, np.int64(0)
     for k in range(begin, end):
@@ -163,7 +161,7 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
 
 @part(**UNCOUNTED)
 def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
-    """Give the kept surfaces of a cell their bases; returns how many they are if two share one."""
+    """Give a cell's kept surfaces their bases; returns their number if two share one, else 0."""
     count, base, is_shared = 0, 0, False
     for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
         level[j] = -1
@@ -185,16 +183,16 @@ def place_blocks(
 
     A surface's base is the highest ground at or below it. Where all bases of a column differ, they
     are the levels. Elsewhere the surfaces of a column are placed in their order, moved as little
-    as possible, up rather than down, and treads rather than floors. A tread for which only a floor
-    would have to move goes to the free level nearest to its base, the upper of two.
+    as possible, up rather than down, and treads rather than floors. A tread that could fit only by
+    moving a floor takes the free level nearest its base; on a tie, the upper.
 
     Args:
         grounds: heights, ascending [m].
         tolerance: how far below a ground its floors may lie [m].
-        leave_floors: whether columns with more surfaces than levels leave out floors, the lower
-            ones first, rather than treads.
-        level: by place, int32; receives the levels, LOST or LOST_GROUND where all are taken, -1
-            for surfaces that are not kept.
+        leave_floors: columns with more surfaces than levels leave out floors, the lower ones
+            first, rather than treads.
+        level: of each surface, int32; receives its level, LOST or LOST_GROUND where all are taken,
+            -1 where it is not kept.
     """
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -209,7 +207,7 @@ def place_blocks(
 
 @part
 def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level, count):
-    """Place the kept surfaces of a cell, whose levels are their bases."""
+    """Replace the levels of a cell's kept surfaces, which are their bases."""
     num_levels, num = grounds.shape[0], 0
     places, base = np.empty(count, np.int64), np.empty(count, np.int64)
     found, cost = np.empty(count, np.int64), np.empty((2, count), np.int64)
@@ -240,9 +238,9 @@ def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level, cou
 
 @part
 def _align(base, costs, num_levels, level):
-    """Place the surfaces of a column in their order; -1 for those that are left out of it.
+    """Align a column's surfaces with the levels; -1 for those out of order.
 
-    `costs` are those of moving each by one level, and of leaving it out.
+    `costs` are those of moving each by one level, and of taking it out of the order.
     """
     count = base.shape[0]
     # cost[i, k]: of the first i surfaces on the first k levels
@@ -253,8 +251,8 @@ def _align(base, costs, num_levels, level):
         for k in range(1, num_levels + 1):
             placed = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
             cost[i, k] = min(placed, cost[i, k - 1], cost[i - 1, k] + skip)
-    # back from the top: of equal costs, rather the upper one is left out than the lower one, and
-    # rather the upper one moves up than the lower one down
+    # back from the top: at equal costs the upper surface is left out, not the lower one, and the
+    # upper one moves up rather than the lower one down
     i, k = count, num_levels
     while i > 0:
         move, skip = costs[0, i - 1], costs[1, i - 1]
@@ -271,7 +269,7 @@ def _align(base, costs, num_levels, level):
 
 @kernel
 def climb(lower, upper, area, by_lower, by_upper):
-    """The largest floors that one gets to from each part of a walk, going only up or only down.
+    """The largest floors that each part reaches going only up, or only down.
 
     Args:
         lower, upper: the parts that each step joins, (steps,) int64.
@@ -282,7 +280,7 @@ def climb(lower, upper, area, by_lower, by_upper):
         The largest area above each part, and below it, 0 for none, (parts,) int64.
     """
     above, below = np.zeros_like(area), np.zeros_like(area)
-    # what is above a part is known before a step leads up to it, as those steps begin lower
+    # steps up from a part begin higher than steps to it, so they come first
     for s in by_lower[::-1]:
         a, b = lower[s], upper[s]
         above[a] = max(above[a], area[b], above[b])

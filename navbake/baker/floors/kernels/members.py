@@ -1,10 +1,9 @@
 """The surfaces of chosen sheets: which they are, how they end, and what is left of a shrunk sheet.
 
-An edge is one of a cell's four sides beyond which the cell has no neighbour of its own sheet
-(contour following cell by cell, as in Recast's region contours). Shrinking is an erosion by a disc,
-without a distance transform: a cell survives when all cells nearer than the limit belong to the
-mask. Asked cell by cell, the farthest neighbours first, and only until enough have survived, that
-is cheaper than a transform of the whole lattice.
+An edge is a side of a cell beyond which its sheet has no surface (as in Recast's region contours).
+Shrinking is an erosion by a disc: a cell is left when all cells nearer than the limit belong to the
+mask. Testing the farthest cells first, and stopping when enough cells are left, is cheaper than a
+distance transform of the whole lattice.
 """
 
 import math
@@ -18,17 +17,17 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int, Int32
 
-# In place of a surface beside an edge: none is asked for there, or the sheet itself goes on
+# In place of a surface beside an edge: there is none, or the sheet itself goes on
 NOTHING, ITSELF = np.int64(-1), np.int64(-2)
 
 
 class Labelled(NamedTuple):
-    """Surfaces, see `Surfaces`, and the sheets that they belong to.
+    """Surfaces, see `Surfaces`, and the chosen sheets that they belong to.
 
     Attributes:
-        part: the number of each surface's part in its block, -1 for none.
+        part: of each surface, its part's number in its block, -1 for none.
         offset: the number of each block's first part, int64.
-        sheet: the sheet of each part, -1 for those that are not asked for, int32.
+        sheet: of each part, -1 unless it is chosen, int32.
     """
 
     lattice: Any
@@ -55,17 +54,17 @@ class Members(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Edges of sheets: sides of cells beyond which there is no surface of the same sheet.
+    """Edges of sheets, arrays of shape (edges,).
 
     Attributes:
-        sheet: the sheet that ends there, shape (edges,), int32.
-        cell: the cell on this side, shape (edges,), int64.
-        z: the sheet's height in it, shape (edges,), float64 [m].
-        way: the way out: east (0), south (1), west (2), north (3), shape (edges,), int64.
+        sheet: the sheet that ends there, int32.
+        cell: the cell on this side, int64.
+        z: the sheet's height in it, float64 [m].
+        way: the way out: east (0), south (1), west (2), north (3), int64.
         cells: the cells beyond, the nearest first, -1 from where the lattice ends or the sheet
             begins again, shape (edges, reach), int64.
-        floors: the highest floor of another sheet that is more than a step lower in each of these
-            cells, NaN for none, shape (edges, reach), float64 [m].
+        floors: in each of these cells the highest floor of another sheet that is more than a step
+            lower, NaN for none, shape (edges, reach), float64 [m].
         landing: the sheets of these floors, -1 for none, shape (edges, reach), int32.
     """
 
@@ -83,14 +82,14 @@ class Edges(NamedTuple):
 
 
 class AreaTest(NamedTuple):
-    """Whether cells are enough for a floor: how many are left when their set is shrunk.
+    """Whether a set of cells is large enough for a floor: how many are left when it is shrunk.
 
     Attributes:
-        needed: so many cells have to be left.
-        reach: how far the steps of `disc` lead [cells].
-        disc: steps to the cells that have to be in the set around one that is left, the farthest
-            first, shape (n, 2), int64.
-        rim: those of them that one further west has not asked for, see `east_rim`.
+        needed: how many cells have to be left.
+        reach: the radius of `disc` [cells].
+        disc: offsets of the cells around one that is left, all of the set, the farthest first,
+            shape (n, 2), int64.
+        rim: the part of it that a cell's west neighbour has not tested, see `east_rim`.
     """
 
     needed: int
@@ -101,10 +100,10 @@ class AreaTest(NamedTuple):
 
 @lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
 def near_offsets(limit: float, shorter: int) -> Int:
-    """Steps to the cells that are nearer than a limit [cells], the farthest first; don't change it.
+    """Offsets of the cells nearer than a limit [cells], the farthest first; don't change it.
 
-    Where no cell is as far from outside as the limit (the lattice's shorter side is given), those
-    steps are enough of which one always leads out.
+    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, four
+    offsets are enough, of which one always leads out.
     """
     out = (shorter + 1) // 2
     if limit > out:
@@ -119,7 +118,7 @@ def near_offsets(limit: float, shorter: int) -> Int:
 
 
 def east_rim(offsets: Int) -> Int:
-    """The offsets still to test for a cell when its west neighbour passed for all of them."""
+    """The offsets still to test for a cell whose west neighbour has passed for all of them."""
     reach = int(np.abs(offsets).max(initial=0))
     known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
     known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
@@ -130,7 +129,6 @@ def east_rim(offsets: Int) -> Int:
 
 @part(inline="always")
 def is_left(mask, row, col, offsets):
-    """Whether all cells at some steps from one belong to a mask."""
     for k in range(offsets.shape[0]):  # noqa: SIM110 (numba has no generators in `all`)
         if not mask[row + offsets[k, 0], col + offsets[k, 1]]:
             return False
@@ -139,7 +137,7 @@ def is_left(mask, row, col, offsets):
 
 @kernel(nogil=True, **UNCOUNTED)
 def count_left(mask, test, needed):
-    """Count the cells that are left of a mask, with a margin of `reach`; or enough of them."""
+    """Count the cells left of a shrunk mask, which has a margin of `reach`, up to `needed`."""
     found = 0
     for row in range(test.reach, mask.shape[0] - test.reach):
         follows = False
@@ -153,7 +151,7 @@ def count_left(mask, test, needed):
 
 @part(inline="always")
 def sheet_of(labelled, block, j):
-    """The sheet of a surface in a block, -1 for none that is asked for."""
+    """The chosen sheet of a surface in a block, or -1."""
     part = labelled.part[j]
     return labelled.sheet[labelled.offset[block] + part] if part >= 0 else np.int32(-1)
 
@@ -189,7 +187,7 @@ def _surface_below(labelled, row, col, sheet, limit):
 
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
-    """Mark a sheet's cells in a window and so far around it. `mask` is all False."""
+    """Mark a sheet's cells in a window and within reach of it, in a mask that is all False."""
     (row0, row1, col0, col1), lattice = window, labelled.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
@@ -199,10 +197,10 @@ def _mark_sheet(labelled, sheet, window, reach, mask):
 
 @kernel(nogil=True)
 def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end):
-    """Tell which of ``sheets[begin:end]`` keep enough cells when they are shrunk, by sheet.
+    """Set `result[sheet]` where the shrunk sheet keeps at least `test.needed` cells.
 
-    `boxes` are the rows and columns of every sheet. ``blocks[start[n] : start[n + 1]]`` hold the
-    n-th sheet of the list.
+    Looks at ``sheets[begin:end]``; ``blocks[start[n] : start[n + 1]]`` hold the n-th of `sheets`.
+    `boxes` are the rows and columns of every sheet.
     """
     reach = test.reach
     for n in range(begin, end):
@@ -222,7 +220,7 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
 
 @part(inline="always")
 def _next(lattice, row, col, way):
-    """The next cell east (0), south (1), west (2) or north (3); a row less than 0 for none."""
+    """The next cell on a way, see `Edges`; a row less than 0 for none."""
     row += 1 if way == 1 else (-1 if way == 3 else 0)
     col += 1 if way == 0 else (-1 if way == 2 else 0)
     if row >= lattice.height or col < 0 or col >= lattice.width:
@@ -232,7 +230,7 @@ def _next(lattice, row, col, way):
 
 @part(**UNCOUNTED)
 def _drop_at(labelled, row, col, way, sheet, limit, reach):
-    """Whether a floor lies below within reach of an edge."""
+    """Whether another sheet's surface lies below the limit within reach of an edge."""
     for _ in range(reach):
         row, col = _next(labelled.lattice, row, col, way)
         beside = _surface_below(labelled, row, col, sheet, limit) if row >= 0 else ITSELF
@@ -276,10 +274,7 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
 
 @kernel(nogil=True, **UNCOUNTED)
 def look_out(labelled, step, edges, begin, end):
-    """Look out from ``edges[begin:end]``: `cells`, `floors` and `landing` receive what is beyond.
-
-    `cells` is -1, `floors` NaN and `landing` -1 before.
-    """
+    """Write `cells`, `floors` and `landing`, before -1, NaN and -1, of ``edges[begin:end]``."""
     lattice = labelled.lattice
     for n in range(begin, end):
         row, col = edges.cell[n] // lattice.width, edges.cell[n] % lattice.width
@@ -300,10 +295,7 @@ def look_out(labelled, step, edges, begin, end):
 
 @kernel(nogil=True)
 def look_below(labelled, cells, places):
-    """The next labelled surface below some surfaces in their cells: its height [m], and its sheet.
-
-    NaN and -1 where there is none.
-    """
+    """Height [m] and sheet of the next labelled surface below each of some; NaN and -1 for none."""
     z, sheet = np.full(cells.shape[0], math.nan), np.full(cells.shape[0], np.int32(-1))
     width = labelled.lattice.width
     for n in range(cells.shape[0]):

@@ -1,7 +1,7 @@
 """Surfaces that floors may go on at, cell by cell, and which of them an agent can stand on.
 
-A column's surfaces are judged from the winding of its line: of solids below a point, how many were
-entered and not left.
+A surface lies inside of a solid by the winding number of the vertical line above it: how many
+solids the line leaves there less how many it enters.
 """
 
 import math
@@ -15,8 +15,8 @@ from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
 
-# What a surface is: a floor may go on at it, an agent can stand on it, nothing lies above it; an
-# agent could stand on it if closed meshes held nothing inside
+# Marks: a floor may go on at it, an agent can stand on it, nothing lies above it; an agent could
+# stand on it if the closed mesh or plane around it were hollow
 FLOOR_LIKE, STANDS, TOP, HELD = 1, 2, 4, 8
 # Sides that are nearly upright face up by at most this, as those of steps in a building that leans
 LEANING = 0.05
@@ -30,9 +30,9 @@ class Surfaces(NamedTuple):
     Attributes:
         first: (cells,) int64.
         length: (cells,) int32.
-        room: how long each run may become where it is, (cells,) int32.
+        room: the capacity of each run, (cells,) int32.
         z: heights, ascending in a cell, (n,) float64 [m].
-        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane that does.
+        geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
         normal: unit normals, (n, 3) float32; (0, 3) where no slope rises more than a step a cell.
     """
@@ -48,7 +48,7 @@ class Surfaces(NamedTuple):
 
 @part(**UNCOUNTED)
 def planes_over(planes, x, y, z):
-    """How many infinite planes have a point behind them, and the geom of one, -1 for none."""
+    """How many infinite planes have a point behind them, and the geom of the last, or -1."""
     count, geom = 0, np.int32(-1)
     for p in range(planes.geom.shape[0]):
         depth = (
@@ -63,12 +63,10 @@ def planes_over(planes, x, y, z):
 
 @part(**UNCOUNTED)
 def look_up(crossings, i, last):
-    """How many solids of a column hold the i-th surface, and the height of the next one above.
+    """How many closed surfaces hold the i-th surface, how many other solids; the next height above.
 
-    A solid that begins at the surface's own height (within SAME) stands on it and covers it: its
-    underside doesn't count as left. One that ends there doesn't cover it.
-
-    Returns how many closed surfaces hold it, how many other solids, and the height.
+    A solid that begins at the surface's height (within SAME) stands on it and holds it; one that
+    ends there does not.
     """
     z, normal, closed = crossings.z, crossings.normal, crossings.closed
     surfaces, others, above = 0, 0, math.inf
@@ -85,53 +83,9 @@ def look_up(crossings, i, last):
     return surfaces, others, above
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin, end):
-    """Mark which crossings are FLOOR_LIKE, STANDS, TOP and HELD, into (n,) uint8.
-
-    Floor-like: faces up within the slope, or faces up more steeply at most a step above one that
-    does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
-    no solid, and the next surface above is at least the headroom higher; held where it is so but
-    for closed meshes around, or for infinite planes over it. Of several surfaces at one height the
-    lowest counts. Where a line leaves a solid by a side that leans a little, at most a step above
-    what faces up within the slope, it has the floor of the lower side: that is standable there.
-
-    Looks at the columns ``range(begin, end)``, which belong to ``cells``; `count`, int64, receives
-    how many of each are floor-like.
-    """
-    for n in range(begin, end):
-        first, last = crossings.start[n], crossings.start[n + 1]
-        x, y = cell_center(lattice, cells[n])
-        previous, held, gentle, at = -math.inf, -math.inf, -math.inf, first
-        count[n] = 0
-        for i in range(first, last):
-            z, up = crossings.z[i], crossings.normal[i, 2]
-            marks[i] = FLOOR_LIKE if up > 0.0 and z - gentle <= limits.step + SLACK else 0
-            if up >= limits.min_up:
-                marks[i], gentle, at = FLOOR_LIKE, z, i
-                surfaces, others, above = look_up(crossings, i, last)
-                if z - previous > SAME and above - z >= limits.headroom - SLACK:
-                    behind, _ = planes_over(planes, x, y, z)
-                    if surfaces + others + behind <= 0:
-                        marks[i] |= STANDS
-                        previous = z
-                        if crossings.z[last - 1] - z <= SLACK:
-                            marks[i] |= TOP
-                    elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME:
-                        marks[i] |= HELD
-                        held = z
-            elif marks[i] and up <= LEANING and gentle - previous > SAME:
-                surfaces, others, above = look_up(crossings, i, last)
-                if surfaces + others <= 0 and above - gentle >= limits.headroom - SLACK:
-                    marks[i], previous = 0, gentle
-                    marks[at] |= STANDS if above < math.inf else STANDS | TOP
-            if marks[i]:
-                count[n] += 1
-
-
 @part(inline="always")
 def _find_holder(crossings, i, last):
-    """The geom of a closed surface that holds the i-th surface, the one that ends lowest."""
+    """The geom of the closed surface around the i-th surface that ends lowest, or -1."""
     z, normal, geom, closed = crossings.z, crossings.normal, crossings.geom, crossings.closed
     for j in range(i + 1, last):
         if closed[j] != CLOSED_SURFACE or normal[j, 2] <= 0.0 or z[j] - z[i] <= SAME:
@@ -146,37 +100,66 @@ def _find_holder(crossings, i, last):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_surfaces(lattice, cells, crossings, planes, marks, found, begin, end):
-    """Write the marked crossings of the columns ``range(begin, end)`` into arrays.
+def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, begin, end):
+    """List the surfaces that floors may go on at in the columns of ``cells[begin:end]``.
 
-    `found` are where each column's begin, and z, geom, marks and normal of all. Surfaces that are
-    HELD receive the geom that holds them.
+    FLOOR_LIKE faces up within the slope, or faces up more steeply at most a step above what does:
+    a bump too low to be an obstacle. STANDS faces up within the slope, lies inside of no solid,
+    and has the headroom below the next surface; HELD would, without the closed meshes around it or
+    the infinite planes over it. Of several surfaces at one height the lowest counts. Where a line
+    leaves a solid by a side that leans a little, at most a step above what faces up within the
+    slope, the floor is that of the lower side, which STANDS.
+
+    The rows, see `navbake.baker.blocks.list_rows`: height [m], geom (of HELD surfaces, the one that
+    holds them), marks and normal. Crossings are numbered as `cells` are.
     """
-    start, z, geom, kept, normal = found
+    (heights, geoms, marks, normals), num = columns, 0
     for n in range(begin, end):
-        at, last = start[n], crossings.start[n + 1]
-        for i in range(crossings.start[n], last):
-            if marks[i]:
-                z[at], geom[at], kept[at] = crossings.z[i], crossings.geom[i], marks[i]
-                if marks[i] & HELD:
-                    geom[at] = _find_holder(crossings, i, last)
-                    if geom[at] < 0:
-                        x, y = cell_center(lattice, cells[n])
-                        _, geom[at] = planes_over(planes, x, y, z[at])
-                if normal.shape[0]:
-                    for axis in range(3):
-                        normal[at, axis] = crossings.normal[i, axis]
-                at += 1
+        first, last, before = crossings.start[n], crossings.start[n + 1], num
+        if num + last - first > heights.shape[0]:
+            return n
+        x, y = cell_center(lattice, cells[n])
+        previous, held, gentle, at = -math.inf, -math.inf, -math.inf, num
+        for i in range(first, last):
+            z, up = crossings.z[i], crossings.normal[i, 2]
+            is_gentle = up >= limits.min_up
+            if not is_gentle and not (up > 0.0 and z - gentle <= limits.step + SLACK):
+                continue
+            if not is_gentle and up <= LEANING and gentle - previous > SAME:
+                surfaces, others, above = look_up(crossings, i, last)
+                if surfaces + others <= 0 and above - gentle >= limits.headroom - SLACK:
+                    previous = gentle
+                    marks[at] |= STANDS if above < math.inf else STANDS | TOP
+                    continue
+            heights[num], geoms[num], marks[num] = z, crossings.geom[i], FLOOR_LIKE
+            for axis in range(3):
+                normals[num, axis] = crossings.normal[i, axis]
+            if is_gentle:
+                gentle, at = z, num
+                surfaces, others, above = look_up(crossings, i, last)
+                if z - previous > SAME and above - z >= limits.headroom - SLACK:
+                    behind, plane = planes_over(planes, x, y, z)
+                    if surfaces + others + behind <= 0:
+                        marks[num] |= STANDS
+                        previous = z
+                        if crossings.z[last - 1] - z <= SLACK:
+                            marks[num] |= TOP
+                    elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME:
+                        marks[num] |= HELD
+                        held, holder = z, _find_holder(crossings, i, last)
+                        geoms[num] = holder if holder >= 0 else plane
+            num += 1
+        counts[n] = num - before
+    return end
 
 
 @part(**UNCOUNTED)
 def slope_joins(lattice, surfaces, a, b, way, step):
     """Whether slopes join two surfaces of neighbouring cells that no step joins.
 
-    `b` is east (0) or south (1) of `a`. Each one's slope predicts a rise over a cell; the steeper
-    is more than a step. Between the predictions lies whatever a floor with these two slopes may
-    rise that bends somewhere on the way, as at a ramp's foot; or the rise is at most a step less
-    or more than both.
+    `b` is east (0) or south (1) of `a`. The slope of each predicts a rise from `a` to `b`, the
+    steeper more than a step. They join if the real rise lies between the two, as where a floor
+    bends on the way at a ramp's foot, or at most a step from both.
     """
     dz = surfaces.z[b] - surfaces.z[a]
     if abs(dz) <= step + SLACK:

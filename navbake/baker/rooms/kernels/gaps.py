@@ -22,14 +22,14 @@ REACH = 2
 EXACT = 8
 # The bits of the cells that are at most one line from the one above, on and below the line
 BESIDE = 0b011, 0b111, 0b110
-# What `flag_columns` finds out: nothing in the column; no floor, and nothing at the height of an
-# agent's body; no floor, and ground too steep to stand on under the sky; a floor under the sky; and
-# a floor that something stands on that reaches above heads
+# Flags of `flag_columns`: nothing in the column; no floor, and nothing at the height of an agent's
+# body; no floor, and ground too steep to stand on under the sky; a floor under the sky; a floor on
+# which something stands that reaches above heads
 COLUMN_FLAGS = EMPTY, HOLE, BANK, SKY, TALL = 1, 2, 4, 8, 16
 
 
 class Gaps(NamedTuple):
-    """The gaps of a direction."""
+    """All gaps found in one scan direction, as parallel arrays."""
 
     first: Int  # column
     last: Int
@@ -54,9 +54,9 @@ class Scan(NamedTuple):
 def flag_columns(crossings, floor, ground, limits, above_heads, flags, begin, end):
     """Find the `COLUMN_FLAGS` of cells ``[begin, end)`` of a level.
 
-    Crossings and `floor`, NaN for none [m], are numbered as the cells are. Without a floor, a hole
-    is where the next surface over the level's `ground` and a step is higher than the agent, unless
-    it is the top of something. What stands on a floor is tall from `above_heads` on [m].
+    Crossings and `floor`, NaN for none [m], are numbered as the cells are. A cell without a floor
+    is a hole if the next surface more than a step over the level's `ground` is higher than the
+    agent, unless it is a top. What stands on a floor is tall from `above_heads` on [m].
     """
     start, z, normal = crossings.start, crossings.z, crossings.normal
     min_up = np.float32(limits.min_up)
@@ -84,9 +84,9 @@ def flag_columns(crossings, floor, ground, limits, above_heads, flags, begin, en
 
 @part
 def measure_runs(is_open, shift, marked):
-    """The number of open cells in a row along a line through each cell, 0 for closed ones.
+    """The length of the run of open cells along a line through each cell, 0 for closed ones.
 
-    Where one cell of a row is `marked`, all of it becomes so.
+    Where one cell of a run is `marked`, all of the run is marked.
     """
     rows, cols = is_open.shape
     run = np.zeros((rows, cols), dtype=np.int32)
@@ -120,11 +120,10 @@ def measure_runs(is_open, shift, marked):
 def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs along lines of at most `widest` cells next to much longer ones.
 
-    A run counts where a cell of it is `near` a wall along the line; all of such a run become so.
-
-    A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
-    at most `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8; else
-    the last one is marked 1, unless only gaps with steps on `both` sides are wanted.
+    A run counts if a cell of it is `near` a wall along the line, which is spread to all its cells.
+    Much longer is by the factor `growth` and by `rise` cells. Between two such steps at most
+    `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8; else the last
+    one is marked 1, unless only gaps with steps on `both` sides are wanted.
     """
     run = measure_runs(is_open, shift, near)
     rows, cols = run.shape
@@ -156,9 +155,9 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
 def mark_bridges(low, wall, shift, bridge):
     """Mark in `bridge` the `low` cells of ways along a line, which begin and end at a wall.
 
-    A way follows its line exactly; or it keeps within a cell of it where no wall is beside it, and
-    the line itself meets the walls at its ends. So thin sills are followed that meet now the one
-    line of cells and now the next, and furniture along a wall is not.
+    A way follows its line exactly, or within a cell where no wall is beside it and the line itself
+    meets the walls at its ends. So ways follow thin sills that alternate between two lines of
+    cells, but not furniture along a wall.
     """
     rows, cols = low.shape
     # column by column, so that what is read one after the other lies so in memory
@@ -184,11 +183,9 @@ def mark_bridges(low, wall, shift, bridge):
 
 @part(**UNCOUNTED)
 def _hold(low, wall, to_next, next_wall, held, found):
-    """Which cells round a line's cell are low and held by a wall, over the next cell of the line.
+    """Which cells above, on and below a line (bits 0 to 2) are low and held by a wall; or `EXACT`.
 
-    Bits 0 to 2 are for the cells above, on and below the line, bit 3 (`EXACT`) is for the line
-    alone; `found` receives them for each row of a column. `low` and `wall` are that column,
-    `next_wall` and `held` what the next one has, `to_next` rows further down.
+    `found` receives the bits of a column; the next column of the lines is `to_next` rows down.
     """
     rows = low.shape[0]
     for row in range(max(0, -to_next), min(rows, rows - to_next)):
@@ -207,17 +204,19 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 @kernel
 def measure_gaps(scan, gaps, chosen, whole):
-    """Measure the lines behind some gaps, in the regions above them and below them.
+    """Measure lines behind some gaps, parallel to them, in the regions above and below.
 
-    Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
-    side no further than the gap is wide, times `REACH`. Other openings in its line to the same
-    region count as its width. A region that ends before the first depth is measured where it ends.
+    At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
+    `REACH` times its width. Other openings in the gap's line to the same region count as its width.
+    A region that ends before the first depth is measured where it ends. `whole` is the current
+    region of each label.
 
-    `whole` is the region that each label is part of by now. Returns by gap, side and depth, int64,
-    how long the line is, how much of that the gap is, and such openings before and after it
-    [columns]; and the cells at which it ends at a wall before and after, -1 for none. Where both
-    sides are one region that is 1, 1, 0, 0, -1, -1. And pairs of gaps and other regions that their
-    lines met: lines change only when one of these is joined.
+    Returns:
+        By gap, side and depth, int64: the length of the line, the width of the gap, and that of
+        such openings before and after it [columns]; and the cells at which it ends at a wall before
+        and after, -1 for none. If both sides are one region, 1, 1, 0, 0, -1, -1.
+        Pairs of gaps and other regions that their lines met: only if one of these is joined, the
+        lines change.
     """
     lines = np.full((len(chosen), 2, len(scan.depths), 6), -1, dtype=np.int64)
     met = [(np.int64(-1), np.int64(-1))]
@@ -319,7 +318,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
 
 @kernel(nogil=True)
 def sweep_columns(target, far, along, col0, end):
-    """Put into `along` distances to a target within columns ``range(col0, end)``, up to `far`."""
+    """Write into `along` distances to a target within columns ``range(col0, end)``, up to `far`."""
     target, along = target[:, col0:end], along[:, col0:end]  # loops from 0 vectorize
     rows, cols = target.shape
     for col in range(cols):
@@ -335,9 +334,9 @@ def sweep_columns(target, far, along, col0, end):
 
 @kernel(nogil=True)
 def sweep_rows(along, reach, answer, row0, end):
-    """Put into `answer` squared distances in rows ``range(row0, end)``, from those within columns.
+    """Write into `answer` squared distances in rows ``range(row0, end)``, from those in columns.
 
-    That is ``(reach + 1) ** 2`` where there is no target within reach.
+    They are ``(reach + 1) ** 2`` where no target is within reach.
     """
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)

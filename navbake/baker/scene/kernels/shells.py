@@ -1,16 +1,16 @@
 """Which triangles of a mesh belong to a shell: a part whose edges are met by two triangles each.
 
-Points at one place are welded by a hash table. The half-edges are listed by their lower point (a
-counting sort), and sorted by the upper one within each list (Shell's sort, 1959), so that those of
-one edge are neighbours. Triangles at an edge are united (see `unite`). Parts of which any edge
-is met by other than two triangles, or by two in one direction, are no shells: what they enclose is
-a harder question, see `navbake.baker.kernels.parts`.
+Points at one place are welded by a hash table. Half-edges are sorted by their lower point (counting
+sort) and then by the upper one (Shell's sort, 1959), so that those of one edge are neighbours.
+Triangles at an edge are united (union-find). Parts with an edge that is met by other than two
+triangles, or by two in one direction, are no shells; `navbake.baker.kernels.parts` decides what
+they enclose.
 """
 
 import numpy as np
 
+from navbake.baker.kernels.connect import find_root, unite
 from navbake.compiled import kernel, part
-from navbake.navgrid.kernels.connect import find_root, unite
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
 
@@ -40,11 +40,10 @@ def _hash(points, i):
 
 @kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
-    """Number points so that equal ones have equal numbers: each has that of the first one.
+    """Number points, (n, 3) uint64, the coordinates' bits, by the first one that equals each.
 
-    A hash table with open addressing over the coordinates' bits, (n, 3) uint64, for each share of
-    the points, which their hashes tell. Writes the numbers, (n,) int32, for ``range(first, end)``
-    of the shares.
+    Points are divided into shares by their hashes, each with a hash table with open addressing.
+    Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
     """
     num, shares = points.shape[0], np.uint64(num_shares)
     for share in range(first, end):
@@ -125,10 +124,7 @@ def _list_edges(faces, num):
 
 @part(inline="always")
 def _are_neighbours(faces, h, g):
-    """Whether two triangles run along their edge in opposite ways, and are no back of each other.
-
-    Takes their half-edges there.
-    """
+    """Whether two half-edges of an edge run in opposite ways, of triangles not back to back."""
     here, next_ = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
     other, third = faces[g // 3, g % 3], faces[g // 3, (g % 3 + 2) % 3]
     return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
@@ -142,10 +138,10 @@ def find_shells(faces, num):
         faces: corners of each triangle, (m, 3) int32, of distinct points below `num`.
 
     Returns:
-        By triangle the lowest one that it hangs together with over edges, (m,) int32; whether that
-        part is such a shell, (m,) bool; the edge of each half-edge 3 f + k, from corner k of
-        triangle f to the next one, (3 m,) int32; and the half-edges of each edge, ragged,
-        ascending, int32: `start` and `half`.
+        By triangle the lowest one of its part, connected over edges, (m,) int32; whether that part
+        is a shell, (m,) bool; the edge of each half-edge 3 f + k, from corner k of triangle f to
+        the next one, (3 m,) int32; and the half-edges of each edge, ragged, ascending, int32:
+        `start` and `half`.
     """
     edge, start, half = _list_edges(faces, num)
     is_shell = np.ones(faces.shape[0], np.bool_)

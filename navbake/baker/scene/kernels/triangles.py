@@ -60,11 +60,11 @@ def measure_areas(vertices, faces):
 
 @kernel(nogil=True, **UNCOUNTED)
 def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
-    """Measure the parts of a mesh, whose numbers are those of its triangles, some taken as turned.
+    """Measure the parts of a mesh; `part` and `turned` are by triangle.
 
-    Writes into `sums` the volume, positive where the part faces out, and the area, (2, num) of 0;
-    into `box` lower and upper corner, (num, 6) of inf and -inf; into `best` and `largest` twice the
-    area of the largest triangle, (num,) below 0, and that triangle, the last one of several.
+    Writes into `sums` volume, positive where the part faces out, and area, (2, num) of 0; into
+    `box` lower and upper corner, (num, 6) of inf and -inf; into `best` twice the area of the
+    largest triangle, (num,) below 0; into `largest` that triangle, the last one of several.
     """
     volume, area = sums[0], sums[1]
     origin = vertices[faces[0, 0]]
@@ -87,10 +87,10 @@ def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
 
 @kernel(nogil=True, **UNCOUNTED)
 def find_ways(corners, directions, way, weight, off, first, end):
-    """Find where the upright part of triangles' faces looks, modulo a right angle.
+    """Find the horizontal direction that triangles face, modulo a right angle.
 
-    Writes the nearest of so many directions, (m,) int32; twice the area as seen from the side [m²],
-    0 for level triangles; and that times how far it is off the direction [rad], (m,) float64.
+    Writes the nearest of `directions`, (m,) int32; twice the area as seen from the side [m²], 0 for
+    level triangles; and that times the angle to the nearest direction [rad], (m,) float64.
     """
     step = RIGHT / directions
     for t in range(first, end):
@@ -109,10 +109,9 @@ def find_ways(corners, directions, way, weight, off, first, end):
 
 @kernel(nogil=True, **UNCOUNTED)
 def measure_spans(corners, group, way, low, high):
-    """How far groups of triangles reach: along their ways, along what is left of these, and up.
+    """How far groups of triangles reach along the group's `way`, left of it, and up.
 
-    Takes a horizontal unit vector for each group, (num, 2), and writes into `low` and `high`, (num,
-    3) of inf and -inf [m].
+    Takes unit vectors, (num, 2); writes into `low` and `high`, (num, 3) of inf and -inf [m].
     """
     for t in range(corners.shape[0]):
         g = group[t]

@@ -1,9 +1,8 @@
-"""Connected parts of graphs, and pairs of cells that touch, by union-find.
+"""Connected parts of graphs, by union-find.
 
 Disjoint sets as a forest of parents (Galler and Fischer, 1964) with path halving (Tarjan and van
-Leeuwen, 1984). Of two roots the lower item becomes the parent, not that of the larger tree: so a
-root is the first member of its set, whatever the order in which sets were joined, and numbers
-that follow the roots depend on nothing else. Path halving alone keeps the trees shallow enough.
+Leeuwen, 1984). Of two roots the lower item becomes the parent, so a root is the first member of
+its set, whatever the order of the unions. Path halving alone keeps the trees shallow enough.
 """
 
 import numpy as np
@@ -13,7 +12,7 @@ from navbake.compiled import UNCOUNTED, kernel, part
 
 @part(**UNCOUNTED)
 def find_root(parent, item):
-    """The root of an item's set, its lowest member; of roots, `parent` has themselves."""
+    """The root of an item's set, its lowest member, which is its own parent."""
     while parent[item] != item:
         parent[item] = parent[parent[item]]
         item = parent[item]
@@ -30,10 +29,9 @@ def unite(parent, one, other):
 
 @kernel
 def number_parts(pairs, count):
-    """Number the connected parts of a graph from 0, by their first nodes.
+    """The connected part of each of `count` nodes, by first nodes from 0, int32.
 
-    Pairs of nodes that hang together are (2, n) int64. Returns the part of each of `count` nodes,
-    int32.
+    `pairs` are the edges, (2, n) int64.
     """
     parent = np.arange(count)
     for k in range(pairs.shape[1]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from navbake.navgrid.kernels.connect import find_root, unite
+from navbake.baker.kernels.connect import find_root, unite
 
 # parts of kernels as functions that Python can call
 find_root = numba.njit(find_root.py_func)
