@@ -42,7 +42,10 @@ class Table(NamedTuple):
 
 
 def make_table(
-    headings: Sequence[str], rows: Iterable[Sequence[Any]], numbers: Iterable[str] = (), gap: int = 2
+    headings: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    numbers: Iterable[str] = (),
+    gap: int = 2,
 ) -> Table:
     """A table of any values; None is an empty cell."""
     cells = [[printable("" if cell is None else str(cell)) for cell in row] for row in rows]
