@@ -1,7 +1,7 @@
 """What the viewer draws as triangles: a MuJoCo scene, the layers of levels; what a click meets.
 
-The geoms of a scene are merged by how they look. All is sent as binary glTF (GLB). Source: Khronos
-Group, glTF 2.0 Specification, and its extension ``KHR_materials_unlit``.
+All is sent as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification, and its extension
+``KHR_materials_unlit``.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def draw_scene(
 
     Drawn is what MuJoCo's viewers draw: geoms of the groups 0 to 2 that aren't clear; all groups
     where these hold nothing, or with hidden ones. Geoms whose ids are `removed` are left out.
-    Textures of meshes are drawn; other geoms have the mean colour of theirs.
+    Textures of meshes are drawn; other geoms have the mean colour of theirs. Geoms that look alike
+    are one surface.
     """
     model, data = scene.model, scene.data if data is None else data
     plain, textured, texture = _find_looks(model)
@@ -118,7 +119,7 @@ def draw_scene(
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
     looks = [(plain[piece.owners[0], 3] < 1, piece.is_round, piece.texture) for piece in pieces]
-    surfaces = []
+    surfaces, textures = [], {}
     for look in sorted(set(looks)):
         some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
         _, is_round, number = look
@@ -126,18 +127,16 @@ def draw_scene(
             [piece.vertices for piece in some], [piece.faces for piece in some]
         )
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
-        uv = [piece.uv for piece in some if piece.uv is not None]
-        colors = (textured if uv else plain)[geom]
-        triangles = vertices.astype(np.float32), faces.astype(np.uint32)
-        places = np.concatenate(uv) if uv else None
-        surfaces.append(Surface(*triangles, geom, colors, places, number, is_round))
-    used = {one.texture for one in surfaces if one.texture >= 0}
-    textures = {number: _read_texture(model, number) for number in used}
+        triangles = vertices.astype(np.float32), faces.astype(np.uint32), geom
+        colors, uv = plain[geom], None
+        if number >= 0:
+            colors, textures[number] = textured[geom], _read_texture(model, number)
+            uv = np.concatenate([piece.uv for piece in some if piece.uv is not None])
+        surfaces.append(Surface(*triangles, colors, uv, number, is_round))
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
-    roots = model.body_rootid[model.geom_bodyid].tolist()
     names = [  # as grids name geoms: by the topmost body, or itself where it hangs on the world
         model.body(root).name or f"body {root}" if root else model.geom(geom).name or f"geom {geom}"
-        for geom, root in enumerate(roots)
+        for geom, root in enumerate(model.body_rootid[model.geom_bodyid].tolist())
     ]
     return Drawing(tuple(surfaces), textures, _bounds_of(pieces), tuple(names), solid, has_hidden)
 
@@ -308,8 +307,7 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
     """
     kept: list[Surface] = []
     for surface in drawing.surfaces:
-        z = surface.vertices[:, 2]
-        if not len(z) or float(z.max()) <= height:
+        if (surface.vertices[:, 2] <= height).all():
             kept.append(surface)
         else:
             parts = _cut_surface(surface, height), _close(surface, height, drawing.solid)
@@ -374,8 +372,7 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     heights = np.where(np.isnan(floor), level.ground, floor)
     flatness, span = FLAT, float(np.ptp(heights))
     while True:
-        labels = shown.astype(np.int32)
-        bounds, planes = cover_planes(labels, heights, flatness, STEEPEST * size)
+        bounds, planes = cover_planes(shown.astype(np.int32), heights, flatness, STEEPEST * size)
         if len(bounds) <= most or flatness > span:
             break
         flatness *= 2
@@ -406,9 +403,8 @@ def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) 
 def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
     """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
 
-    The light comes from above, from -x and -y and, weaker, from -y; both sides of a
-    triangle are alike. It is in the colours, so that a browser has only these to draw, which it
-    does smoothly without a graphics card, too.
+    The light, see `LIGHT`, is in the colours, which a browser draws smoothly without a graphics
+    card, too; both sides of a triangle are alike.
     """
     lit = []
     for one in surfaces:
@@ -433,10 +429,9 @@ def make_glb(
 ) -> bytes:
     """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
     buffer, primitives, materials = Buffer(), list[Json](), list[Json]()
-    used = sorted({one.texture for one in surfaces if one.uv is not None and len(one.faces)})
+    surfaces = [one for one in surfaces if len(one.faces)]
+    used = sorted({one.texture for one in surfaces if one.uv is not None})
     for one in surfaces:
-        if not len(one.faces):
-            continue
         is_clear = one.opacity < 1
         attributes = {"POSITION": buffer.add_positions(one.vertices)}
         if one.colors is not None:
@@ -449,9 +444,8 @@ def make_glb(
             look["baseColorTexture"] = {"index": used.index(one.texture)}
         material: Json = {"alphaMode": "BLEND" if is_clear else "OPAQUE", "doubleSided": True}
         material |= {"pbrMetallicRoughness": look, "extensions": {"KHR_materials_unlit": {}}}
-        indices = buffer.add_indices(one.faces)
-        primitive = {"attributes": attributes, "indices": indices, "material": len(materials)}
-        primitives.append(primitive)
+        primitive = {"attributes": attributes, "indices": buffer.add_indices(one.faces)}
+        primitives.append({**primitive, "material": len(materials)})
         materials.append(material)
     document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
     if primitives:
@@ -496,9 +490,16 @@ def pick(
     origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
     distance, geom = np.inf, -1
     for surface in surfaces:
-        found, triangle = _meet(origin, direction, surface.vertices[surface.faces])
-        if found <= distance and np.isfinite(found):
-            distance, geom = found, int(surface.owners[triangle])
+        corners = surface.vertices[surface.faces].astype(np.float64)
+        normals = trimesh.triangles.cross(corners)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
+            away = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
+            places = origin + away[:, None] * direction
+            shares = trimesh.triangles.points_to_barycentric(corners, places)
+            met = np.flatnonzero((shares >= -1e-9).all(axis=1) & (away > 0) & (away <= distance))
+        if len(met):
+            nearest = met[np.argmin(away[met])]
+            distance, geom = float(away[nearest]), int(surface.owners[nearest])
     if not np.isfinite(distance):
         return None
     x, y, z = (origin + distance * direction).tolist()
@@ -514,19 +515,3 @@ def pick(
         return None
     _, cell, under = min(ranked)
     return Pick(cell, (x, y, under), None if geom < 0 else geom)
-
-
-def _meet(origin: Float, direction: Float, corners: NDArray[np.float32]) -> tuple[float, int]:
-    """How far the nearest of some triangles is on a ray, and which it is; infinite for none."""
-    if not len(corners):
-        return np.inf, -1
-    corners = corners.astype(np.float64)
-    normals = trimesh.triangles.cross(corners)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
-        distance = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
-        places = origin + distance[:, None] * direction
-        shares = trimesh.triangles.points_to_barycentric(corners, places)
-        met = (shares >= -1e-9).all(axis=1) & (distance > 0)
-    distance = np.where(met, distance, np.inf)
-    nearest = int(np.argmin(distance))
-    return float(distance[nearest]), nearest

@@ -131,20 +131,15 @@ class Stage:
         episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
         ends, ways = [], []
         if episode is not None:
-            places = [
-                goal.position or goal.view_points[0].position
-                for goal in episode.goals
-                if goal.position or goal.view_points
-            ]
-            ends = [(episode.start, START), *((place, GOAL) for place in places)]
+            ends = [(episode.start, START)]
+            for goal in episode.goals:
+                if goal.position or goal.view_points:
+                    ends.append((goal.position or goal.view_points[0].position, GOAL))
             ways = [(np.array(episode.path).reshape(-1, 3), GOAL)]
         if trajectory is not None:
             ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
-        self._put(
-            "/run",
-            (id(exhibit), chosen.episode),
-            lambda: self._draw_ways("/run", ends, ways, radius),
-        )
+        run = "/run", ends, ways, radius
+        self._put("/run", (id(exhibit), chosen.episode), lambda: self._draw_ways(*run))
         lit, cell = (np.empty((0, 3)), np.empty((0, 3)))
         if told is not None:
             lit, cell = told["lit"].reshape(-1, 3), told["outline"]
@@ -181,15 +176,10 @@ class Stage:
 
     def _write_name(self, name: Name) -> Any:
         """A name as high as fits its room, hidden by what stands before it."""
-        return self._scene.add_label(
-            "/names/{}/{}/{}".format(*name.position),
-            name.text,
-            position=name.position,
-            anchor="center-center",
-            font_size_mode="scene",
-            font_scene_height=name.height,
-            depth_test=True,
-        )
+        size: Any = {"font_size_mode": "scene", "font_scene_height": name.height}
+        style: Any = {"position": name.position, "anchor": "center-center", "depth_test": True}
+        where = "/names/{}/{}/{}".format(*name.position)
+        return self._scene.add_label(where, name.text, **size, **style)
 
     def _draw_ways(
         self, name: str, ends: list[tuple[Any, str]], ways: list[tuple[Float, str]], radius: float
@@ -211,24 +201,17 @@ class Stage:
         if len(corners):
             middle = corners.mean(axis=0)
             half = np.maximum(np.abs(corners - middle).max(axis=0), GROWN)
-            yield self._scene.add_mesh_simple(
-                "/lit/0",
-                middle + (corners - middle) * (1 + GROWN / half),
-                np.arange(len(corners)).reshape(-1, 3),
-                color=rgb_of(LIT),
-                opacity=0.75,
-                flat_shading=True,
-                side="double",
-                **PLAIN,
-            )
+            grown = middle + (corners - middle) * (1 + GROWN / half)
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            style: Any = {"opacity": 0.75, "flat_shading": True, "side": "double", **PLAIN}
+            yield self._scene.add_mesh_simple("/lit/0", grown, faces, color=rgb_of(LIT), **style)
 
 
 class Viewer:
     """A page that shows a grid, until it is closed; also as a context manager.
 
-    What the reader does comes from threads of the server. It is collected, and one thread works on
-    all that has come, then shows the result once. So a slider that is dragged shows its latest
-    place, not all that it passed.
+    Changes come from threads of the server into a queue. One thread applies all that wait, then
+    shows the result once, so that a dragged slider shows its latest place alone.
 
     Attributes:
         url: where the page is.
@@ -285,11 +268,9 @@ class Viewer:
         self.close()
 
     def _set_up(self) -> None:
-        gui = self._server.gui
-        name = self._exhibit.grid.scene_id
+        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
         gui.set_panel_label(name or "navbake")
         self._page.title = f"{name} – navbake" if name else "navbake"
-        change = self._changes.put
         self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
         gui.main_panel.dock_right()  # beside the scene, not over it
 
@@ -462,10 +443,10 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
 
 
 class Watch:
-    """Notices when files have changed and rest again: whoever writes them may take some time.
+    """Notices when files have changed and rest again, from when it is made.
 
-    Made before the files are read first, it misses no change meanwhile. `read` reads or bakes the
-    exhibit; `list_files` is called again after each change, for a scene may name others then.
+    `read` reads or bakes the exhibit; `list_files` is called again after each change, for a scene
+    may name others then.
     """
 
     def __init__(
