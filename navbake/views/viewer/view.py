@@ -78,25 +78,84 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     return place
 
 
-class Stage:
-    """What is on the page of an exhibit; only what has changed is sent."""
+class Viewer:
+    """A page that shows a grid, until it is closed; also as a context manager.
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server, self._scene = server, server.scene
+    Changes come from threads of the server into a queue. One thread applies all that wait, then
+    shows the result once, so that a dragged slider shows its latest place alone.
+
+    Attributes:
+        url: where the page is.
+    """
+
+    def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
+        self._page, self._server, self.url = page, page.viser, page.url
+        self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
+        self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
+        self._closed = threading.Event()
+        self._scene = self._server.scene
         self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
         self._drawn: Any = None  # what the scene was drawn for
         self._scene.set_up_direction("+z")
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
+        set_theme(self._server.gui, dark=False)
+        self._set_up()
+        self._place_camera(exhibit.bounds)
+        self._scene.on_click()(self._click)
+        forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
+        forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
+        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
+        self._thread.start()
+        if watch is not None:
+            threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
 
-    def place_camera(self, bounds: Float) -> None:
+    def show(self, grid: NavGrid | str | PathLike[str], scene: Any = None, **more: Any) -> None:
+        """Show another grid on the page; takes what `view` takes of grid, scene and episodes."""
+        self._show_other(make_exhibit(grid, scene, **more))
+
+    def open(self) -> None:
+        """Open the page in this machine's browser, where it has one with windows."""
+        windows = ("DISPLAY", "WAYLAND_DISPLAY")
+        # without windows, Python would start a browser in the terminal
+        if not sys.platform.startswith("linux") or any(map(os.environ.get, windows)):
+            webbrowser.open(self.url)
+
+    def wait(self) -> None:
+        """Wait until the page is closed; Ctrl-C closes it."""
+        try:
+            while not self._closed.wait(PERIOD):
+                pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Take the page away, and free its port."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._changes.put(None)
+            self._thread.join()
+            self._page.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _set_up(self) -> None:
+        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
+        gui.set_panel_label(name or "navbake")
+        self._page.title = f"{name} – navbake" if name else "navbake"
+        self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
+        gui.main_panel.dock_right()  # beside the scene, not over it
+
+    def _place_camera(self, bounds: Float) -> None:
         """Look at a box from -y and above, so that it fills the page."""
-        camera = self._server.initial_camera
-        place = find_camera(bounds, USUAL_ASPECT)
+        camera, place = self._server.initial_camera, find_camera(bounds, USUAL_ASPECT)
         camera.fov = FIELD_OF_VIEW
         camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
-        camera.look_at = bounds.mean(axis=0)
-        camera.position = place
+        camera.look_at, camera.position = bounds.mean(axis=0), place
 
         def fit(client: viser.ClientHandle) -> None:
             """Move the first camera of a page that is narrower than usual."""
@@ -106,16 +165,65 @@ class Stage:
 
         self._server.on_client_connect(fit)
 
-    def clear(self) -> None:
-        """Take everything away."""
-        for name in list(self._shown):
-            self._put(name, None, list)
-        self._drawn = None
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        ray = event.ray_origin, event.ray_direction
+        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
 
-    def show(
-        self, exhibit: Exhibit, chosen: Choices, route: Route | str | None, told: Json | None
-    ) -> None:
-        """Bring all but the scene up to date."""
+    def _verify(self) -> None:
+        def compare(chosen: Choices) -> Choices:
+            self._controls.say("Comparing the grid with the scene…")
+            self._exhibit.verify()
+            self._controls.say("")
+            return chosen
+
+        self._changes.put(compare)
+
+    def _show_other(self, exhibit: Exhibit) -> None:
+        """Show another exhibit with the same choices, as far as it has them; from any thread."""
+
+        def take(chosen: Choices) -> Choices:
+            self._exhibit, self._chosen = exhibit, keep_choices(chosen, exhibit.grid)
+            for node in list(self._shown):
+                self._put(node, None, list)
+            self._drawn = None
+            self._set_up()
+            return self._chosen
+
+        self._changes.put(take)
+
+    def _work(self) -> None:
+        changes: list[Change | None] = []
+        while None not in changes:
+            for change in [*changes, self._show]:
+                try:  # an error is shown, and the page lives on
+                    self._chosen = change(self._chosen) if change else self._chosen
+                except Exception as error:
+                    if not isinstance(error, NavbakeError):
+                        LOG.exception("the viewer failed")
+                    self._controls.say(say_error(error))
+            changes = [self._changes.get()]
+            while not self._changes.empty():
+                changes.append(self._changes.get())
+
+    def _show(self, chosen: Choices) -> Choices:
+        """Bring the page up to date; only what has changed is sent."""
+        exhibit = self._exhibit
+        route, told = exhibit.route(chosen), exhibit.tell(chosen)
+        with self._server.atomic():
+            self._draw(chosen, route, told)
+            self._controls.show(chosen, route, told)
+        scene = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
+        if scene != self._drawn:  # takes longer than all else
+            self._controls.say("Drawing the scene…")
+            self._server.flush()
+            self._put_glb("/scene", exhibit.scene_glb(chosen))
+            self._drawn = scene
+            self._controls.say("")
+        return chosen
+
+    def _draw(self, chosen: Choices, route: Route | str | None, told: Json | None) -> None:
+        """Draw all but the scene."""
+        exhibit = self._exhibit
         for number in range(len(exhibit.grid.levels)):
             overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
             self._put_glb(f"/grid/{number}", overlay)
@@ -145,16 +253,6 @@ class Stage:
             lit, cell = told["lit"].reshape(-1, 3), told["outline"]
         self._put("/lit", lit.tobytes(), lambda: self._light(lit))
         self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
-
-    def show_scene(self, exhibit: Exhibit, chosen: Choices, say: Callable[[str], None]) -> None:
-        """Bring the scene up to date, which takes longer than all else; `say` is told of it."""
-        key = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
-        if key != self._drawn:
-            say("Drawing the scene…")
-            self._server.flush()
-            self._put_glb("/scene", exhibit.scene_glb(chosen))
-            self._drawn = key
-            say("")
 
     def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
         """Put other nodes under a name, where the key is another than before."""
@@ -205,120 +303,6 @@ class Stage:
             faces = np.arange(len(corners)).reshape(-1, 3)
             style: Any = {"opacity": 0.75, "flat_shading": True, "side": "double", **PLAIN}
             yield self._scene.add_mesh_simple("/lit/0", grown, faces, color=rgb_of(LIT), **style)
-
-
-class Viewer:
-    """A page that shows a grid, until it is closed; also as a context manager.
-
-    Changes come from threads of the server into a queue. One thread applies all that wait, then
-    shows the result once, so that a dragged slider shows its latest place alone.
-
-    Attributes:
-        url: where the page is.
-    """
-
-    def __init__(self, exhibit: Exhibit, page: PageServer, *, watch: Watch | None = None) -> None:
-        self._page, self._server, self.url = page, page.viser, page.url
-        self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
-        self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
-        self._closed = threading.Event()
-        set_theme(self._server.gui, dark=False)
-        self._stage = Stage(self._server)
-        self._set_up()
-        self._stage.place_camera(exhibit.bounds)
-        self._server.scene.on_click()(self._click)
-        forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
-        forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
-        self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
-        self._thread.start()
-        if watch is not None:
-            threading.Thread(target=self._watch, args=(watch,), name="watch", daemon=True).start()
-
-    def show(self, grid: NavGrid | str | PathLike[str], scene: Any = None, **more: Any) -> None:
-        """Show another grid on the page; takes what `view` takes of grid, scene and episodes."""
-        self._show_other(make_exhibit(grid, scene, **more))
-
-    def open(self) -> None:
-        """Open the page in this machine's browser, where it has one with windows."""
-        windows = ("DISPLAY", "WAYLAND_DISPLAY")
-        # without windows, Python would start a browser in the terminal
-        if not sys.platform.startswith("linux") or any(map(os.environ.get, windows)):
-            webbrowser.open(self.url)
-
-    def wait(self) -> None:
-        """Wait until the page is closed; Ctrl-C closes it."""
-        try:
-            while not self._closed.wait(PERIOD):
-                pass
-        finally:
-            self.close()
-
-    def close(self) -> None:
-        """Take the page away, and free its port."""
-        if not self._closed.is_set():
-            self._closed.set()
-            self._changes.put(None)
-            self._thread.join()
-            self._page.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _set_up(self) -> None:
-        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
-        gui.set_panel_label(name or "navbake")
-        self._page.title = f"{name} – navbake" if name else "navbake"
-        self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
-        gui.main_panel.dock_right()  # beside the scene, not over it
-
-    def _click(self, event: viser.SceneClickEvent) -> None:
-        ray = event.ray_origin, event.ray_direction
-        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
-
-    def _verify(self) -> None:
-        def compare(chosen: Choices) -> Choices:
-            self._controls.say("Comparing the grid with the scene…")
-            self._exhibit.verify()
-            self._controls.say("")
-            return chosen
-
-        self._changes.put(compare)
-
-    def _show_other(self, exhibit: Exhibit) -> None:
-        """Show another exhibit with the same choices, as far as it has them; from any thread."""
-
-        def take(chosen: Choices) -> Choices:
-            self._exhibit, self._chosen = exhibit, keep_choices(chosen, exhibit.grid)
-            self._stage.clear()
-            self._set_up()
-            return self._chosen
-
-        self._changes.put(take)
-
-    def _work(self) -> None:
-        changes: list[Change | None] = []
-        while None not in changes:
-            for change in [*changes, self._show]:
-                try:  # an error is shown, and the page lives on
-                    self._chosen = change(self._chosen) if change else self._chosen
-                except Exception as error:
-                    if not isinstance(error, NavbakeError):
-                        LOG.exception("the viewer failed")
-                    self._controls.say(say_error(error))
-            changes = [self._changes.get()]
-            while not self._changes.empty():
-                changes.append(self._changes.get())
-
-    def _show(self, chosen: Choices) -> Choices:
-        route, told = self._exhibit.route(chosen), self._exhibit.tell(chosen)
-        with self._server.atomic():
-            self._stage.show(self._exhibit, chosen, route, told)
-            self._controls.show(chosen, route, told)
-        self._stage.show_scene(self._exhibit, chosen, self._controls.say)
-        return chosen
 
     def _watch(self, watch: Watch) -> None:
         """Read again whatever has changed; what can't be read is said, and the last stays."""
