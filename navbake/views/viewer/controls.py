@@ -47,11 +47,7 @@ SCALES_SHOWN = 3
 
 
 class Controls:
-    """The panel for an exhibit.
-
-    `change` is called with how the choices change, whenever the reader changes them, and `verify`
-    when the reader wants a verification.
-    """
+    """The panel for an exhibit; calls `change` with how the reader changes choices, or `verify`."""
 
     def __init__(
         self,
@@ -65,7 +61,10 @@ class Controls:
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
-        gui.add_markdown(say_grid(exhibit))
+        grid, size = exhibit.grid, plain(f"{exhibit.grid.levels[0].lattice.cell_size:g}")
+        storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
+        text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {size} m"
+        gui.add_markdown(f"{text}\n\n{plain(exhibit.note)}")
         with gui.add_folder("Layer"):
             self._add_layers(chosen, verify)
         with gui.add_folder("Agent"):
@@ -280,14 +279,6 @@ def say_counts(now: Counts, before: Counts) -> str:
     return f"{text} — {free / cells:.0%} of the floor" if cells else text
 
 
-def say_grid(exhibit: Exhibit) -> str:
-    """What is shown: its name, its size, and a note."""
-    grid, size = exhibit.grid, f"{exhibit.grid.levels[0].lattice.cell_size:g}"
-    storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
-    text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {plain(size)} m"
-    return f"{text}\n\n{plain(exhibit.note)}" if exhibit.note else text
-
-
 def say_route(chosen: Choices, route: Path | str | None) -> str:
     """The path between the clicks, why there is none, or what to click next."""
     if route is None:
@@ -371,13 +362,10 @@ def write_legend(panels: Sequence[Panel], marked: Mapping[str, str] | None = Non
 
 def say_report(exhibit: Exhibit) -> str:
     """What a verification found; "" before one."""
-    report = exhibit.report
-    if report is None:
+    if (report := exhibit.report) is None:
         return ""
-    share = f"{report.checked:,} of {report.num_cells:,} cells"
-    if report.ok:
-        return f"Grid and scene agree, at {share}."
-    return f"Grid and scene **disagree at {len(report.findings)} places**, at {share}."
+    verdict = "agree" if report.ok else f"**disagree at {len(report.findings)} places**"
+    return f"Grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells."
 
 
 def say_error(error: Exception) -> str:

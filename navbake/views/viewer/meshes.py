@@ -186,13 +186,12 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
             continue
         if kind == HFIELD:  # its upper side
             rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-            first, size = int(model.hfield_adr[number]), model.hfield_size[number]
-            z = model.hfield_data[first : first + rows * cols].astype(np.float64) * size[2]
+            heights = model.hfield_data[int(model.hfield_adr[number]) :][: rows * cols]
             y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (rows, cols)), indexing="ij")
-            vertices = np.stack([x.ravel() * size[0], y.ravel() * size[1], z], axis=1)
+            unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
+            vertices = unit * model.hfield_size[number, :3]
             corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-            quads = corner[:, None] + np.array([0, 1, cols + 1, cols])
-            faces = quads[:, QUAD].reshape(-1, 3)
+            faces = (corner[:, None] + np.array([0, 1, cols + 1, cols]))[:, QUAD].reshape(-1, 3)
         elif kind >= MESH and number >= 0:
             mesh, has_uv = model.mesh(number), int(textures[geom]) >= 0
             first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
@@ -220,16 +219,14 @@ def coarsen(vertices: Float, faces: NDArray[Any], most: int) -> tuple[Float, NDA
 
     Vertices in one cell of a lattice become one (Rossignac and Borrel 1993, vertex clustering).
     """
-    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    unit = (vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     for steps in (64, 48, 32, 24, 16, 12, 8, 6, 4):
-        cells = np.round((vertices - low) * (steps / max(size, 1e-9))).astype(np.int64)
-        _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        made = number.reshape(-1)[faces]
-        made = made[(made != np.roll(made, 1, axis=1)).all(axis=1)]
-        made = made[np.unique(np.sort(made, axis=1), axis=0, return_index=True)[1]]
-        if len(made) <= most:
+        first, number = trimesh.grouping.unique_rows(np.round(unit * steps).astype(np.int64))
+        made = trimesh.Trimesh(vertices[first], number[faces], process=False)
+        made.update_faces(made.nondegenerate_faces() & made.unique_faces())
+        if len(made.faces) <= most:
             break
-    return vertices[first], made
+    return made.vertices, made.faces
 
 
 def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
@@ -243,9 +240,8 @@ def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
     reach = ENDLESS * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
     half = model.geom_size[geom, :2]
     middle, half = np.where(half <= 0, middle, 0.0), np.where(half <= 0, reach, half)
-    corners = np.zeros((4, 3))
-    corners[:, :2] = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return _piece(geom, corners @ rotation.T + position, QUAD)
+    corners = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return _piece(geom, corners @ rotation[:, :2].T + position, QUAD)
 
 
 def _bounds_of(pieces: Sequence[Surface]) -> Float:
@@ -257,10 +253,9 @@ def _bounds_of(pieces: Sequence[Surface]) -> Float:
 def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], Int]:
     """How geoms look, as MuJoCo's own viewers have it, by geom id.
 
-    A geom with a material has the material's colour, unless it states one of its own. Returns
-    linear light, times the mean of its texture if it has one, and opacity, shape (n, 4); the same
-    for triangles that lie on their texture; MuJoCo's id of a texture that meshes with coordinates
-    lie on, -1 for none.
+    A geom without a colour of its own has its material's. Returns linear light, times the mean of
+    the texture, and opacity, shape (n, 4); the same without the texture; and MuJoCo's id of a
+    texture that a mesh may lie on, -1 for none.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
@@ -274,7 +269,7 @@ def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], I
     textured = _to_linear(rgba)
     plain = textured.copy()
     for one in np.unique(texture[texture >= 0]).tolist():
-        mean = _read_texture(model, one)[..., :3].reshape(-1, 3).mean(axis=0) / 255
+        mean = _read_texture(model, one)[..., :3].mean(axis=(0, 1)) / 255
         plain[texture == one, :3] *= _to_linear(mean)
     flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == FLAT_TEXTURE))
     return plain, textured, np.where(flat, texture, -1)
