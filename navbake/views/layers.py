@@ -86,7 +86,7 @@ class Label(NamedTuple):
     x: float  # of its middle, world frame [m]
     y: float
     width: float  # of what it names at this place [m]; 0 for a point
-    height: float  # of the same [m]
+    height: float
     number: int = 0  # written where there is no space for the name
 
 
@@ -161,10 +161,9 @@ def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
 
 
 def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
-    """A scale from the least to the largest of some finite values, shape (n,).
+    """A scale of finite values, shape (n,); its ticks are round numbers, or the only value.
 
-    The largest is the lightest, or the darkest if `dark_high`. Its ticks are round numbers, or the
-    value itself where there is one alone.
+    The largest is the lightest, or the darkest if `dark_high`.
     """
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
     ticks = [(low, f"{low:g}")]
@@ -188,10 +187,9 @@ def nice_step(least: float) -> float:
 def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     """A scale that tells floors 2 cm apart and 3 m apart in one picture.
 
-    Finite heights, shape (n,) [m], are rounded to centimetres. Where there are floors at all
-    heights, as on a ramp, the scale is even. Where there are none from one height to the next, it
-    shrinks to the cube root of the gap: 3 m take 5 times as much of it as 2 cm, not 150 times. It
-    has ticks at the height of the largest area, at the ends, then at the next largest areas.
+    Finite heights, shape (n,) [m], are rounded to centimetres. Gaps without floors shrink to their
+    cube root: 3 m take 5 times as much of it as 2 cm, not 150 times. Ticks are at the height of the
+    largest area, at the ends, then at the next largest areas.
     """
     if not heights.size:
         return linear_scale(heights, label)
@@ -279,10 +277,7 @@ def _show_islands(grid: NavGrid, number: int) -> Panel:
 
 
 def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """The colours of a level's cells by their rooms, darker where occupied, shape (rows, cols, 3).
-
-    Doors that stand in the way and doorways have a colour of their own.
-    """
+    """Colours of cells by room, darker where occupied, and of doors, shape (height, width, 3)."""
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
     palette = np.stack([colors.darkened(rooms), rooms], axis=1).reshape(-1, 3)
@@ -361,14 +356,13 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    rgb, legend = _occupancy(level)
+    rgb, legend = _occupancy(grid.levels[number])
     ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
     ways = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
     for color, way in zip(ways.values(), (1, -1, 0), strict=True):
         cells = ends[np.sign(ends[:, 2] - number) == way, 1]
-        rgb[np.divmod(cells, level.width)] = colors.rgb_of(color)
+        rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
     return Panel("links", rgb, legend=(*ways.items(), *legend))
 
 

@@ -60,10 +60,7 @@ class Mark(NamedTuple):
 
 
 def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
-    """Write a picture, whole or not at all, and return the path that was written.
-
-    It is an SVG if the name ends in ``.svg``, else a PNG; see `render_picture` for the arguments.
-    """
+    """Write the picture of `render_picture`, an SVG if the name says so, else a PNG."""
     path = Path(path)
     form = "svg" if path.name.lower().endswith(".svg") else "png"
     write_bytes(render_picture(grid, form, **drawn), path)

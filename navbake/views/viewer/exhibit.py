@@ -70,12 +70,10 @@ class Choices:
 
     def with_door(self, grid: NavGrid, names: Sequence[str], state: str) -> Choices:
         """Put doors into a state; those that can't be in it stay as they are."""
-        states = dict(self.doors)
-        for door in grid.doors:
-            if door.id in names and state in door.states:
-                states.pop(door.id, None)
-                states |= {} if state == door.state else {door.id: state}
-        return replace(self, doors=tuple(sorted(states.items())))
+        own = {door.id: door.state for door in grid.doors}
+        able = [door.id for door in grid.doors if door.id in names and state in door.states]
+        states = {**dict(self.doors), **dict.fromkeys(able, state)}
+        return replace(self, doors=tuple(sorted(states.items() - own.items())))
 
     def without_clicks(self) -> Choices:
         """Forget what was clicked."""
@@ -213,10 +211,9 @@ class Exhibit:
     def count(self, chosen: Choices) -> Counts:
         """How much of the shown levels is free."""
         levels = [self.shown_grid(chosen).levels[number] for number in chosen.levels]
-        free = [int(np.count_nonzero(level.free)) for level in levels]
+        free = sum(int(np.count_nonzero(level.free)) for level in levels)
         cells = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
-        areas = [n * level.lattice.cell_size**2 for n, level in zip(free, levels, strict=True)]
-        return sum(free), cells, sum(areas)
+        return free, cells, free * self.grid.levels[0].lattice.cell_size ** 2
 
     @kept("doors", "inflation", "layer")
     def panel(self, chosen: Choices, number: int) -> Panel:

@@ -248,9 +248,8 @@ class Viewer:
             ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
         run = "/run", ends, ways, radius
         self._put("/run", (id(exhibit), chosen.episode), lambda: self._draw_ways(*run))
-        lit, cell = (np.empty((0, 3)), np.empty((0, 3)))
-        if told is not None:
-            lit, cell = told["lit"].reshape(-1, 3), told["outline"]
+        told = told or {"lit": np.empty((0, 3)), "outline": np.empty((0, 3))}
+        lit, cell = told["lit"].reshape(-1, 3), told["outline"]
         self._put("/lit", lit.tobytes(), lambda: self._light(lit))
         self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
 
@@ -336,11 +335,10 @@ def view(
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> Viewer:
-    """Show a grid in its scene, in the browser.
+    """Show a grid in its scene, in the browser; see ``docs/viewer.md``.
 
-    The page has the levels, layers, doors, paths between clicks, and what blocks a cell; see
-    ``docs/viewer.md``. It is served on this machine alone unless `host` says otherwise, and asks
-    for nothing from anywhere else.
+    The page is served on this machine alone unless `host` says otherwise, and asks for nothing
+    from anywhere else.
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
@@ -418,10 +416,7 @@ def watch_grid(grid: str | PathLike[str], scene: str | PathLike[str] | None, **m
 
 
 def find_files(paths: Iterable[Path]) -> list[Path]:
-    """Files and, of scenes among them, all that these name: includes, meshes, textures, ….
-
-    Of a file that isn't there, all places where it is looked for: somebody may put it there.
-    """
+    """Files and all that scenes among them name; of a missing file, all places it may be at."""
     found = (find_inputs(path, looks=True, missing=True) for path in paths)
     return [*dict.fromkeys(path for of_one in found for path in of_one)]
 
