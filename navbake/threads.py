@@ -8,7 +8,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -56,7 +56,8 @@ def run_in_bands(
     finally:
         deque(bands, maxlen=0)  # after an error here nothing more is begun
         # one that has not begun has nothing left to do
-        _wait([future for future in started if not future.cancel()])
+        for future in [future for future in started if not future.cancel()]:
+            future.result()
 
 
 def take_rows(source: Any, index: Any, out: Any, first: int, end: int) -> None:
@@ -90,11 +91,6 @@ def _work(
     # `next` of a list's iterator is one step of Python's: two threads never get the same
     for first, last in bands:
         kernel(*args, first, last)
-
-
-def _wait(futures: list["Future[None]"]) -> None:
-    for future in futures:
-        future.result()
 
 
 def num_threads() -> int:

@@ -22,6 +22,7 @@ from make_house import make_house
 from navbake.episodes import make_episodes, make_rules
 from navbake.navgrid.grid import NavGrid
 from navbake.views.plot import render_picture
+from sweep_scans import make_scan
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -72,6 +73,15 @@ def draw_rooms() -> bytes:
         scene.write_text(make_house(100), encoding="utf-8")
         grid = navbake.bake(scene, grid={"cell_size": 0.1})
     return render_picture(grid, layers=("rooms",))
+
+
+def draw_scan(is_scan: bool) -> bytes:
+    """A tilted scan with holes, levelled; and what `scene.scan` makes of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scan.ply"
+        make_scan(4).mesh.export(path)
+        grid = navbake.bake(path, scene={"up": "level", "scan": is_scan})
+    return render_picture(grid, layers=("occupancy", "floor"))
 
 
 def draw_baselines() -> bytes:
@@ -129,6 +139,8 @@ PICTURE_MAKERS: dict[str, Callable[[], bytes]] = {
     "inflated": draw_inflated,
     "path": draw_path,
     "rooms": draw_rooms,
+    "scan": partial(draw_scan, True),
+    "scan_holes": partial(draw_scan, False),
     "voxels": draw_voxels,
     "baselines": draw_baselines,
     "viewer": partial(draw_page, "take_viewer"),

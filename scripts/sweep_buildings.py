@@ -17,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import navbake
-from buildings.make import make_building
+from buildings.kinds import make_any
 from buildings.truth import check
 
 
@@ -31,7 +31,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "building.xml"
         for seed in range(args.first, args.first + args.count):
-            building = make_building(seed, **wanted)
+            building = make_any(seed, **wanted)
             path.write_text(building.mjcf(), encoding="utf-8")
             settings = {"scene": {"path": str(path)}, **building.settings(args.cell)}
             with warnings.catch_warnings():

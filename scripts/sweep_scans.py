@@ -133,7 +133,8 @@ def check(scan: Scan, path: Path) -> tuple[bool, bool, str]:
     except SceneError as error:
         return False, True, str(error)
     told = any("ceiling" in warning for warning in result.warnings)
-    (part,) = load_scene(config.scene).parts.values()
+    # with the specks that the bake leaves out, so that vertices are the scan's own
+    (part,) = load_scene(config.scene.model_copy(update={"scan": False})).parts.values()
     given = scan.mesh.vertices[np.unique(scan.mesh.faces)]
     middle, center = given.mean(axis=0), part.vertices.mean(axis=0)
     turn = np.linalg.lstsq(given - middle, part.vertices - center, rcond=None)[0].T

@@ -62,6 +62,7 @@ class Plan:
         boxes: name, centre, half sizes and turn about z of each [m, rad].
         rooms: the outline of each room, corners without the walls, shape (n, 2) [m].
         turn: of the whole plan in the world [rad].
+        widths: of most doors, and of the widest opening [m]; None for 0.8 to 2.2, all alike.
         doors: middle and half width of each door [m].
         windows: openings that nobody can walk through.
         solid: the outlines of what stands in rooms from floor to ceiling, shape (4, 2) [m].
@@ -70,6 +71,7 @@ class Plan:
     rng: np.random.Generator
     height: float
     turn: float = 0.0
+    widths: tuple[float, float, float] | None = None
     boxes: list[tuple[str, NDArray[np.float64], NDArray[np.float64], float]] = field(
         default_factory=list
     )
@@ -135,7 +137,12 @@ class Plan:
 
     def door(self, low: float, high: float, widest: float = 2.2) -> Opening:
         """A door between two places along a wall, with a lintel or none."""
-        width = float(self.rng.uniform(0.8, min(widest, 2.2, high - low)))
+        if self.widths is None:
+            width = float(self.rng.uniform(0.8, min(widest, 2.2, high - low)))
+        else:
+            least, usual, most = np.minimum(self.widths, min(widest, high - low))
+            is_opening = self.rng.random() < 0.2
+            width = float(self.rng.uniform(*((usual, most) if is_opening else (least, usual))))
         at = float(self.rng.uniform(low + width / 2, high - width / 2))
         head = self.height if self.rng.random() < 0.4 else float(self.rng.uniform(*HEAD))
         return Opening(at, width, 0.0, head)
@@ -252,6 +259,20 @@ def make_plan(seed: int) -> Plan:
     return plan
 
 
+def make_flat(seed: int) -> Plan:
+    """Make a flat with doorways of 0.7 to 1.4 m and openings of up to 2.4 m; half are turned.
+
+    No floor is left round it, and chases are no deeper than a fifth of their room.
+    """
+    rng = np.random.default_rng(seed)
+    plan = Plan(rng, float(rng.uniform(2.4, 3.0)), widths=(0.7, 1.4, 2.4))
+    size = _make_flat(plan)
+    plan.box("slab", (0.0, 0.0, *size), -0.2, 0.0)
+    if seed % 2:
+        plan.turn = float(rng.uniform(0.1, 1.4))
+    return plan
+
+
 def _make_office(plan: Plan) -> tuple[float, float]:
     """Rooms on both sides of a corridor, and a hall with pillars at its end."""
     rng = plan.rng
@@ -328,6 +349,8 @@ def _fill_room(plan: Plan, rect: Rect) -> None:
     x0, y0, x1, y1 = rect
     if rng.random() < 0.25 and x1 - x0 > 2.8 and y1 - y0 > 2.8:
         wide, deep = float(rng.uniform(0.4, 0.9)), float(rng.uniform(0.4, 0.9))
+        if plan.widths is not None:
+            wide = min(wide, 0.2 * (x1 - x0))
         at = y0 + (y1 - y0) * 0.5
         chase = (x0, at - deep / 2, x0 + wide, at + deep / 2)
         if not plan.has_door_near(chase, 0.4):

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from buildings.kinds import KINDS, POSES, make_any
 from buildings.make import make_building
 from buildings.truth import check
 from navbake.baker.pipeline import BakeResult, run_bake
@@ -27,6 +28,16 @@ def test_building_is_as_a_person_would_say(tmp_path, seed):
     result = run_bake(parse_config(settings))
     assert check(result.grid, building) == []
     check_client(result)
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_building_of_another_kind(tmp_path, kind, pose):
+    building = make_any(7, kind=kind, pose=pose)
+    path = tmp_path / "building.xml"
+    path.write_text(building.mjcf(), encoding="utf-8")
+    result = run_bake(parse_config({"scene": {"path": str(path)}, **building.settings(0.1)}))
+    assert check(result.grid, building) == []
 
 
 @pytest.mark.parametrize("seed", range(100, 112))

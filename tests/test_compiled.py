@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import navbake
-from navbake.compiled import KERNELS, decode_type, list_cold, read_list
+from navbake.compiled import KERNELS, decode_type, find, list_cold, read_list
 
 INNER = """from navbake.compiled import kernel
 
@@ -32,10 +33,12 @@ def outer():
     return inner() * half()
 """
 LIST = {
-    "bake": [["kernels.outer.outer", 5.0, []], ["kernels.other.other", 4.0, []]],
+    "bake": [["kernels.outer.outer", 5.0, []], ["kernels.other.other", 8.0, []]],
     "others": [["kernels.lone.lone", 3.0, ["float64 1 C"]], ["kernels.gone.gone", 9.0, []]],
 }
 ASK = """
+from navbake.compiled import ensure_compiled
+ensure_compiled()
 from navbake.kernels.outer import outer
 from navbake.kernels.other import other
 print(outer(), other(), *(sum(k.stats.cache_hits.values()) for k in (outer, other)))
@@ -84,18 +87,18 @@ def run(package: Path, code: str = ASK, **env: str) -> tuple[str, str]:
 
 def test_code_is_kept_until_a_source_changes(package):
     out, err = run(package)
-    # the first kernel's own process compiles it, whether or not another one helps
-    assert out.startswith("1 1 0")
-    assert err.startswith("navbake: compiling for this machine, once: ") and err.count("\n") == 1
+    assert out == "1 1 1 1"  # other processes compiled
+    assert err.startswith("navbake: compiling for this machine, once: about 8 s")
     assert run(package) == ("1 1 1 1", "")
     times = (package / "inner.py").stat()
     (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
     os.utime(package / "inner.py", ns=(times.st_atime_ns, times.st_mtime_ns))  # as wheels have it
-    assert run(package)[0] == "2 1 0 1"  # the one that has nothing to do with it was kept
+    out, err = run(package)
+    assert out == "2 1 1 1" and "about 5 s" in err  # what does not import it was kept
 
 
 def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
-    warm = "from navbake.compiled import warm_up; print(warm_up(True, watch=lambda n, of: None))"
+    warm = "from navbake.compiled import warm_up; print(warm_up())"
     env = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     assert run(package, warm, **env)[0] == "[]"  # what is out of date in the list is nobody's
     assert run(package, **env) == ("1 1 1 1", "")
@@ -103,11 +106,25 @@ def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "copy")) == ("1 1 1 1", "")
 
 
-def test_a_kernel_of_no_bake_is_compiled_alone(package):
-    code = "import numpy as np; from navbake.kernels.lone import lone; print(lone(np.zeros(3)))"
-    out, err = run(package, code)
-    assert out == "1" and err == "navbake: compiling for this machine, once: up to 3 s\n"
-    assert run(package, code) == ("1", "")
+LONE = """
+import numpy as np
+from navbake import compiled
+compiled.STEP = 0.2
+compiled.ensure_compiled("kernels.lone")
+from navbake.kernels.lone import lone
+print(lone(np.zeros(3)))
+"""
+
+
+def test_lines_say_how_long_compiling_takes_and_how_far_it_is(package):
+    """Of a kernel that no bake calls, which is compiled alone."""
+    out, err = run(package, LONE)
+    first, *others = err.splitlines()
+    assert out == "1" and re.fullmatch(r"navbake: compiling .*, once: about 3 s", first)
+    assert others and all(
+        re.fullmatch(r"navbake: compiled [01] of 1 functions after \d+ s", line) for line in others
+    )
+    assert run(package, LONE) == ("1", "")
 
 
 def test_compiles_in_memory_where_nothing_can_be_written(package, tmp_path):
@@ -139,7 +156,7 @@ def test_a_folder_that_can_only_be_read_is_used(package, tmp_path):
     deny = DENY.format(folder=cache["NUMBA_CACHE_DIR"])
     assert run(package, deny + ASK, **cache) == ("1 1 1 1", "")
     (package / "inner.py").write_text(INNER.replace("return 1", "return 2"))
-    assert run(package, deny + ASK, **cache)[0] == "2 1 0 1"
+    assert run(package, deny + ASK, **cache)[0] == "2 1 1 1"
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
@@ -147,7 +164,7 @@ def test_many_processes_compile_at_once(package):
     processes = [start(package) for _ in range(4)]
     outs = [process.communicate(timeout=300) for process in processes]
     assert all(process.returncode == 0 for process in processes), outs
-    assert all(out.startswith("1 1 ") for out, _ in outs)
+    assert all(out.strip() == "1 1 1 1" for out, _ in outs)
     assert run(package)[0] == "1 1 1 1"
 
 
@@ -159,38 +176,42 @@ def test_kernels_of_others_stay_as_they_are(package):
 def test_the_list_names_kernels_with_their_types():
     """If it fails: run `python scripts/list_kernels.py`."""
     for entry in [*read_list()[0], *read_list()[1]]:
-        found = entry.find()
+        found = find(entry.name)
         assert found in KERNELS, entry.name
         assert len(entry.types) == found.py_func.__code__.co_argcount, entry.name
         for each in entry.types:
             decode_type(each)
 
 
+CALLED = """
+import contextlib, json, sys
+from pathlib import Path
+from navbake.cli.main import main
+from navbake.compiled import KERNELS
+with contextlib.suppress(SystemExit):
+    main(['bake', 'configs/apartment.yaml', '-o', sys.argv[1]])
+called = {}
+for one in KERNELS:
+    if one.signatures and not one.stats.cache_misses:
+        code = list(Path(one.stats.cache_path).glob(f'*.{one.__name__}-*.nbc'))
+        size = sum(path.stat().st_size for path in code) / len(code)  # of other types, too
+        types = len(one.signatures)
+        called[f'{one.__module__}.{one.__name__}'] = types, types * size
+print(json.dumps(called))
+"""
+MOST, MOST_BYTES = 38, 3_800_000  # that a bake loads: each costs 1 ms, and 0.04 ms for each KB
+
+
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
-def test_the_list_has_what_a_bake_calls(tmp_path):
-    """If it fails: run `python scripts/list_kernels.py`."""
-    code = (
-        "import contextlib, json\n"
-        "from navbake.cli.main import main\n"
-        "from navbake.compiled import KERNELS\n"
-        "with contextlib.suppress(SystemExit):\n"
-        f"    main(['bake', 'configs/apartment.yaml', '-o', '{tmp_path / 'a.grid.json'}'])\n"
-        "warm = [k for k in KERNELS if not k.stats.cache_misses]\n"
-        "called = {f'{k.__module__}.{k.__name__}': len(k.signatures) for k in warm}\n"
-        "print(json.dumps({k: n for k, n in called.items() if n}))"
-    )
-    root = Path(navbake.__file__).parents[1]
+def test_the_list_has_what_a_bake_calls_which_is_little(tmp_path):
+    """If the list lacks a kernel: run `python scripts/list_kernels.py`."""
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code],
-        cwd=root, stdout=subprocess.PIPE, text=True, check=True,
+        [sys.executable, "-W", "ignore", "-c", CALLED, str(tmp_path / "a.grid.json")],
+        cwd=Path(navbake.__file__).parents[1], stdout=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
     names = [entry.name for entry in read_list()[0]]
     called = json.loads(done.stdout.splitlines()[-1])
-    missing = [k for k, n in called.items() if names.count(k.removeprefix("navbake.")) < n]
+    missing = [k for k, (n, _) in called.items() if names.count(k.removeprefix("navbake.")) < n]
     assert missing == [] and list_cold(read_list()[0]) == []
-
-
-def test_an_entry_that_stands_twice_in_the_list_needs_no_code_twice():
-    bake, _ = read_list()
-    entry = next(each for each in bake if list_cold([each]) == [])
-    assert list_cold([entry, entry]) == []
+    assert len(called) <= MOST
+    assert sum(size for _, size in called.values()) <= MOST_BYTES

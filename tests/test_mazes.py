@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from floor_scenes import labyrinth, open_area
 from navbake.baker.pipeline import BakeResult, run_bake
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
@@ -183,3 +184,19 @@ def test_labmaze(seed, tmp_path):
 
     assert result.geoms[ground.id].counted
     check_maze(maze, result)
+
+
+@pytest.mark.parametrize("seed", [9001, 9004])
+@pytest.mark.parametrize(("corridor", "wall"), [(1.0, None), (3.0, None), (2.0, 1.5)])
+def test_tops_of_walls_are_no_floor_of_a_labyrinth(seed, corridor, wall, tmp_path):
+    """They are larger than the corridors, wider than them here and there, and in pieces."""
+    labmaze = pytest.importorskip("labmaze")
+    maze = labmaze.RandomMaze(height=17, width=17, random_seed=seed)
+    walls = np.array(maze.entity_layer) == "*"
+    path = tmp_path / "scene.xml"
+    path.write_text(labyrinth(walls, corridor, wall))
+    settings = {"scene": {"path": str(path)}, "grid": {"cell_size": 0.15}}
+    (level,) = run_bake(parse_config(settings)).grid.levels
+    area = open_area(walls, corridor, wall)
+    assert (level.floor_height[level.free] == 0.0).all()
+    assert 0.75 * area < level.free.sum() * level.cell_size**2 <= 1.1 * area

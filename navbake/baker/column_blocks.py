@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from navbake.baker.columns import (
     cast_columns,
     cast_points,
     split_rows,
+    take_columns,
 )
 from navbake.baker.cracks import close_cracks
 from navbake.baker.kernels.arrays import Crossings
@@ -82,7 +84,7 @@ class ColumnBlocks:
         if self._kept is not None:
             return self._kept
         if self._some is None or not np.isin(cells, self._some[0]).all():
-            asked = np.unique(cells).astype(np.int64)
+            asked = list_once(self.lattice, cells)
             with self._clock.part("columns"):
                 self._some = asked, cast_at(self._tiled, self._agent, self._crack, asked)
         return self._some[1]
@@ -114,6 +116,40 @@ def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Colu
         part = columns if is_whole else columns.cut(*window, lattice)
         gathered.add(part, part.known_rows)
     return gathered.join()
+
+
+class WindowColumns(NamedTuple):
+    """The columns of a window of another lattice, with a lattice of its own; a `ColumnSource`."""
+
+    source: ColumnSource
+    window: Window
+    lattice: Lattice
+
+    def blocks(self) -> Iterator[Columns]:
+        """All columns, in one block."""
+        yield join_columns(self.source, self.window, self.lattice)
+
+    def at(self, cells: Int | Int32) -> Columns:
+        """Columns in which those of some cells are known, whatever the order of their ids."""
+        asked = list_once(self.lattice, cells)
+        whole = self.outer(asked)
+        return place_columns(
+            self.lattice, asked, take_columns(self.source.at(whole).crossings, whole)
+        )
+
+    def outer(self, cells: Int) -> Int:
+        """The ids that cells of the window have on the lattice that it is cut from."""
+        row, col = np.divmod(cells, self.lattice.width)
+        rows, cols = self.window
+        found: Int = (row + rows.start) * self.source.lattice.width + col + cols.start
+        return found
+
+
+def list_once(lattice: Lattice, cells: Int | Int32) -> Int:
+    """The ids of some cells, ascending, each once."""
+    mask = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+    mask[cells] = True
+    return np.flatnonzero(mask)
 
 
 def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) -> Columns:

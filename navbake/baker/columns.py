@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import join_parts
 from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
-from navbake.baker.kernels.hits import RIM, close_up
+from navbake.baker.kernels.hits import DROPPED, RIM
 from navbake.baker.kernels.rays import cast_lines, cast_points_at
-from navbake.baker.kernels.tiles import BAND, TILE, tile_of
-from navbake.baker.listing import list_by_band, list_by_tile
-from navbake.baker.scene.kernels.triangles import measure_boxes
+from navbake.baker.kernels.tiles import BAND, TILE
+from navbake.baker.listing import list_by_band, list_by_tile, tile_of
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -229,8 +228,9 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     if len(crossings.z):
         run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
     if dropped.any():
-        count = close_up(crossings._replace(start=known))
-        crossings = Crossings._make([start, *(array[:count] for array in crossings[1:])])
+        kept = crossings.geom != DROPPED
+        known[:] = np.append(0, np.cumsum(kept))[known]
+        crossings = Crossings(start, *(array[kept] for array in crossings[1:]))
     return Columns(lattice, crossings, rows and asked)
 
 
@@ -288,7 +288,13 @@ def empty_crossings(start: Int, count: int) -> Crossings:
 
 def _facets_of(triangles: Triangles) -> Facets:
     bounds = np.empty((len(triangles.geom), 6))
-    run_in_bands(measure_boxes, len(bounds), triangles.corners, bounds, least=4096)
+
+    def measure(first: int, end: int) -> None:
+        a, b, c = np.moveaxis(triangles.corners[first:end], 1, 0)
+        np.minimum(np.minimum(a, b), c, out=bounds[first:end, :3])
+        np.maximum(np.maximum(a, b), c, out=bounds[first:end, 3:])
+
+    run_in_bands(measure, len(bounds), least=4096)
     return Facets(*triangles, bounds)
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.kernels.connect import list_touching, number_parts
+from navbake.navgrid.kernels.connect import number_parts
 from navbake.types import Int, Int32
 
 
@@ -30,8 +30,14 @@ def touching(cells: Int, width: int) -> Int:
         cells: ascending cell ids, shape (m,).
         width: of the lattice.
     """
-    pairs: Int = list_touching(np.ascontiguousarray(cells, dtype=np.int64), width)
-    return pairs
+    col, pairs = cells % width, list[Int]()
+    for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        one = np.flatnonzero((col + right >= 0) & (col + right < width))
+        beside = cells[one] + down * width + right
+        other = np.searchsorted(cells, beside)
+        found = np.append(cells, -1)[other] == beside
+        pairs.append(np.stack([one[found], other[found]]))
+    return np.concatenate(pairs, axis=1)
 
 
 def ranges(begin: Int, end: Int) -> tuple[Int, Int]:

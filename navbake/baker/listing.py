@@ -11,6 +11,13 @@ from navbake.types import Float, Int, Int32
 CHUNKS, WORTH = 2, 4
 
 
+def tile_of(lattice: Lattice, cell: Int | int) -> Int:
+    """The tile that holds each cell; tiles are numbered row by row."""
+    row, col = np.divmod(cell, lattice.width)
+    tile: Int = row // TILE * -(-lattice.width // TILE) + col // TILE
+    return tile
+
+
 def list_by_tile(boxes: Float, grow: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each tile, the boxes, shape (n, 6), that reach into it, grown in the plane [m].
 

@@ -14,7 +14,7 @@ from navbake.baker.connect import ranges
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX
 from navbake.baker.kernels.hits import RIM
-from navbake.baker.kernels.tiles import tile_of
+from navbake.baker.listing import tile_of
 from navbake.types import Bool, Float, Int, Int32
 
 BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]
@@ -36,7 +36,13 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     lattice = columns.lattice
     tiles = tiles_of_rows(lattice, columns.known_rows) if cells is None else tile_of(lattice, cells)
     tiles = np.unique(np.asarray(tiles, dtype=np.int64))
-    boxes, corners = _boxes(tiled, tiles), _upright(tiled, tiles)
+    solids, bounds, over = tiled.shapes.solids, tiled.facets.bounds, tiled.tiles
+    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
+    is_box = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
+    boxes = solids.bounds[is_box & (solids.kind == BOX) & (turned < RIM)]
+    flat = (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
+    flat &= _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
+    corners = tiled.facets.corners[flat]
     known = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
     known[slice(*columns.known_rows.cells(lattice)) if cells is None else cells] = True
     seams = [_find_seams(tiled, axis, boxes, corners, known) for axis in (0, 1)]
@@ -51,24 +57,8 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     return splice_columns(columns, asked, start[asked], start[asked + 1], found)
 
 
-def _boxes(tiled: TiledShapes, tiles: Int) -> Float:
-    """The bounds of the boxes over some tiles that stand along the axes, shape (n, 6) [m]."""
-    solids = tiled.shapes.solids
-    over = _items(tiled.tiles.solid_start, tiled.tiles.solid_item, tiles, len(solids.geom))
-    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
-    bounds: Float = solids.bounds[over & (solids.kind == BOX) & (turned < RIM)]
-    return bounds
-
-
-def _upright(tiled: TiledShapes, tiles: Int) -> Float:
-    """The corners of the triangles over some tiles that stand along an axis, (n, 3, 3) [m]."""
-    bounds = tiled.facets.bounds
-    over = _items(tiled.tiles.triangle_start, tiled.tiles.triangle_item, tiles, len(bounds))
-    flat = (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
-    return tiled.facets.corners[over & flat]
-
-
-def _items(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
+def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
+    """Mark the items that lie over some tiles, shape (num,)."""
     mask = np.zeros(num, dtype=np.bool_)
     mask[item[ranges(start[tiles], start[tiles + 1])[1]]] = True
     return mask

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from navbake.baker.arguments import take_input
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.column_blocks import ColumnBlocks, join_columns
+from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns
 from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
+from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
 from navbake.baker.doors.doors import Placing, Surroundings, place_doors
-from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, find_floors
+from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.lattice import Window, lay_lattice, lay_whole
@@ -32,8 +33,9 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
+from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig, settings_digest, settings_to_state
+from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
@@ -72,6 +74,7 @@ def take_first_look(
     opened: OpenScene | None = None,
 ) -> Stages:
     """Load a scene, if it isn't `opened`; the stages that take every candidate for a door."""
+    ensure_compiled()
     with clock.stage("scene"):
         scene = load_scene(config.scene, config.agent, config.floors, limits=limits, opened=opened)
         lattice = lay_lattice(scene, config)
@@ -86,9 +89,8 @@ def settle_doors(stages: Stages) -> Stages:
     it may carry a floor, occupy cells and be a wall. So all stages run again with it. That may
     change the rooms, and so whether another candidate joins two of them: each pass rejects one.
     """
-    while rejected := stages.rejected:
-        kept = [candidate for candidate in stages.candidates if candidate not in rejected]
-        stages = replace(stages, candidates=kept)
+    while stages.rejected:
+        stages = replace(stages, candidates=stages.settled)
     return stages
 
 
@@ -145,10 +147,11 @@ class Stages:
         return join_columns(self.judged_columns, self.judged[1], self.lattice)
 
     @property
-    def _blocks(self) -> ColumnSource:
+    def baked_columns(self) -> ColumnSource:
         """The same columns, of which not all are kept where they are many."""
-        columns = self.judged_columns
-        return columns if columns.lattice == self.lattice else self.columns
+        columns, (_, window) = self.judged_columns, self.judged
+        is_whole = columns.lattice == self.lattice
+        return columns if is_whole else WindowColumns(columns, window, self.lattice)
 
     @cached_property
     def floors(self) -> Floors:
@@ -164,14 +167,25 @@ class Stages:
             return lambda: None
         return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
 
-    def judge_floors(self) -> tuple[Floors, FloorFinder]:
-        """Find `floors`, and what keeps those of the whole scene up to date."""
-        config, columns = self.config, self.judged_columns
+    def judge_floors(
+        self, finder: FloorFinder | None = None, near: Bool | None = None
+    ) -> tuple[Floors, FloorFinder]:
+        """Find `floors`, and what keeps those of the whole scene up to date.
+
+        Args:
+            finder: the last one; None if there is none.
+            near: the blocks near which columns differ from those that it knows, shape (blocks,).
+        """
+        config, columns, shapes = self.config, self.judged_columns, self.doorless.shapes
         given = None if config.levels == "auto" else list(config.levels)
-        asked = config.agent, config.floors, given, self.occupancy_test(columns)
+        test = self.occupancy_test(columns)
         with self.clock.stage("floors"):
             try:
-                floors, finder = find_floors(columns, self.doorless.shapes, *asked)
+                if finder is not None and near is not None:
+                    floors = finder.find(columns, shapes, test, near)
+                else:
+                    asked = config.agent, config.floors, given, test
+                    floors, finder = find_floors(columns, shapes, *asked)
                 if columns.lattice != self.lattice:
                     floors = crop_floors(floors, self.judged[1])
             except SceneError as error:
@@ -207,7 +221,7 @@ class Stages:
     @cached_property
     def room_flags(self) -> RoomFlags:
         """All that rooms depend on beside settings."""
-        found = self._blocks, self.floors, self.cells[1], self.contents
+        found = self.baked_columns, self.floors, self.cells[1], self.contents
         return read_flags(self.doorless, *found, self.config.rooms, self.config.agent)
 
     @cached_property
@@ -221,7 +235,7 @@ class Stages:
     @cached_property
     def cells(self) -> tuple[CellFinder, ColumnFlags]:
         """What finds occupancy and contents, and what rooms read of columns, seen in one pass."""
-        floors, columns, agent = self.floors, self._blocks, self.config.agent
+        floors, columns, agent = self.floors, self.baked_columns, self.config.agent
         with self.clock.stage("occupancy"):
             finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
             of_columns = ColumnFlags(floors, agent)
@@ -237,7 +251,7 @@ class Stages:
     def around_doors(self) -> Surroundings:
         """What doors stand in."""
         levels, found = self.floors.levels, (self.occupancy, self.rooms, self.footprint)
-        return Surroundings(self._blocks, levels, *found, self.config.agent)
+        return Surroundings(self.baked_columns, levels, *found, self.config.agent)
 
     @cached_property
     def doors(self) -> list[Placing]:
@@ -245,6 +259,24 @@ class Stages:
         around = self.around_doors
         with self.clock.stage("doors"):
             return place_doors(self.scene, self.candidates, around)
+
+    @cached_property
+    def holes(self) -> Float:
+        """Areas of the holes in the lowest floor of an open mesh, closed or not, (n,) [m²].
+
+        Those that `floors.fill` closes, or would close: floor surrounds them.
+        """
+        shapes = [report.shape for report in self.scene.geoms]
+        is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
+        if not self.scene.parts or not is_open or self.judged[0] != self.lattice:
+            return np.empty(0)
+        level, cell_area = self.floors.levels[0], self.lattice.cell_size**2
+        if level.unseen is None:
+            is_occupied = self.occupancy_test(self.judged_columns)
+            level = fill_holes(level, SCAN_HOLES / cell_area, is_occupied)
+        part, _ = label_parts(np.asarray(level.unseen))
+        areas: Float = np.bincount(part.ravel())[1:].astype(np.float64) * cell_area
+        return areas
 
     @property
     def placed(self) -> list[Placing]:
@@ -255,6 +287,11 @@ class Stages:
     def rejected(self) -> list[DoorCandidate]:
         """The candidates that are parts of the scene; see `settle_doors`."""
         return [one.candidate for one in self.doors if one.is_part]
+
+    @property
+    def settled(self) -> list[DoorCandidate]:
+        """The candidates without those that are rejected."""
+        return [one.candidate for one in self.doors if not one.is_part]
 
     @cached_property
     def boxes(self) -> LevelBoxes:
@@ -285,6 +322,7 @@ class Stages:
 
     def free_geometry(self) -> None:
         """Give back the memory of columns and of listed geometry: the settled doors need none."""
+        _ = self.holes
         geometry = "tiled", "judged_shapes", "judged_columns", "columns"
         for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)

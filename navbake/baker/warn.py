@@ -19,6 +19,7 @@ SPARSE = 64  # a first look at floors reads one row of so many
 # How far below a ground that was given the floor lies that was meant, at most: the thickness of a
 # slab with what is laid on it, so that the top of one is not taken for another storey's [m]
 NEAR_GROUND = 0.5
+LEAST_HOLE = 0.05  # of the holes of a mesh that a warning names [m²]
 MAX_MOVABLE = 3  # bodies with a free joint that a warning names at most
 # What is said of large surfaces that are floors or not, from which size on [m²]
 DROPPED = {
@@ -29,8 +30,8 @@ DROPPED = {
     ),
     "roofs": (
         0.0,
-        "not a level, because it is open to the sky and has no walls around, though no floor "
-        "is as large: the roof {what}; {keep}, `floors.roofs: true` keeps all",
+        "not a level, because it is open to the sky and has no walls around: the roof {what}; "
+        "{keep}, `floors.roofs: true` keeps all",
     ),
     "small_starts": (
         0.0,
@@ -78,6 +79,7 @@ def collect_warnings(stages: Stages) -> list[str]:
         *_warn_high_grounds(stages),
         *_warn_unreached(stages),
         *_warn_patches(stages, LOST),
+        *_warn_holes(stages),
         *_warn_hidden_ground(stages),
         *(stages.contents.warnings if stages.contents else ()),
         *stages.rooms.warnings,
@@ -194,6 +196,17 @@ def _warn_unreached(stages: Stages) -> Iterator[str]:
             f"{'levels' if part.whole else 'floors'} out, `floors.from` names places that count as "
             "reached"
         )
+
+
+def _warn_holes(stages: Stages) -> Iterator[str]:
+    """Warn of holes in the floor of a mesh, which nobody saw, or which are none."""
+    area = stages.holes[stages.holes >= LEAST_HOLE]
+    if len(area):
+        holes = "a hole" if len(area) == 1 else f"{len(area)} holes"
+        text = "closed and marked in the layer `unseen`"
+        if not stages.config.floors.fill:
+            text = "no floor: `floors.fill` closes holes up to an area, `scene.scan: true` does so"
+        yield f"the mesh is open in its floor, {holes} of {area.sum():.2f} m² in all: {text}"
 
 
 def _warn_hidden_ground(stages: Stages) -> Iterator[str]:

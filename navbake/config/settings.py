@@ -121,7 +121,7 @@ class SceneSettings(Settings):
     scan: bool = setting(
         False,
         "whether the mesh is a scan: true (up: level where the file says no axis, "
-        "floors.fill: 2.0) or false",
+        "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
     geoms: Literal["auto", "collision", "visual", "all"] = setting(

@@ -136,8 +136,10 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
 
 def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
     """Boxes over cells, one for a rectangle of the same heights: (n, 2, 3), both corners [m]."""
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     spans = np.stack([low[mask], high[mask]], axis=1)
     heights, labels = np.unique(spans, axis=0, return_inverse=True)
     cells = np.zeros(mask.shape, dtype=np.int32)

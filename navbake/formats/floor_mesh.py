@@ -137,8 +137,10 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
 def _mesh_level(
     grid: NavGrid, number: int, names: dict[tuple[int, int], str], tolerance: float, steepest: float
 ) -> LevelMesh:
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     level = grid.levels[number]
     lattice, size = level.lattice, level.lattice.cell_size
     index = level.room_index.astype(np.int32)

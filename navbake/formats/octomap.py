@@ -154,8 +154,10 @@ def read_octomap(
     Raises:
         FormatError: it is no such file, broken, or needs more memory than it may.
     """
-    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # loads numba
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.octree import TOO_DEEP, fill_leaves, read_leaves  # as above
 
+    ensure_compiled("formats.kernels.octree.")
     data, name = read_bytes(source, begins=MAGIC, expected="an OctoMap file (bt or ot)")
     kind, size, res, end = _read_header(data, name)
     place, allowance = JsonPath(name), Allowance(len(data), "max_voxels", max_voxels)

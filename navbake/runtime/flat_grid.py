@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.arrays import Floors, Layout, Links
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+compiled = lazy("navbake.compiled")
 places = lazy("navbake.runtime.kernels.places")
 
 REAL = int | float | np.integer | np.floating
@@ -141,6 +142,7 @@ def as_points(p: Float, level: int | None) -> tuple[int, Float]:
 
 def flatten(grid: NavGrid) -> FlatGrid:
     """Copy the levels of a grid into one row of cells; later changes of the grid don't matter."""
+    compiled.ensure_compiled("runtime.")
     levels = grid.levels
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
     width, height = width.astype(np.int64), height.astype(np.int64)

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from navbake.runtime.kernels.inflation import Storeys
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
+compiled = lazy("navbake.compiled")
 kernels = lazy("navbake.runtime.kernels.inflation")
 ndimage = lazy("scipy.ndimage")
 
@@ -56,6 +57,7 @@ def find_blocked(
 
     Unless `by_own`, the level's own occupied cells don't block, and all others with a floor do.
     """
+    compiled.ensure_compiled("runtime.kernels.inflation.")
     cells = radius / grid.levels[number].lattice.cell_size
     storeys, inside = find_surroundings(grid, number, math.ceil(cells) + 1)
     occupied = storeys.occupied[storeys.level]

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from floor_scenes import boards
 from navbake.baker.columns import Columns, cast_columns
 from navbake.baker.cracks import close_cracks
 from navbake.baker.seams import settle_seams
@@ -238,15 +239,29 @@ def test_crack_at_any_angle(folder, width, at, turn):
 )
 def test_boards_and_gratings_are_floors(folder, board, gap, crack, cell, turn):
     """At any width and any step of the grid; the slab half a metre below is no floor there."""
-    pitch, geoms = board + gap, '<geom type="box" pos="0 0 -.6" size="3 3 .1"/>'
-    for k in range(-int(2.5 / pitch), int(2.5 / pitch) + 1):
-        x = k * pitch + 0.0137
-        geoms += slab(x - board / 2, x + board / 2, -2, 2, z=0.0, turn=turn)
-    stages = stages_of(folder, geoms, cell, crack=crack)
+    path = folder / "scene.xml"
+    path.write_text(boards(board, gap, turn))
+    grid = {"bounds": [-2.5, -1.5, 2.5, 1.5], "cell_size": cell}
+    stages = bake_stages({"scene": {"path": str(path)}, "grid": grid, "floors": {"crack": crack}})
     (level,) = stages.floors.levels
     inside = np.hypot(*np.meshgrid(stages.lattice.center_x(), stages.lattice.center_y())) < 1.4
     assert (level.floor[inside] == 0.0).all()
     assert not stages.occupancy.levels[0][inside].any()
+
+
+def test_closing_a_tilted_deck_leaves_other_storeys_as_they_are(folder):
+    """To the last bit, above and below, where cracks of one storey are closed."""
+    path, columns = folder / "scene.xml", []
+    path.write_text(boards(0.09, 0.01, turn=17.0, tilt=1.0, storeys=2))
+    for crack in (0.0, 0.03):
+        scene = {"scene": {"path": str(path)}, "floors": {"crack": crack}}
+        columns.append(bake_stages(scene).columns)
+    was, now = (
+        [set(one.z[one.start[n] : one.start[n + 1]].tolist()) for n in range(len(one.start) - 1)]
+        for one in columns
+    )
+    assert all(before <= after for before, after in zip(was, now, strict=True))
+    assert sum(len(after) > len(before) for before, after in zip(was, now, strict=True)) > 100
 
 
 @pytest.mark.parametrize("kind", ["capsule", "cylinder"])

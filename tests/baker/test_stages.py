@@ -59,7 +59,7 @@ def test_the_stages_of_a_crate_on_a_floor(tmp_path):
     assert len(stages.columns.z) == 2 * 1600 + 2 * 25
     assert (level.floor[~np.isnan(level.floor)] == 0.0).all()
     assert stages.occupancy.levels[0].sum() == 25
-    assert not stages.contents.wall_cells(0).any()
+    assert not stages.contents.mark_walls(0)[0].any()
     assert [room.id for room in stages.rooms.table] == ["0:1"]
     assert stages.doors == []
 

@@ -64,7 +64,7 @@ def test_wall_blocks_the_cells_that_it_touches(tmp_path, kind):
 def test_wall_on_a_line_has_its_name_on_both_sides(tmp_path, kind):
     stages = stages_with_wall(tmp_path, kind, 0.3)
     assert stages.contents is not None
-    walls = stages.contents.wall_cells(0)
+    walls = stages.contents.mark_walls(0)[0]
     assert blocked_columns(walls) == touched_columns(0.3) == [12, 13]
     names = stages.contents.user_data(0, (slice(0, 20), slice(0, 20)))
     for cell, entry in names.items():

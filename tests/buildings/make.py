@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from random import Random
 
-from buildings.parts import Building, Opening, Patch, Placing, Rect, Stairway, shifted
-from buildings.stairs import KINDS, Stairs, make_stairs
+from buildings.parts import Building, Opening, Patch, Placing, Rect, Stairway, frame, shifted
+from buildings.stairs import KINDS, SOLID, Stairs, make_stairs, place_stairs
 
 AISLE = 1.1  # floor that is kept clear before and after each stairs [m]
 DOOR, HEAD = 0.95, 2.1  # width and height of a door [m]
@@ -163,7 +163,7 @@ class House:
         x, width = self.wall + 0.4, self.rng.uniform(2.2, 3.0)
         rect = (x, edge, x + width, edge + 1.6)
         made.slab(rect, z, 0.15)
-        for side in _frame(rect, 0.05)[1:]:
+        for side in frame(rect, 0.05)[1:]:
             made.add(side, z, z + 1.0)
         place = f"balcony {number}"
         made.floors.append(Patch(place, rect, z))
@@ -207,7 +207,7 @@ class House:
         top, edge = z + self.mezzanine, self.partition
         stairs = make_stairs("straight", self.mezzanine, 0.2, 0.05, rng)
         x, y = x0 + AISLE, edge - stairs.size[1]
-        self._treads(stairs, x, y, z, solid=self.treads == "solid")
+        self._treads(stairs, x, y, z)
         landing = (x + stairs.size[0], y, x + stairs.size[0] + 1.0, edge)
         rect = (x0, edge, x1, y1)
         made.slab(rect, top, 0.2)
@@ -222,21 +222,13 @@ class House:
 
     def _put_stairs(self, number: int, z: float) -> None:
         stairs, (x, y) = self.stairs[number], self.stairs_at(number)
-        self._treads(stairs, x, y, z, solid=self.treads == "solid" and number == 0)
+        self._treads(stairs, x, y, z, solid=number == 0)
         self.made.joined.append((f"storey {number}", f"storey {number + 1}"))
 
-    def _treads(self, stairs: Stairs, x: float, y: float, z: float, solid: bool) -> None:
-        made, thickness = self.made, 0.06 if self.treads == "thin" else 0.2
-        for rect, height in stairs.treads:
-            bottom = z if solid else max(z, z + height - thickness)
-            made.add(shifted(rect, x, y), bottom, z + height)
-        for i in range(len(stairs.sectors)):
-            points = stairs.tread_prism(i, z, 0.06)
-            made.prisms.append([(x + a, y + b, c) for a, b, c in points])
-        top = z + max(h for _, h in [*stairs.treads, *stairs.sectors])
-        if stairs.pole:
-            made.add(shifted(stairs.pole, x, y), z, top)
-        made.stairs.append(Stairway((x, y, x + stairs.size[0], y + stairs.size[1]), z, top))
+    def _treads(self, stairs: Stairs, x: float, y: float, z: float, solid: bool = True) -> None:
+        thickness = 0.06 if self.treads == "thin" else 0.2
+        thickness = SOLID if solid and self.treads == "solid" else thickness
+        place_stairs(self.made, stairs, x, y, z, thickness)
 
     def _guards(self, number: int, z: float, end: float) -> None:
         """Railings round the opening in a floor, or walls from storey to storey."""
@@ -293,7 +285,7 @@ class House:
             middle = x + width / 2
             a, b = max(middle - gate / 2, x + 0.01), min(middle + gate / 2, x + width - 0.2)
             made.features["gate"] = "narrow" if gate < 1.8 else "wide"
-            front, right, back, _ = _frame(rect, 0.15)
+            front, right, back, _ = frame(rect, 0.15)
             made.wall(front, 0.0, top + self.short, [Opening(a, b, min(2.2, top))])
             made.wall(right, 0.0, top + self.short)
             made.wall(back, 0.0, top + self.short)
@@ -324,7 +316,7 @@ class House:
         top = low + self.slab
         made.slab((x0 - over, y0 - over, x1 + over, y1 + over), top, self.slab)
         if self.roof == "parapet":
-            for side in _frame((x0 - over, y0 - over, x1 + over, y1 + over), 0.15):
+            for side in frame((x0 - over, y0 - over, x1 + over, y1 + over), 0.15):
                 made.add(side, top, top + rng.uniform(0.3, 0.9))
         if self.roof == "two_heights":
             share = rng.uniform(0.3, 0.6)
@@ -342,8 +334,6 @@ def make_building(seed: int, **wanted: str) -> Building:
     house.build_annex()
     if wanted.get("coordinates") == "round":
         round_off(house.made)
-    if wanted.get("place") == "far":
-        house.made.placing = house.made.placing._replace(x=1e4, y=-1e4)
     return house.made
 
 
@@ -366,14 +356,3 @@ def round_off(made: Building, unit: float = 0.05) -> None:
     for k, one in enumerate(made.stairs):  # a tread may have moved out of it by as much
         x0, y0, x1, y1 = near(one.rect)
         made.stairs[k] = one._replace(rect=(x0 - unit, y0 - unit, x1 + unit, y1 + unit))
-
-
-def _frame(rect: Rect, thickness: float) -> list[Rect]:
-    """Four walls along the inside of a rectangle: low y, high x, high y, low x."""
-    x0, y0, x1, y1 = rect
-    return [
-        (x0, y0, x1, y0 + thickness),
-        (x1 - thickness, y0 + thickness, x1, y1 - thickness),
-        (x0, y1 - thickness, x1, y1),
-        (x0, y0 + thickness, x0 + thickness, y1 - thickness),
-    ]

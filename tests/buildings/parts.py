@@ -6,10 +6,15 @@ is the outer corner of the house; `Placing` turns and shifts the whole building 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
+
+import numpy as np
+
+from navbake.types import Float
 
 Rect = tuple[float, float, float, float]
 Point = tuple[float, float, float]
@@ -49,22 +54,60 @@ class Stairway(NamedTuple):
 
 
 class Placing(NamedTuple):
-    """How the building lies in the world: mirrored, turned by quarters, then shifted."""
+    """How the building lies in the world.
+
+    It is mirrored and turned by quarters, which keeps rectangles along the axes ("placed"); then
+    tilted about x, turned about z, and shifted.
+
+    Attributes:
+        tilt, turn: angles [degrees].
+    """
 
     mirrored: bool = False
     quarters: int = 0
     x: float = 0.0
     y: float = 0.0
+    tilt: float = 0.0
+    turn: float = 0.0
 
     def point(self, x: float, y: float) -> tuple[float, float]:
+        """A point of the building, placed."""
         x = -x if self.mirrored else x
         for _ in range(self.quarters):
             x, y = -y, x
-        return x + self.x, y + self.y
+        return x, y
 
     def rect(self, rect: Rect) -> Rect:
+        """A rectangle of the building, placed."""
         (x0, y0), (x1, y1) = self.point(*rect[:2]), self.point(*rect[2:])
         return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+
+    def rotation(self) -> Float:
+        """From placed to world coordinates, shape (3, 3)."""
+        (a, b), (c, d) = (
+            (math.cos(math.radians(angle)), math.sin(math.radians(angle)))
+            for angle in (self.turn, self.tilt)
+        )
+        return np.array([[a, -b, 0], [b, a, 0], [0, 0, 1]]) @ [[1, 0, 0], [0, c, -d], [0, d, c]]
+
+    def quat(self) -> str:
+        """The same as a quaternion of MuJoCo's."""
+        turn, tilt = math.radians(self.turn) / 2, math.radians(self.tilt) / 2
+        w, x = math.cos(turn) * math.cos(tilt), math.cos(turn) * math.sin(tilt)
+        y, z = math.sin(turn) * math.sin(tilt), math.sin(turn) * math.cos(tilt)
+        return f"{w!r} {x!r} {y!r} {z!r}"
+
+    def back(self, x: Float, y: Float, z: Float) -> tuple[Float, Float, Float]:
+        """Placed coordinates of points of the world."""
+        points = np.stack([x - self.x, y - self.y, z], axis=-1) @ self.rotation()
+        return points[..., 0], points[..., 1], points[..., 2]
+
+    def under(self, x: Float, y: Float, z: float) -> tuple[Float, Float]:
+        """Where vertical lines of the world cross a placed height."""
+        turn = self.rotation()
+        across = np.stack([x - self.x - turn[0, 2] * z, y - self.y - turn[1, 2] * z], axis=-1)
+        points = across @ np.linalg.inv(turn[:2, :2]).T
+        return points[..., 0], points[..., 1]
 
 
 @dataclass
@@ -132,8 +175,10 @@ class Building:
             vertices = " ".join(f"{v:.9g}" for point in placed for v in point)
             assets.append(f'<mesh name="prism_{number}" vertex="{vertices}"/>')
             geoms.append(f'<geom type="mesh" mesh="prism_{number}"/>')
-        lines = ["<mujoco>", "<asset>", *assets, "</asset>", "<worldbody>", *geoms]
-        return "\n".join([*lines, "</worldbody>", "</mujoco>"])
+        pos, quat = f"{self.placing.x!r} {self.placing.y!r} 0", self.placing.quat()
+        body = f'<body pos="{pos}" quat="{quat}">'
+        lines = ["<mujoco>", "<asset>", *assets, "</asset>", "<worldbody>", body, *geoms]
+        return "\n".join([*lines, "</body>", "</worldbody>", "</mujoco>"])
 
     def settings(self, cell_size: float) -> dict[str, dict[str, float]]:
         """The settings to bake it with, but for `scene`."""
@@ -160,3 +205,14 @@ def subtract(rect: Rect, holes: Sequence[Rect]) -> list[Rect]:
 
 def shifted(rect: Rect, x: float, y: float) -> Rect:
     return rect[0] + x, rect[1] + y, rect[2] + x, rect[3] + y
+
+
+def frame(rect: Rect, thickness: float) -> list[Rect]:
+    """Four walls along the inside of a rectangle: low y, high x, high y, low x."""
+    x0, y0, x1, y1 = rect
+    return [
+        (x0, y0, x1, y0 + thickness),
+        (x1 - thickness, y0 + thickness, x1, y1 - thickness),
+        (x0, y1 - thickness, x1, y1),
+        (x0, y0 + thickness, x0 + thickness, y1 - thickness),
+    ]

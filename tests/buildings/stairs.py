@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
 
-from buildings.parts import Point, Rect
+from buildings.parts import Building, Point, Rect, Stairway, shifted
 
 RISER = 0.19
 HEADROOM = 2.05
+SOLID = 99.0  # thickness of treads that reach down to the floor [m]
 KINDS = ("straight", "half_landing", "l_shape", "spiral")
 
 
@@ -44,6 +45,21 @@ class Stairs:
         corners, height = self.sectors[number]
         top = base + height
         return [(x, y, z) for z in (top - thickness, top) for x, y in corners]
+
+
+def place_stairs(
+    made: Building, stairs: Stairs, x: float, y: float, z: float, thickness: float
+) -> None:
+    """Stand stairs in a building, on a floor at z."""
+    for rect, height in stairs.treads:
+        made.add(shifted(rect, x, y), max(z, z + height - thickness), z + height)
+    for i in range(len(stairs.sectors)):
+        points = stairs.tread_prism(i, z, 0.06)
+        made.prisms.append([(x + a, y + b, c) for a, b, c in points])
+    top = z + max(h for _, h in [*stairs.treads, *stairs.sectors])
+    if stairs.pole:
+        made.add(shifted(stairs.pole, x, y), z, top)
+    made.stairs.append(Stairway((x, y, x + stairs.size[0], y + stairs.size[1]), z, top))
 
 
 class Flight(NamedTuple):

@@ -15,6 +15,10 @@ from navbake.navgrid.islands import find_islands
 
 SAME = 0.02  # heights that differ by less are the same [m]
 CLEAR = 0.001  # what is nearer than this to an edge is on neither side of it [m]
+# By so much a wall leans at most where the whole building does [m]
+LEAN = 0.06
+# So many cells at edges of slabs may hold more floors there than there are storeys
+FEW = 5
 # A part of a floor that is cut off, as under stairs, may be furniture if smaller [m²]
 SMALL = 3.0
 
@@ -42,20 +46,21 @@ def check(grid: SceneGrid2D | MultiLevelGrid, building: Building) -> list[str]:
 
 
 class LevelView:
-    """A level's cells in the world: centres, floors, and which are free."""
+    """A level's cells: centres in the world, floors as placed, and which are free."""
 
     def __init__(self, level: SceneGrid2D, building: Building) -> None:
         lattice, self.cell = level.lattice, level.lattice.cell_size
         row, col = np.indices(level.shape)
         self.x: Cells = lattice.x_min + (col + 0.5) * self.cell
         self.y: Cells = lattice.y_max - (row + 0.5) * self.cell
-        self.floor: Cells = level.floor_height.astype(np.float64)
         self.free: Mask = level.free
         self.placing = building.placing
+        floor = level.floor_height.astype(np.float64)
+        self.placed_x, self.placed_y, self.floor = self.placing.back(self.x, self.y, floor)
 
     def within(self, rect: Rect, margin: float = 0.0) -> Mask:
         """The cells whose centres are inside of a rectangle, by a margin [m]."""
-        return within(self.x, self.y, self.placing, rect, margin)
+        return within(self.placed_x, self.placed_y, self.placing, rect, margin)
 
     def at(self, low: float, high: float) -> Mask:
         """The free cells whose floor is between two heights."""
@@ -94,23 +99,30 @@ def _floor_cells(
 
 
 def _must_be_free(x: Cells, y: Cells, cell: float, building: Building, patch: Patch) -> Mask:
-    """The cells of a patch where nothing can be in the agent's way."""
+    """The cells of a patch where nothing can be in the agent's way.
+
+    A box around a turned footprint and a tilted agent stands for them.
+    """
     _, rect, z, holes = patch
     placing = building.placing
+    turn = np.radians(placing.turn)
+    cell *= abs(np.cos(turn)) + abs(np.sin(turn))
+    slack = CLEAR + 2 * HEIGHT * np.sin(np.radians(abs(placing.tilt)))
+    x, y = placing.under(x, y, z)
     must = within(x, y, placing, rect, CLEAR)
     for hole in holes:
-        must &= ~within(x, y, placing, hole, -CLEAR)
+        must &= ~within(x, y, placing, hole, -slack)
     boxes: list[Corners] = []
     for box in building.boxes:
-        if box.top > z + CLEAR and box.bottom < z + HEIGHT + CLEAR:
+        if box.top > z + CLEAR and box.bottom < z + HEIGHT + slack:
             x0, y0, x1, y1 = placing.rect(box.rect)
             boxes.append((x0, y0, box.bottom, x1, y1, box.top))
             # what is over the centre is its floor, or leaves no headroom
-            must &= ~within(x, y, placing, box.rect, -CLEAR)
+            must &= ~within(x, y, placing, box.rect, -slack)
     for stairs in building.stairs if building.features.get("stairs") == "spiral" else ():
         if stairs.bottom - SAME <= z <= stairs.top + SAME + HEIGHT:
             must &= ~within(x, y, placing, stairs.rect, -1.5 * cell)
-    met: Mask = met_by_boxes(x, y, np.full(x.shape, z), cell, boxes, slack=-CLEAR)
+    met: Mask = met_by_boxes(x, y, np.full(x.shape, z), cell, boxes, slack=-slack)
     return must & ~met
 
 
@@ -129,7 +141,7 @@ def _lost_floors(views: Sequence[LevelView], building: Building) -> list[str]:
     faults = []
     for place, z, lost, found in _floor_cells(views, building):
         num_lost, num_found = int(lost.sum()), sum(int(f.sum()) for f in found)
-        if num_lost:
+        if num_lost > (FEW if building.placing.tilt else 0):
             share = num_lost / (num_lost + num_found)
             faults.append(f"floor lost: {num_lost} cells ({share:.0%}) of {place} at {z:.2f}")
         elif not num_found and place != "outdoors":
@@ -147,14 +159,19 @@ def _false_floors(views: Sequence[LevelView], building: Building) -> list[str]:
                 here &= ~view.within(hole, 0.5 * view.cell)
             allowed |= here
         for stairs in building.stairs:
-            allowed |= view.at(stairs.bottom - SAME, stairs.top + SAME) & view.within(stairs.rect)
+            between = view.at(stairs.bottom - SAME, stairs.top + SAME)
+            allowed |= between & view.within(stairs.rect, -1e-6)
+        if building.placing.tilt:  # the sides of boxes lean, and show from above
+            for box in building.boxes:
+                side = view.within(box.rect, -LEAN) & ~view.within(box.rect, LEAN)
+                allowed |= side & view.at(box.bottom - SAME, box.top + SAME)
         wrong = view.free & ~allowed
         if wrong.any():
             faults.append(_describe("false floor", number, view, wrong))
         inside = np.zeros(view.free.shape, dtype=np.bool_)
         for box in building.boxes:
             meets = view.at(box.bottom - HEIGHT + SAME, box.top - STEP - SAME)
-            inside |= meets & view.within(box.rect, 1e-6)
+            inside |= meets & view.within(box.rect, LEAN if building.placing.tilt else 1e-6)
         if inside.any():
             faults.append(_describe("false floor: in a solid", number, view, inside))
     return faults

@@ -166,7 +166,7 @@ def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):
 
 def test_what_is_cold_is_compiled_once_before_workers_start(folder, run, here, monkeypatch):
     compiled = []
-    monkeypatch.setattr("navbake.compiled.warm_up", lambda: compiled.append(1))
+    monkeypatch.setattr("navbake.compiled.ensure_compiled", lambda: compiled.append(1))
     run("batch", "room.xml", "-o", "out", *COARSE)
     assert compiled == [1]
     run("batch", "room.xml", "-o", "out", *COARSE)

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
 from navbake.baker.contents.structure import (
+    COVERING,
+    THING_HEIGHT,
     Carriers,
     find_carriers,
     find_ceilings,
@@ -25,6 +27,7 @@ from navbake.baker.contents.walls import (
     WALL_BAND,
     GeomsOverFloors,
     find_buildings,
+    find_panes,
     find_walls,
     is_static,
     is_surface,
@@ -34,7 +37,7 @@ from navbake.baker.contents.walls import (
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import contents as kernels
-from navbake.baker.kernels.constants import BUILDING, OBJECT, STRUCTURE, TOUCH, WALL
+from navbake.baker.kernels.constants import BUILDING, OBJECT, SLACK, STRUCTURE, TOUCH, WALL
 from navbake.baker.kernels.contents import LevelContents
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS, Listing
 from navbake.baker.lattice import Window
@@ -50,6 +53,9 @@ from navbake.types import Bool, Float, Int
 # Lists get so many times the room that they are expected to need, and where some are replaced, as
 # what was there before stays in them
 SPARE, ROOM = 1.1, 2
+# How far above its floors the last storey ends [m]: not at the scene's top, which things that move
+# anywhere may change
+OPEN_ABOVE = 100.0
 
 
 @dataclass(frozen=True)
@@ -59,40 +65,41 @@ class Contents:
     Attributes:
         levels: the storeys' cells, lowest first.
         kinds: by geom id, OBJECT, WALL, STRUCTURE or BUILDING, shape (ngeom,), uint8.
+        partitions: the same for rooms: what is a wall by its shape, or closes an opening as a pane
+            does, parts rooms whatever it is named.
         names: by geom id, see `name_geoms`.
         warnings: what the user should know, one line each.
-        taken: how many cells each body with a free joint takes, see `kernels.count_taken`; shape
+        taken: how many cells each body with a free joint takes, see `count_taken`; shape
             (nbody,), int64.
     """
 
     levels: list[LevelContents]
     kinds: NDArray[np.uint8]
+    partitions: NDArray[np.uint8]
     names: list[str]
     warnings: list[str]
     taken: Int
 
-    def wall_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a wall stands in and blocks, on the whole lattice."""
-        return self._mark(level)[0]
-
-    def low_cells(self, level: int) -> Bool:
-        """Mark the cells with a floor that a building's mesh blocks only below `WALL_BAND`."""
-        return self._mark(level)[1]
-
     def have_same_walls(self, other: Contents, cells: Int) -> bool:
         """Whether the same cells are marked in contents that differ in some cells at most."""
-        same_kinds = np.array_equal(self.kinds, other.kinds)
+        same_kinds = np.array_equal(self.partitions, other.partitions)
         asked = cells if same_kinds else None
         levels = range(len(self.levels))
-        return all(np.array_equal(self._mark(k, asked), other._mark(k, asked)) for k in levels)
+        return all(
+            np.array_equal(self.mark_walls(k, asked), other.mark_walls(k, asked)) for k in levels
+        )
 
-    def _mark(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
-        """The wall cells and the low ones, on the whole lattice or of some cells."""
+    def mark_walls(self, level: int, cells: Int | None = None) -> tuple[Bool, Bool]:
+        """Mark the cells with a floor that walls are in, on the whole lattice or of some cells.
+
+        Returns those that a wall stands in and blocks, and those that a building's mesh blocks only
+        below `WALL_BAND`.
+        """
         listed = self.levels[level]
         asked = np.arange(len(listed.first)) if cells is None else cells
         shape = listed.lattice.shape if cells is None else cells.shape
         walls, lows = np.empty((2, len(asked)), dtype=np.bool_)
-        kernels.mark_walls(listed, self.kinds, asked, walls, lows)
+        kernels.mark_walls(listed, self.partitions, asked, walls, lows)
         return walls.reshape(shape), lows.reshape(shape)
 
     def user_data(self, level: int, window: Window) -> UserData:
@@ -112,7 +119,7 @@ class Contents:
 
     def _name_cells(self, level: int, window: Window) -> Shared:
         listed = self.levels[level]
-        cell, geom, flags = kernels.take_entries(listed)
+        cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
         kind, carrier = self.kinds[geom], listed.carrier
         stands, is_upper = (flags & STANDS) > 0, (flags & PROBED) > 0
         is_wall = (kind == WALL) | ((kind == BUILDING) & is_upper)
@@ -168,8 +175,8 @@ class CellFinder:
             self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
         self._used = [0 for _ in self._listed]
         self._steps: tuple[Int, Int, Float] | None = None
-        self._basis: list[NDArray[Any]] = []  # of `_kinds` and `_warnings`
-        self._kinds, self._warnings = np.empty(0, dtype=np.uint8), list[str]()
+        self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
+        self._classified: Classified | None = None
 
     def add(self, columns: Columns, tiled: TiledShapes) -> None:
         """Look at the cells of a block; blocks come in the order of their rows."""
@@ -206,7 +213,7 @@ class CellFinder:
             static, roots = is_static(scene), np.asarray(scene.model.body_rootid)
             roots = roots[scene.model.geom_bodyid]
             own = np.unique(roots[moved])
-            decisive = moved & (static | is_surface(scene))
+            decisive = moved & (static | is_surface(scene) | wall_candidates(scene, extents))
             if decisive.any() or (static & np.isin(roots, own[own > 0])).any():
                 self._basis = []
         self._look(columns, tiled, cells, None)
@@ -214,9 +221,8 @@ class CellFinder:
     def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
         """Look at some cells, ascending; see `_put_lists` for `share`."""
         floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
-        # each storey ends at the next one's ground, the last one at the scene's top [m]
-        highest = -np.inf if scene.bounds is None else float(scene.bounds[1, 2])
-        tops = [*(level.ground for level in floors.levels[1:]), highest]
+        # each storey ends at the next one's ground, or else high above its floors [m]
+        tops = [*(level.ground for level in floors.levels[1:]), np.inf]
         listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
         if self._extents is not None:
             probed = wall_candidates(scene, self._extents)
@@ -227,7 +233,8 @@ class CellFinder:
             if self._extents is not None:
                 num, band = len(here), (WALL_BAND[0] + TOUCH, WALL_BAND[1] - TOUCH)
                 first, carrier = np.empty((2, num), dtype=np.int32)
-                ceiling = np.maximum(top, heights + self._agent.height) - TOUCH
+                ceiling = np.minimum(top, heights + OPEN_ABOVE)
+                ceiling = np.maximum(ceiling, heights + self._agent.height) - TOUCH
                 min_up = agent_limits(self._agent).min_up
                 listing = Listing(ceiling, first, carrier, np.empty(num), probed, *band, min_up)
             found = look_at_cells(columns, tiled, self._footprint, here, heights, listing)
@@ -262,7 +269,7 @@ class CellFinder:
         first = np.zeros(len(cells), dtype=np.int32)
         carrier[has_floor], gap[has_floor] = listing.carrier, listing.gap
         if share is None:
-            self._count_taken(listed, cells, -1)
+            count_taken(listed, cells, self._free_body, self._taken, -1)
             if not np.array_equal(listed.carrier[cells], carrier):
                 self._steps = None
             listed = listed._replace(first=listed.first.copy(), carrier=listed.carrier.copy())
@@ -279,52 +286,71 @@ class CellFinder:
         first[has_floor] = listing.first + np.int32(used)
         listed.first[cells], listed.carrier[cells], listed.gap[cells] = first, carrier, gap
         self._listed[k], self._used[k] = listed, used + num
-        self._count_taken(listed, cells, 1)
-
-    def _count_taken(self, listed: LevelContents, cells: Int, by: int) -> None:
-        if (self._free_body >= 0).any():
-            kernels.count_taken(listed, cells, self._free_body, self._taken, by)
+        count_taken(listed, cells, self._free_body, self._taken, 1)
 
     def found(self, settings: NameSettings) -> Contents | None:
         """What stands in all cells, and what each geom is; None where that is not asked for."""
         extents, floors, scene, agent = self._extents, self._floors, self._scene, self._agent
         if extents is None:
             return None
-        over_floors = self._measure_over_floors(extents)
+        over_floors, counts, stood_on = self._measure_levels(extents)
         if self._steps is None:
             carrier = np.stack([level.carrier for level in self._listed])
             self._steps = find_steps(floors, carrier, self._listed[0].lattice)
-        step = agent.traversable_floor_height
-        carriers = find_carriers(floors, self._listed, extents, step, self._steps)
+        cell_size, step = self._listed[0].lattice.cell_size, agent.traversable_floor_height
+        carriers = find_carriers(counts, stood_on, cell_size, step, self._steps)
         # geoms are classified again only where something that decides this has changed: that is not
         # how deep one reaches under a floor, as all that begins so low may be a wall
         static = is_static(scene)
-        decisive = static | is_surface(scene)
+        decisive = static | is_surface(scene) | wall_candidates(scene, extents)
         base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
         measured = np.stack([base, *over_floors[1:]])[:, decisive]
         basis = [measured, carriers.building, carriers.things[static], carriers.stood_on[static]]
         basis.append(decisive)
         same = len(basis) == len(self._basis) and all(map(np.array_equal, basis, self._basis))
-        if not same:
+        if not same or self._classified is None:
             known = scene, extents, over_floors, carriers, agent, settings
-            self._kinds, self._warnings = classify_geoms(*known)
+            self._classified = classify_geoms(*known)
             self._basis = basis
+        kinds, partitions, warnings = self._classified
         levels, taken = list(self._listed), self._taken.copy()
-        return Contents(levels, self._kinds, self._names, self._warnings, taken)
+        return Contents(levels, kinds, partitions, self._names, warnings, taken)
 
-    def _measure_over_floors(self, extents: Extents) -> GeomsOverFloors:
-        num = len(extents.low)
-        over = np.full(num, np.inf), np.full(num, -np.inf)
-        cells = np.empty((len(self._listed), 2, num), dtype=np.int64)
-        for listed, level, counts in zip(self._listed, self._floors.levels, cells, strict=True):
-            kernels.measure_over_floors(listed, level.floor.ravel(), extents, over, *counts)
-        area = cells.max(axis=0) * self._listed[0].lattice.cell_size ** 2
-        return GeomsOverFloors(*over, *area)
+    def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
+        """How geoms stand over floors; and how they carry them, see `find_carriers`."""
+        num, heights = len(extents.low), (extents.low, extents.high)
+        over, stood_on = (np.full(num, np.inf), np.full(num, -np.inf)), np.zeros(num, np.bool_)
+        on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
+        limits = on_floor, COVERING + SLACK
+        counts = np.zeros((len(self._listed), 5, num), dtype=np.int64)
+        for listed, level, own in zip(self._listed, self._floors.levels, counts, strict=True):
+            layers = level.floor.ravel(), level.standable.ravel()
+            kernels.measure_level(listed, *layers, heights, limits, over, own, stood_on)
+        area = counts[:, :2].max(axis=0) * self._listed[0].lattice.cell_size ** 2
+        return GeomsOverFloors(*over, *area), counts[:, 2:].sum(axis=0), stood_on
+
+
+def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:
+    """Add `by` to what each body has in `taken` for each of some cells that it takes.
+
+    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
+    joint, `body_of` each geom, -1 for none. So a cup on a table takes none.
+    """
+    if not (body_of >= 0).any():
+        return
+    cell, geom, flags = kernels.take_entries(listed, cells)
+    blocks = (flags & BLOCKS) > 0
+    cell, body = cell[blocks], body_of[geom[blocks]]
+    is_fixed = np.zeros(len(cells), dtype=np.bool_)
+    is_fixed[cell[body < 0]] = True
+    free = ~is_fixed[cell]
+    pairs = np.unique(cell[free] * len(taken) + body[free])
+    taken += by * np.bincount(pairs % len(taken), minlength=len(taken))
 
 
 def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     """Contents without the lists of no cell, and how long all others are."""
-    cell, geom, flags = kernels.take_entries(listed)
+    cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
     is_first = np.diff(cell, prepend=-1) > 0
     # an end before each list but the first, which begins at 1
     place = np.arange(len(cell)) + np.cumsum(is_first)
@@ -336,6 +362,10 @@ def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     return listed._replace(first=first, geom=geoms, flags=marks), size
 
 
+Classified = tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]
+"""Kinds and partitions by geom id, see `Contents`, and warnings."""
+
+
 def classify_geoms(
     scene: Scene,
     extents: Extents,
@@ -343,17 +373,18 @@ def classify_geoms(
     carriers: Carriers,
     agent: AgentSettings,
     settings: NameSettings,
-) -> tuple[NDArray[np.uint8], list[str]]:
-    """Tell what each geom is, see `Contents.kinds`; and what the user should know."""
+) -> Classified:
+    """What each geom is, see `Contents.kinds` and `partitions`; and what the user should know."""
     buildings = find_buildings(scene, extents, over_floors)
     ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
     kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
     kinds[carriers.building | ceilings] = STRUCTURE
     kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
     kinds[buildings] = BUILDING
-    warnings: list[str] = []
+    partitions, warnings = kinds.copy(), list[str]()
     if settings.walls:  # walls of the settings replace those by shape
         named, warnings = match_walls(scene, settings.walls)
         kinds[kinds == WALL] = OBJECT
-        kinds[named] = WALL
-    return kinds, warnings
+        kinds[named] = partitions[named] = WALL
+    partitions[find_panes(extents, over_floors, partitions == WALL)] = WALL
+    return kinds, partitions, warnings

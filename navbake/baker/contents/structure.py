@@ -1,6 +1,5 @@
 """What the building itself is made of: floors, stairs, ceilings and roofs, but not its walls."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,6 @@ import numpy as np
 from navbake.baker.connect import connect
 from navbake.baker.floors.levels import Floors
 from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.kernels.contents import LevelContents, count_supports
 from navbake.baker.lattice import list_differing
 from navbake.baker.scene.extents import Extents
 from navbake.config.settings import AgentSettings
@@ -43,7 +41,7 @@ class Carriers(NamedTuple):
 
 
 def find_carriers(
-    floors: Floors, levels: Sequence[LevelContents], extents: Extents, step: float, steps: Steps
+    counts: Int, stood_on: Bool, cell_size: float, step: float, steps: Steps
 ) -> Carriers:
     """Classify geoms that carry floors as parts of the building or things on its floors.
 
@@ -55,19 +53,19 @@ def find_carriers(
     d. It covers 90 % of its cells by at most 3 cm, or no step leads up from it to the building.
 
     All else is the building's: floors, stairs, ramps, platforms, terrain.
+
+    Args:
+        counts: in how many cells each geom carries the floor, in how many of those it lies on
+            another one (c), and in how many it only covers that (d), (3, ngeom).
+        stood_on: whether one can stand on it anywhere, (ngeom,).
+        step: the highest one [m].
     """
-    num = len(extents.thin)
-    counts, stood_on = np.zeros((3, num), dtype=np.int64), np.zeros(num, dtype=np.bool_)
-    height = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-    for listed, level in zip(levels, floors.levels, strict=True):
-        asked = level.standable.ravel(), height, COVERING + SLACK
-        count_supports(listed, *asked, counts, stood_on)
     cells, over, near = counts
     carries, is_over, covering = cells > 0, over >= MOSTLY * cells, near >= MOSTLY * cells
     low, high, rise = steps
     is_level = rise <= SAME
-    plateau = connect(np.stack([low[is_level], high[is_level]]), num)
-    area = np.bincount(plateau, cells)[plateau] * levels[0].lattice.cell_size ** 2
+    plateau = connect(np.stack([low[is_level], high[is_level]]), len(cells))
+    area = np.bincount(plateau, cells)[plateau] * cell_size**2
     things = carries & (area <= THING_AREA + SLACK) & is_over
     is_step = (rise > SAME) & (rise <= step + SLACK) & ~covering[low]
     low, high = low[is_step], high[is_step]

@@ -65,10 +65,10 @@ class GeomsOverFloors(NamedTuple):
 
 
 def wall_candidates(scene: Scene, extents: Extents) -> Bool:
-    """Mark the geoms that may be walls or hold a building, by their own shape alone."""
+    """Mark the geoms that may be walls, panes or hold a building, by their own shape alone."""
     tall = extents.high - extents.low >= TALL
-    slender = _is_slender(extents, *THIN, THICK)
-    return tall & is_static(scene) & slender | _may_hold_building(is_surface(scene), extents)
+    slender = _is_slender(extents, *THIN, THICK) & is_static(scene) | _is_slender(extents, THIN[0])
+    return tall & slender | _may_hold_building(is_surface(scene), extents)
 
 
 def find_buildings(scene: Scene, extents: Extents, over_floors: GeomsOverFloors) -> Bool:
@@ -142,6 +142,30 @@ def find_walls(
     return _in_line(named | shaped, pieces, extents)
 
 
+def find_panes(extents: Extents, over_floors: GeomsOverFloors, walls: Bool) -> Bool:
+    """Mark what closes an opening in a wall, whether it can move or carry somebody, or not.
+
+    It is as thin, long and tall as a wall, begins near a floor or a sill, and ends at walls on both
+    sides, or at another pane of the same opening: fixed panes, sliding doors, closed leaves.
+    """
+    thin, long, ratio = THIN[0]
+    panes = _is_slender(extents, (thin, long, ratio)) & (extents.high - extents.low >= TALL)
+    panes &= (over_floors.base <= NEAR_FLOOR) & ~walls
+    while panes.any():
+        asked = np.flatnonzero(panes)
+        beside = np.flatnonzero(panes | walls & (extents.thin <= THICK[0]))
+        held = np.zeros((2, len(panes)), dtype=np.bool_)
+        for one, other in _near_pairs(asked, beside, extents):
+            for side, half in enumerate((-0.5, 0.5)):
+                end = extents.center[one] + half * extents.long[one, None] * extents.along[one]
+                held[side, one[(one != other) & _is_in(end, other, extents)]] = True
+        kept = panes & held.all(axis=0)
+        if (kept == panes).all():
+            break
+        panes = kept
+    return panes
+
+
 def _is_slender(extents: Extents, *limits: tuple[float, float, float]) -> Bool:
     """Mark what is thin and long by any of several limits; see `THIN`."""
     slender = np.zeros(len(extents.thin), dtype=np.bool_)
@@ -169,13 +193,16 @@ def _ends_at(one: Int, other: Int, extents: Extents) -> Bool:
     ends = np.zeros(len(one), dtype=np.bool_)
     for half in (-0.5, 0.5):
         end = extents.center[one] + half * extents.long[one, None] * extents.along[one]
-        off = end - extents.center[other]
-        across = np.abs((off * extents.across[other]).sum(axis=1))
-        along = np.abs((off * extents.along[other]).sum(axis=1))
-        ends |= (across <= extents.thin[other] / 2 + TOUCHING) & (
-            along <= extents.long[other] / 2 + TOUCHING
-        )
+        ends |= _is_in(end, other, extents)
     return ends
+
+
+def _is_in(points: Float, geoms: Int, extents: Extents) -> Bool:
+    """Whether each point, (n, 2) [m], is on its geom, seen from above."""
+    off = points - extents.center[geoms]
+    across = np.abs((off * extents.across[geoms]).sum(axis=1)) - extents.thin[geoms] / 2
+    along = np.abs((off * extents.along[geoms]).sum(axis=1)) - extents.long[geoms] / 2
+    return np.asarray(np.maximum(across, along) <= TOUCHING)
 
 
 def _may_hold_building(surface: Bool, extents: Extents) -> Bool:

@@ -1,4 +1,4 @@
-"""Door candidates: bodies that a pattern names, or with the joint and shape of a door's leaf."""
+"""Door candidates: bodies that a pattern names, or that look like a door's leaf."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -29,6 +29,9 @@ MIN_HEIGHT = 1.5
 MIN_WIDTH, MAX_WIDTH = 0.4, 2.5
 MAX_THICKNESS = 0.2
 ROUNDING = 1e-6
+# What a leaf without a joint stands between: no thicker than that, higher than it by this, and so
+# near to its ends [m]
+JAMB, HIGHER, BESIDE = 0.6, 0.1, 0.1
 MAX_LISTED = 3  # bodies that a warning names at most
 
 
@@ -49,14 +52,15 @@ class DoorCandidate:
 
     def only(self, shapes: Shapes) -> Shapes:
         """The candidate's own part of some geometry."""
-        return shapes.only(_mark_geoms(len(shapes.endless), [self]))
+        return shapes.only(mark_geoms(len(shapes.endless), [self]))
 
 
 def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCandidate], list[str]]:
-    """Find bodies that may be doors, by name or by joint and shape; warn of unused patterns.
+    """Find bodies that may be doors, by name or by their looks; warn of unused patterns.
 
-    A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. The
-    candidates are sorted by body id. Descendants of one are part of it.
+    A leaf may turn or slide about or along any axis: garage doors tilt, and rollers go up. One
+    without a joint, as in IFC models, stands between walls that are higher than it. The candidates
+    are sorted by body id. Descendants of one are part of it.
     """
     if not settings.patterns and not settings.find:
         return [], []
@@ -69,13 +73,22 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     # by body id, the patterns that match its name; none for the world
     matches = [[p for p in settings.patterns if fnmatchcase(name, p)] for name in names]
     matches[0] = []
-    searched = {body for body in joints if not matches[body]} if settings.find else set()
+    searched = set[int]()
+    if settings.find:
+        moves = model.body_weldid > 0
+        static = (body for body in range(1, model.nbody) if not moves[body : ends[body]].any())
+        searched = {body for body in (*joints, *static) if not matches[body]}
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):
         if body in searched or matches[body]:
             under = geoms_of_bodies(model, body, int(ends[body]))
             geoms[body] = under[counted[under]]
     leaves = _find_leaves(scene, {body: geoms[body] for body in searched})
+    if fixed := {body: leaf for body, leaf in leaves.items() if body not in joints}:
+        extents = measure_geoms(scene.shapes, model.ngeom)
+        for body, leaf in fixed.items():
+            if not _stands_between_jambs(leaf, geoms[body], extents):
+                del leaves[body]
     found, end = list[int](), 0  # and the end of the bodies of the last candidate
     for body, own in geoms.items():
         if body >= end and len(own) and (matches[body] or body in leaves):
@@ -94,19 +107,36 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     return candidates, [_warn_unmatched(p, names, matches, geoms) for p in unused]
 
 
-def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> set[int]:
-    """The bodies whose largest geom is tall, thin and as wide as a door, as it is modelled."""
+def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> dict[int, int]:
+    """Bodies' largest geoms, where these are tall, thin and as wide as a door, as modelled."""
     mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
     mask[np.concatenate([np.empty(0, dtype=np.int64), *geoms.values()])] = True
     extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
     sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
     return {
-        body
+        body: leaf
         for body, leaf in sides.items()
         if extents.high[leaf] - extents.low[leaf] >= MIN_HEIGHT - ROUNDING
         and MIN_WIDTH - ROUNDING <= extents.long[leaf] <= MAX_WIDTH + ROUNDING
         and extents.thin[leaf] <= MAX_THICKNESS + ROUNDING
     }
+
+
+def _stands_between_jambs(leaf: int, own: Int, extents: Extents) -> bool:
+    """Whether something as a wall is at both ends of a leaf, from its foot to above its top."""
+    jambs = (extents.thin <= JAMB) & (extents.long > extents.thin)
+    jambs &= extents.high >= extents.high[leaf] + HIGHER
+    jambs &= extents.low <= (extents.low[leaf] + extents.high[leaf]) / 2
+    jambs[own] = False
+    found = np.flatnonzero(jambs)
+    for end in (-0.5, 0.5):
+        beyond = end * (extents.long[leaf] + 2 * BESIDE) * extents.along[leaf]
+        off = extents.center[leaf] + beyond - extents.center[found]
+        across = np.abs((off * extents.across[found]).sum(axis=1)) - extents.thin[found] / 2
+        along = np.abs((off * extents.along[found]).sum(axis=1)) - extents.long[found] / 2
+        if not (np.maximum(across, along) <= BESIDE).any():
+            return False
+    return True
 
 
 def _positions(scene: Scene, joint: int) -> dict[str, float]:
@@ -125,12 +155,12 @@ def without_doors(scene: Scene, doors: Sequence[DoorCandidate]) -> Scene:
     """The scene without the geometry of some bodies."""
     if not doors:
         return scene
-    return replace(scene, shapes=scene.shapes.only(~_mark_geoms(scene.model.ngeom, doors)))
+    return replace(scene, shapes=scene.shapes.only(~mark_geoms(scene.model.ngeom, doors)))
 
 
 def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shapes:
     """The geometry of all doors in one state; doors without that state stay as modelled."""
-    mask = _mark_geoms(scene.model.ngeom, doors)
+    mask = mark_geoms(scene.model.ngeom, doors)
     moved = {
         door.joint_id: float(position)
         for door in doors
@@ -150,7 +180,8 @@ def largest_side(extents: Extents, geoms: Int) -> int:
     return int(geoms[0] if np.isnan(area).all() else geoms[np.nanargmax(area)])
 
 
-def _mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
+def mark_geoms(num_geoms: int, doors: Sequence[DoorCandidate]) -> Bool:
+    """Mark the geoms of some bodies, shape (num_geoms,)."""
     mask = np.zeros(num_geoms, dtype=np.bool_)
     for door in doors:
         mask[door.geoms] = True

@@ -69,7 +69,7 @@ class Placing:
 
 
 def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
-    """Warn of doors that open nothing, that haven't the state `wanted` of all, or carry floor."""
+    """Warn of doors that open nothing, that are `wanted` open without a joint, or carry floor."""
     stuck, fixed = list[str](), list[str]()
     for door in doors:
         name, closed = door.candidate.id, door.cells["closed"]
@@ -81,10 +81,10 @@ def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
                 f"joint opens it by {door.travel} only: check its range, whether the file "
                 "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
             )
-        if door.state(wanted) != wanted:
+        if wanted == "open" and not door.candidate.positions:
             fixed.append(
-                f"door {name!r} can't be {wanted}, as it has no hinge or slide of its own: it "
-                "stays as modelled"
+                f"door {name!r} has no hinge or slide of its own: open, it is taken out of its "
+                "opening"
             )
     return stuck + fixed + [door.carried for door in doors if door.carried]
 
@@ -128,7 +128,7 @@ def _place_door(
 ) -> Placing:
     boxes = [box for shapes in own.values() if (box := shapes.bounds) is not None]
     box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
-    # by state that the door has; one that can't move is closed as it is modelled
+    # by state; one that can't move is closed as it is modelled, and blocks nothing when it is open
     blocked: dict[str, tuple[list[Int], list[Int]]] = {}
     state_at: dict[float | None, str] = {}
     for state, shapes in own.items():
@@ -136,7 +136,8 @@ def _place_door(
         first = state_at.setdefault(candidate.position(state), state)
         blocked[state] = blocked.get(first) or _blocked_cells(shapes, around)
     if not candidate.positions:
-        del blocked["open"]
+        nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
+        blocked["open"] = nothing, nothing
     closed, _ = blocked["closed"]
     leaf = largest_side(extents["closed"], candidate.geoms)
     rooms = _rooms_beside(leaf, extents["closed"], closed, around)

@@ -21,7 +21,7 @@ from navbake.baker.floors.reach import (
     find_voids,
     largest_of_lowest,
 )
-from navbake.baker.floors.rejected import find_rejected
+from navbake.baker.floors.rejected import are_told, find_rejected
 from navbake.baker.floors.sheets import Patch, SheetFacts, Sheets, area_test
 from navbake.baker.floors.storeys import Placed, Storeys, given_spans
 from navbake.baker.floors.surfaces import SurfaceStore
@@ -32,10 +32,6 @@ from navbake.baker.scene.shapes import Planes, Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
 from navbake.types import Bool, Float, Int
-
-# A dropped roof is told of when it is this many times as large as the largest floor that is left:
-# walls and eaves alone make it larger than the floor under it, but not by a third
-LARGE_ROOF = 4 / 3
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ class Floors:
             each step between two levels, and each pair of neighbours, on one level or two, that
             their slopes join but no step does.
         tops: large tops and shelves that are no floors, the largest first.
-        roofs: roofs that are clearly larger than every floor that is left, the largest first.
+        roofs: roofs that a user may miss, the largest first.
         small_starts: what `floors.from` names, though it is too small for a floor.
         unreached: what no step leads to, by level, lowest first.
         left_out: floors that `floors.reach: steps` leaves out, the largest first.
@@ -94,10 +90,9 @@ class Floors:
 class FloorFinder:
     """Finds the storeys, the floor of each, and the steps between them; keeps them up to date.
 
-    All standable surfaces → the sheets that are large enough → those of them that count, without
-    tops, shelves and roofs → their levels (of the configuration, if they are given) → those that
-    are reached → floors, level by level. What is local is found block by block, and again where
-    something changed; what is global is merged.
+    All standable surfaces → the sheets that are large enough → without tops, shelves and roofs →
+    their levels → those that are reached → floors, level by level. What is local is found block by
+    block, and again where something changed; what is global is merged.
     """
 
     def __init__(
@@ -187,12 +182,11 @@ class FloorFinder:
             fill = settings.fill / self._lattice.cell_size**2
             levels.append(fill_holes(level, fill, is_occupied) if fill else level)
         held = self._find_enclosed(stale)
-        is_told = sheets.size > LARGE_ROOF * sheets.size[counts].max()
         return Floors(
             levels,
             self._growth.links,
             tops=facts.describe((tops | shelves) & ~starts),
-            roofs=facts.describe(roofs & ~starts & is_told),
+            roofs=facts.describe(are_told(site, roofs & ~starts, counts)),
             small_starts=facts.describe(starts & ~is_large),
             unreached=unreached,
             left_out=left_out,
@@ -235,8 +229,7 @@ class FloorFinder:
     ) -> tuple[Placed, list[Patch], list[Patch], list[Unreached]]:
         """Place the surfaces that count on levels; of all, or of those that steps lead to.
 
-        What is reached is decided before levels are given, from the lowest level that there is and
-        that is no void: a level that no step reaches, in which nobody can stand upright.
+        What is reached is decided before levels are given, from the lowest level that is no void.
 
         Returns:
             The surfaces on their levels, the sheets that are left out because no step leads to
@@ -254,7 +247,7 @@ class FloorFinder:
                 is_given = bool(starts.any())
                 reached, voids = find_voids(site, placed.counts, reached, is_given)
         for number, span in enumerate(self._spans):
-            if not (counted & sheets.between(*span)).any():
+            if not sheets.between(counted, *span).any():
                 raise SceneError(_no_floor_on(given or (), number, site.columns))
         kept = counted & reached if by_steps else counted & ~voids
         if given is not None or placed is None or not np.array_equal(kept, counted):
@@ -322,10 +315,9 @@ def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) ->
 
 
 def crop_floors(floors: Floors, window: Window) -> Floors:
-    """Cut a window out of the floors of a whole scene.
+    """Cut a window out of the floors of a whole scene, and what is told of it.
 
-    Levels without a standable surface in the window are left out. What is said of the others,
-    such as which roofs were dropped, stays as far as a part of it lies in the window.
+    Levels without a standable surface in the window are left out.
 
     Raises:
         SceneError: no floor lies in the window.

@@ -63,8 +63,7 @@ class Site(NamedTuple):
         cropped: whether the scene goes on beyond the lattice in the east, south, west and north,
             shape (4,), bool.
         edges: the block of each edge of large sheets, and its row, see `list_edges`.
-        reach: how many cells one looks out from a sheet for floors beside it. The side of the thing
-            itself, or a post, may block the cell at its edge.
+        reach: how many cells one looks out from a sheet for floors beside it.
         last: in which update something last changed near each block.
         near, at_edges: the same for a sheet's surfaces, and for its edges, shape (sheets,).
         facts: what is known of sheets.
@@ -113,15 +112,13 @@ class Site(NamedTuple):
         """Tell how a sheet ends at each of its edges, for the agent or another one.
 
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
-          agent's feet (just above a step) and at its head (just below its height). So it does not
-          matter how a wall ends at the ceiling, nor whether it is thinner than a cell; and a
-          chair's back is none.
+          agent's feet (just above a step) and at its head (just below its height), whatever the
+          wall does at the ceiling.
         - BARRIER: something stands at an agent's feet only: a parapet, a headboard, a sill.
         - DROP: an agent that steps out gets to a floor more than a step lower, where it can stand.
-          Where a surface goes on from the sheet's height over that floor, one that is too steep or
-          has too little headroom, there is no drop: the storey below an attic is no floor that one
-          drops to. One looks past what is lower than the sheet, such as a bed's frame or a rail,
-          as far as `edges.cells` reach, and stops at a barrier.
+          One looks past what is lower than the sheet, such as a bed's frame, as far as
+          `edges.cells` reach, up to a barrier. Where a surface goes on over that floor from the
+          sheet's height, as in an attic, there is no drop.
         - BORDER: the lattice ends.
         - OPEN: none of these: an abyss, a steep slope, a floor on which nobody can stand.
         """
@@ -176,8 +173,7 @@ class Site(NamedTuple):
 def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
     """Whether a scene goes on beyond the lattice in the east, south, west and north, shape (4,).
 
-    Args:
-        bounds: the box round the scene, shape (2, 3) [m]; None if it is endless.
+    `bounds` are its box, shape (2, 3) [m]; None if it is endless.
     """
     if bounds is None:
         return np.ones(4, dtype=np.bool_)
@@ -187,16 +183,10 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
 
 
 def find_rims(edges: Edges, lattice: Lattice) -> Int32:
-    """Number the rims of sheets: 0 is the outer one, 1 and up those of the holes in the sheet.
+    """Number the rims of each sheet, (edges,) int32: 0 is the outer one, 1 and up those of holes.
 
-    What stands on a roof, or on a shelf, interrupts its sheet, but is no wall around it. The cells
-    beyond the edges of a rim hang together, from one to the next along it.
-
-    Args:
-        edges: all edges of some sheets.
-
-    Returns:
-        The rim of its sheet that each edge belongs to, shape (edges,), int32.
+    What stands on a roof, or on a shelf, is no wall around it. The cells beyond the edges of a rim
+    hang together, from one to the next along it. `edges` are all those of some sheets.
     """
     # one sheet after the other on a lattice with a margin, and an empty row between them
     width, height = lattice.width + 2, lattice.height + 3

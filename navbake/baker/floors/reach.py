@@ -50,11 +50,10 @@ class Unreached:
 def find_starts(site: Site, tops: Bool, shelves: Bool, positions: list[list[float]]) -> Bool:
     """Find the sheets that one stands on at some positions.
 
-    A position within 2 cm of a surface lies on it, whatever it is. Elsewhere one stands on the
-    highest floor of the column that is at most a step higher than the position, however far below
-    it. Roofs, and tops of at least 6 m², such as platforms, are floors here; furniture is none:
-    over a desk, one stands on the floor that the desk's top drops to along most of its outline.
-    Only where there is none, one stands on the furniture.
+    A position within 2 cm of a surface lies on it. Elsewhere one stands on the highest floor of the
+    column that is at most a step higher than the position, however far below it. Roofs, and tops of
+    at least 6 m², are floors here; over furniture, one stands on the floor that it drops to along
+    most of its outline, or on itself where there is none.
 
     Args:
         tops, shelves: the sheets that are no floors unless one starts there.
@@ -110,16 +109,13 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
     Args:
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
     """
-    sheet, level, count = counts.T
-    size = np.bincount(sheet[level == 0], count[level == 0], minlength=num_sheets)
-    reached = np.zeros(num_sheets, dtype=np.bool_)
-    reached[size.argmax()] = True
-    return reached
+    sheet, _, count = counts[counts[:, 1] == counts[:, 1].min()].T
+    largest: Bool = np.arange(num_sheets) == np.bincount(sheet, count).argmax()
+    return largest
 
 
 def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[Bool, Bool]:
-    """Find the levels that no step reaches and in which nobody can stand upright: plenums, crawl
-    spaces.
+    """Find the levels that no step reaches and in which nobody can stand upright.
 
     Args:
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
@@ -130,8 +126,7 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
     Returns:
         Which sheets are reached, and which are those of voids.
     """
-    sheet, level, count = counts.T
-    voids = np.zeros_like(reached)
+    (sheet, level, _), voids = counts.T, np.zeros_like(reached)
     levels = np.unique(level)
     if np.isin(levels, level[reached[sheet]]).all():
         return reached, voids
@@ -143,10 +138,7 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
 
     low_levels = [n for n in levels.tolist() if share_of(n) >= NEARLY_ALL]
     if not is_given and len(low_levels) < len(levels):
-        high = ~np.isin(level, low_levels)
-        lowest = high & (level == level[high].min())
-        size = np.bincount(sheet[lowest], count[lowest], minlength=len(reached))
-        reached = np.arange(len(reached)) == size.argmax()
+        reached = largest_of_lowest(counts[~np.isin(level, low_levels)], len(reached))
     is_void = np.isin(level, low_levels) & ~np.isin(level, level[reached[sheet]])
     voids[sheet[is_void]] = True
     voids[sheet[~is_void]] = False

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.floors.kernels.members import Edges, look_below
+from navbake.baker.floors.kernels.members import Edges, Members, look_below
 from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_rims, probe_bands
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
@@ -31,10 +32,14 @@ SKY_SHARE = 0.5
 # walls if it is a storey, or that drops if it is a shelf
 HALF = 0.5
 # Where thick walls and eaves leave less of a roof over a floor: the least share that does, and the
-# share that lies over a floor or a wall. The rest are eaves.
-FLOOR_SHARE, WALLED_SHARE = 0.25, 2 / 3
+# share that lies over a floor or a wall, or at most so far from one [m]
+FLOOR_SHARE, WALLED_SHARE, EAVES = 0.1, 2 / 3, 1.5
 # Parapets are at most 1.2 m high; a storey's walls are higher than this, and than the agent [m]
 MIN_WALL = 1.5
+# A roof is told of that is this many times as large as the largest floor that is left, as walls and
+# eaves alone make it larger than the floor under it, but not by a third; or that has this area and
+# no walls under it [m²]
+LARGE_ROOF, TOLD_ROOF = 4 / 3, 50.0
 # No shelf is deeper: pallet racks are 1.1 m, or 2.2 m back to back [m]
 SHELF_DEPTH = 2.5
 
@@ -68,7 +73,7 @@ def find_rejected(site: Site, spans: Sequence[tuple[float, float]]) -> tuple[Boo
     if not is_floor.any():
         roofs = none
     for low, high in spans:
-        on_level = is_large & sheets.between(low, high)
+        on_level = sheets.between(is_large, low, high)
         if not (on_level & is_floor).any():
             roofs = roofs & ~on_level
     return tops & ~roofs, shelves & ~roofs, roofs
@@ -80,16 +85,13 @@ def _find_tops(site: Site) -> Bool:
     A sheet that no step reaches is such a top when
 
     - at least a quarter of its outline drops to a floor that an agent could stand on, beside it
-      (see `find_endings`): a house's floor on its plinth is none, because it ends at walls. Holes
-      in a sheet belong to its outline only where they drop;
-    - it has at most 6 m², or is nowhere wider than 3 m, as the walls of a labyrinth are, or the
-      largest floor that it drops to is larger than itself, where sizes that differ by less than a
-      tenth are equal: what is larger than all that lies lower is the ground, and what lies lower a
-      pool, a ditch, a track bed or a yard in front of a dock. A floor that winds through the sheet
-      makes it a block with corridors nevertheless, whatever their sizes: the rim of a hole that it
-      drops to is longer there than its outer outline, which a pit's is not;
-    - there is no room for an agent under most of it, from the height of that floor up: so a
-      mezzanine is none, because one can stand below.
+      (see `Site.endings`). Holes in a sheet belong to its outline only where they drop;
+    - it has at most 6 m², or is nowhere wider than 3 m, or drops to a floor that is larger, where
+      sizes that differ by less than a tenth are equal: else it is the ground, and what lies lower a
+      pool, a ditch or a track bed. Or a floor winds through it: what drops to that floor, the rims
+      of holes in the sheet and what stands in them, is longer than its outline;
+    - there is no room for an agent under most of it, from the height of that floor up, as there is
+      under a mezzanine.
     """
     sheets, result = site.sheets, np.zeros_like(site.is_large)
     block, rows = site.edges
@@ -101,11 +103,16 @@ def _find_tops(site: Site) -> Bool:
         may_drop &= drops >= DROP_SHARE * 2 * (height + width)
     found = site.facts.of("top", may_drop, lambda asked: _judge_tops(site, asked), site.near)
     area = sheets.lattice.cell_size**2
-    large = np.zeros_like(result)
-    for sheet, (floors, winds) in zip(np.flatnonzero(may_drop).tolist(), found, strict=True):
-        if floors:
-            size, others = sheets.size[sheet], np.searchsorted(sheets.key, floors)
+    large, into = np.zeros_like(result), Counter[int]()
+    for _, drops_to, _ in found:
+        into.update(drops_to)
+    asked = np.flatnonzero(may_drop).tolist()
+    for sheet, (in_holes, drops_to, outline) in zip(asked, found, strict=True):
+        if drops_to:
+            size, others = sheets.size[sheet], np.searchsorted(sheets.key, list(drops_to))
             lies = size * area <= LARGE_TOP or sheets.size[others].max() > EQUAL * size
+            around = (num + into[to] - drops_to[to] for to, num in in_holes.items())
+            winds = max(around, default=0) > outline
             result[sheet], large[sheet] = lies or winds, not lies and not winds
     return result | (large & ~_are_wide(site, large, WIDE_TOP))
 
@@ -114,18 +121,16 @@ def _are_wide(site: Site, asked: Bool, width: float) -> Bool:
     """Which sheets are somewhere wider than a width [m]."""
     wide = {"min_area": site.sheets.lattice.cell_size**2, "shrink": width / 2}
     settings = site.settings.model_copy(update=wide)
-    return site.facts.mask(
-        f"wider than {width}", asked, lambda some: site.sheets.left(some, settings)
-    )
+    return site.facts.mask(f"wider than {width}", asked, lambda s: site.sheets.left(s, settings))
 
 
-def _judge_tops(site: Site, asked: Bool) -> list[tuple[list[int], bool]]:
+def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int], int]]:
     """What decides whether sheets are tops, see `_find_tops`.
 
     Returns:
-        The keys of the sheets that each drops to along a quarter of its outline, none where it
-        does not drop that much or there is room for an agent under it; and whether a floor winds
-        through it.
+        How many edges drop to each sheet, by its key, in holes and altogether; none where less than
+        a quarter of the outline drops, or where there is room for an agent under it; and how many
+        edges the outline has.
     """
     sheets = site.sheets
     edges = site.edges_of(asked, site.reach)
@@ -143,15 +148,14 @@ def _judge_tops(site: Site, asked: Bool) -> list[tuple[list[int], bool]]:
     for sheet in np.flatnonzero(asked).tolist():
         own = edges.sheet == sheet
         landing = np.sort(endings.landing[own & drops])
-        floors: list[int] = []
+        in_holes, drops_to = Counter[int](), Counter[int]()
         if is_top[sheet] and len(landing):
             # the lower one of two in the middle
             beside = float(landing[(len(landing) - 1) // 2])
             if _count_over_room(site, sheet, beside) <= ROOM_SHARE * sheets.size[sheet]:
-                floors = sheets.key[np.unique(endings.floor[own & drops])].tolist()
-        drops_in = np.bincount(rim[own], drops[own])
-        winds = bool(drops_in[1:].max(initial=0) > (rim[own] == 0).sum())
-        found.append((floors, winds))
+                drops_to.update(sheets.key[endings.floor[own & drops]].tolist())
+                in_holes.update(sheets.key[endings.floor[own & drops & (rim > 0)]].tolist())
+        found.append((in_holes, drops_to, int((rim[own] == 0).sum())))
     return found
 
 
@@ -176,27 +180,19 @@ def _count_over_room(site: Site, sheet: int, floor: float) -> int:
 def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
     """Find the sheets that are roofs: open to the sky, over a floor, and without walls.
 
-    A storey that was drawn without its ceiling has walls as high as an agent, and at least 1.5 m,
-    along more than half of its outline, and is none. Its walls may stand a little inside of its
-    slab's rim, even where they are too thin to part its floor. Parapets are too low, and a lower
-    roof beside a higher part of the house has a wall on one side only. What is closed below, or
-    open, does not matter: a carport's roof is one, and so are a tree's crown, a parasol and the
-    upper shelf of a rack outdoors. A floor below counts even if it is only the top of what stands
-    there. Most of a roof lies over a floor; or two thirds over a floor and thick walls around it,
-    and a quarter over the floor at least. No step reaches a roof: the sheet of one that stairs
-    lead to includes the floors below, which are not open to the sky.
+    A storey that was drawn without its ceiling is none: it has walls as high as an agent, and at
+    least 1.5 m, along more than half of its outline, or a little inside of it. Parapets are too
+    low, and a lower roof beside a higher part of the house has a wall on one side only. Most of a
+    roof lies over a floor, or the top of what stands there; or two thirds over a floor, the walls
+    around it, and what is at most 1.5 m from these, and a tenth over the floor at least.
 
     Only the uppermost slab of a tower of slabs on columns is a roof, as the others are covered.
     Where the lattice crops the scene all around, nothing is known of walls, and a sheet is none.
     """
-    half_over = candidates & (over < HALF)
-    over_walls = site.facts.mask(
-        "over walls", half_over, lambda asked: _lie_over_walls(site, asked), site.near
-    )
+    half_over, facts = candidates & (over < HALF), site.facts
+    over_walls = facts.mask("over walls", half_over, lambda s: _lie_over_walls(site, s), site.near)
     candidates = candidates & (~half_over | over_walls)
-    return site.facts.mask(
-        "no walls", candidates, lambda asked: _have_no_walls(site, asked), site.at_edges
-    )
+    return facts.mask("no walls", candidates, lambda s: _have_no_walls(site, s), site.at_edges)
 
 
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
@@ -234,10 +230,8 @@ def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
 def _find_shelves(site: Site, candidates: Bool) -> Bool:
     """Find the sheets that are shelves, under whatever ceiling: narrow, and open at their sides.
 
-    A shelf lies over a floor, is nowhere deeper than 2.5 m, and more than half of its outline
-    drops to a floor beside it. So a mezzanine that no stair leads to is none, because it is
-    deeper, nor a gallery from wall to wall, because one of its two sides is a wall, nor what is
-    left to stand in of an attic. What is open to the sky is left to `_find_roofs`.
+    A shelf lies over a floor, is nowhere deeper than 2.5 m, as a mezzanine is, and more than half
+    of its outline drops to a floor beside it, unlike that of a gallery from wall to wall.
     """
     candidates = candidates & ~_are_wide(site, candidates, SHELF_DEPTH)
 
@@ -250,22 +244,53 @@ def _find_shelves(site: Site, candidates: Bool) -> Bool:
 
 
 def _lie_over_walls(site: Site, asked: Bool) -> Bool:
-    """Which sheets lie over another sheet, or over a wall, as far as a roof has to.
-
-    A wall's top is a surface that faces up, with less than a step of room above: a roof that lies
-    on it, or that it ends within.
-    """
-    result, step = np.zeros_like(asked), site.agent.traversable_floor_height
+    """Which sheets lie over others and walls, eaves left aside, as far as a roof has to."""
+    result, (height, width) = np.zeros_like(asked), site.sheets.lattice.shape
+    reach = int(EAVES / site.sheets.lattice.cell_size + SLACK)
     every = site.sheets.labelled(np.ones_like(asked))
     for sheet in np.flatnonzero(asked).tolist():
-        cell, z, _, place = site.sheets.members(sheet)
-        _, below_sheet = look_below(every, cell, place)
-        columns, is_over = site.columns.at(cell), (below_sheet >= 0) & (below_sheet != sheet)
-        first, end = columns.start[cell], columns.start[cell + 1]
-        for k in range(int((end - first).max(initial=0)) - 1):
-            deep = np.flatnonzero(first + k + 1 < end)
-            below, above = columns.z[first[deep] + k], columns.z[first[deep] + k + 1]
-            is_top = (columns.normal[first[deep] + k, 2] > 0) & (above - below < step)
-            is_over[deep] |= is_top & (below < z[deep] - SAME)
-        result[sheet] = np.count_nonzero(is_over) / len(cell) >= WALLED_SHARE
+        members = site.sheets.members(sheet)
+        _, below = look_below(every, members.cell, members.place)
+        is_over = np.zeros((height, width), dtype=np.bool_)
+        is_over.flat[members.cell] = over_wall_tops(site, members) | (below >= 0) & (below != sheet)
+        for grid in (is_over, is_over.T):
+            known = grid.copy()
+            for k in range(1, min(reach, len(grid) - 1) + 1):
+                grid[k:] |= known[:-k]
+                grid[:-k] |= known[k:]
+        result[sheet] = is_over.flat[members.cell].mean() >= WALLED_SHARE
     return result
+
+
+def over_wall_tops(site: Site, members: Members) -> Bool:
+    """Which surfaces lie over the top of a wall: a roof lies on it, or it ends within the roof."""
+    cell, z = members.cell, members.z
+    columns, is_over = site.columns.at(cell), np.zeros(len(cell), dtype=np.bool_)
+    first, end = columns.start[cell], columns.start[cell + 1]
+    for k in range(int((end - first).max(initial=0)) - 1):
+        deep = np.flatnonzero(first + k + 1 < end)
+        below, above = columns.z[first[deep] + k], columns.z[first[deep] + k + 1]
+        faces_up = columns.normal[first[deep] + k, 2] > 0
+        # at one height, the roof's lower side may stand before the wall's top
+        limit = np.where(faces_up, site.agent.traversable_floor_height, SAME)
+        is_top = (above - below < limit) & (faces_up | (columns.normal[first[deep] + k + 1, 2] > 0))
+        is_over[deep] |= is_top & (below < z[deep] - SAME)
+    return is_over
+
+
+def are_told(site: Site, roofs: Bool, floors: Bool) -> Bool:
+    """Which roofs a user may miss: clearly larger than any floor, or large and on no walls."""
+    size, area = site.sheets.size, site.sheets.lattice.cell_size**2
+    large = roofs & (size * area >= TOLD_ROOF - SLACK)
+
+    def stand_free(asked: Bool) -> Bool:
+        result = np.zeros_like(asked)
+        for sheet in np.flatnonzero(asked).tolist():
+            result[sheet] = not over_wall_tops(site, site.sheets.members(sheet)).any()
+        return result
+
+    is_larger = roofs & (size > LARGE_ROOF * size[floors].max())
+    told: Bool = is_larger | site.facts.mask(
+        "stands free", large & ~is_larger, stand_free, site.near
+    )
+    return told

@@ -21,7 +21,6 @@ from navbake.baker.floors.kernels.members import (
     east_rim,
     fill_members,
     find_large,
-    mark_between,
     near_offsets,
 )
 from navbake.baker.floors.kernels.surfaces import Surfaces
@@ -42,8 +41,7 @@ class Labels:
 
     Attributes:
         part: the number of each surface's part in its block, -1 for none, int32.
-        count: how many parts each block has.
-        offset: the number of each block's first part, and of all parts, shape (blocks + 1,).
+        count, offset: how many parts each block has, and the number of its first, int64.
     """
 
     def __init__(self, blocks: Blocks, joining: Joining) -> None:
@@ -171,11 +169,7 @@ class Sheets:
         return sheet
 
     def stacks(self) -> tuple[Int32, Int32, Int]:
-        """Which sheets lie over which: the upper one, the lower one, and in how many cells.
-
-        Those cells are counted in which nothing that one can stand on lies in between; a pair may
-        be listed several times.
-        """
+        """Upper sheets, the ones next below, and in how many cells; pairs may repeat."""
         block, (rows, _) = self._stacks.take()
         lies = rows[:, 1] >= 0
         block, rows = block[lies], rows[lies]
@@ -195,17 +189,18 @@ class Sheets:
         fill_members(self.labelled(chosen), tuple(self.box[sheet].tolist()), members)
         return members
 
-    def between(self, low: float, high: float) -> Bool:
-        """Which sheets have a surface from a height up to below another one [m]."""
-        found = np.zeros(len(self.key), dtype=np.bool_)
-        mark_between(self.labelled(np.ones_like(found)), low, high, found)
+    def between(self, chosen: Bool, low: float, high: float) -> Bool:
+        """Which of the chosen sheets have a surface from a height up to below another one [m]."""
+        found = np.zeros_like(chosen)
+        for sheet in np.flatnonzero(chosen).tolist():
+            z = self.members(sheet).z
+            found[sheet] = ((low <= z) & (z < high)).any()
         return found
 
     def left(self, chosen: Bool, settings: FloorSettings) -> Bool:
         """Which of the chosen sheets are large enough for floors, see `area_test`; (sheets,).
 
-        A sheet's cells are taken together over all heights. Each is looked at block by block, until
-        enough cells are found.
+        A sheet's cells are taken together over all heights.
         """
         result, test = np.zeros(len(self.key), dtype=np.bool_), area_test(self.lattice, settings)
         asked = np.flatnonzero(chosen & (self.size >= test.needed))
@@ -268,11 +263,7 @@ def describe_members(lattice: Lattice, members: Members, largest: Members | None
 
 
 class SheetFacts:
-    """Facts about single sheets that are dear to find.
-
-    A fact holds as long as its sheet has the same surfaces, and nothing that it rests on changed.
-    Those that were not asked for in an update are forgotten.
-    """
+    """Facts about single sheets, kept while a sheet has the same surfaces and is asked about."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, int], tuple[int, Any]] = {}

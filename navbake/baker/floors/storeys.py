@@ -30,8 +30,11 @@ from navbake.types import Bool, Float, Int, Int32
 
 # A given ground takes in floors down to this much below it [m]
 GIVEN_TOLERANCE = 0.02
-# A level of its own takes in what lies so little below its ground on the same sheet [m]
-FLAT = 1e-4
+# A level of its own takes in what lies so little below its ground on the same sheet: rounding, and
+# the noise of meshes [m]
+FLAT = 0.005
+# A storey rarely begins higher over another one [m]; what has more storeys is a tower
+HIGH_STOREY, FEW = 8.0, 4
 # How many times larger the floors are that a stair joins than any of its treads and landings
 TIMES_LARGER = 4
 # Decimals of the grounds that are found: what a float adds to 3.0 is no height
@@ -75,10 +78,7 @@ class Placed(NamedTuple):
 
 
 class Storeys:
-    """Places surfaces on levels, block by block.
-
-    What was found out in the last update is brought up to date where something changed.
-    """
+    """Places surfaces on levels, block by block, again where something changed."""
 
     def __init__(self, sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> None:
         self._sheets, self._agent, self._settings = sheets, agent, settings
@@ -118,10 +118,8 @@ class Storeys:
     def _recall(self, name: Any, make: Callable[[], Any], reach: int = 0) -> tuple[Any, Bool]:
         """What is known under a name, and the blocks where it is to be found again.
 
-        What was not asked for in an update is forgotten.
-
         Args:
-            make: makes it where nothing is known.
+            make: makes it where nothing is known, as it was not asked for in the last update.
             reach: how far it rests on what is around it [cells].
         """
         tick, known = self._known.get(name) or self._kept.get(name) or (-1, make())
@@ -135,19 +133,21 @@ class Storeys:
         """The surfaces that are kept, and which are parts of stairs and ramps.
 
         A tread, a landing or a piece of a ramp is a part of a stair when by going only up from it
-        one gets to a floor more than four times as large, and so by going only down. So a mezzanine
-        is none, because its stair only leads down; nor is a cellar, nor the floor of a tower on its
-        way up, which is as large as the others. How large a floor is counts everything of its sheet
-        at about its height, within half a step, since walls and thresholds divide floors.
-
-        None is a stair where no two surfaces lie over each other, because there it makes no
-        difference.
+        one gets to a floor more than four times as large, and so by going only down; a mezzanine,
+        a cellar and the floors of a tower are none. How large a floor is counts everything of its
+        sheet within half a step of its height, since walls and thresholds divide floors. None is a
+        stair where no two surfaces lie over each other: there it makes no difference.
         """
         sheets = self._sheets
         if not self._stacked.any():
             self._recall("flat", lambda: self._last.fill(self._now))
             return Kept(self._key, NO_KEY, NO_ROWS[:, 0], np.empty(0, dtype=np.bool_))
-        (labels, table, seen), stale = self._recall("stairs", self._begin_stairs)
+        blocks, joining = sheets.blocks, Joining(min(self._step, PLATEAU), self._step)
+        if "stairs" not in self._kept:
+            self._last[:] = self._now
+        (labels, table, seen), stale = self._recall(
+            "stairs", lambda: (Labels(blocks, joining), self._table(), Seen(blocks.num))
+        )
         labels.update(sheets.surfaces, stale, self._key)
         # neighbours at about one height are a plateau; each lies in one part of a sheet
         asked = sheets.lattice, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
@@ -170,19 +170,12 @@ class Storeys:
         self._last[seen.differ(labels.count, is_stair)] = self._now
         return Kept(self._key, labels.part, labels.offset, is_stair)
 
-    def _begin_stairs(self) -> tuple[Labels, BlockTable, Seen]:
-        blocks, step = self._sheets.blocks, self._step
-        self._last[:] = self._now
-        return Labels(blocks, Joining(min(step, PLATEAU), step)), self._table(), Seen(blocks.num)
-
     def _find_grounds(self, kept: Kept) -> list[float]:
         """Find the ground heights of the storeys, lowest first.
 
         The lowest storey's ground is the lowest floor that is large enough (as sheets are, after
         shrinking). A new storey begins where floors that are large enough lie over floors of the
-        storey below; so a hill, a half-storey beside another, or a platform with nothing under it
-        opens none, nor do stairs with their landings. What is too small for that gets its place in
-        `_assign`.
+        storey below: a hill, a half-storey, a stair or a platform with nothing under it opens none.
         """
         ground = self._lowest_plateau(kept, -np.inf)
         if ground is None:
@@ -190,39 +183,47 @@ class Storeys:
             ground = _common_height(rows, low)
         grounds = [ground]
         while self._stacked.any():
-            ground = self._lowest_plateau(kept, grounds[-1])
+            # of a tower, not all that is above is listed for each storey
+            tops = (grounds[-1] + HIGH_STOREY, np.inf) if len(grounds) > FEW else (np.inf,)
+            ground = self._lowest_plateau(kept, grounds[-1], tops)
             if ground is None:
                 break
             grounds.append(ground)
         return [round(ground, DECIMALS) for ground in grounds]
 
-    def _lowest_plateau(self, kept: Kept, ground: float) -> float | None:
+    def _lowest_plateau(
+        self, kept: Kept, ground: float, tops: Sequence[float] = (np.inf,)
+    ) -> float | None:
         """The ground of the lowest large floor over another ground, or None.
 
-        Looks through windows of heights one step high, half a step apart, from the lowest up.
+        Looks through windows of heights one step high, half a step apart, from the lowest up, below
+        each of some heights.
         """
         test = area_test(self._sheets.lattice, self._settings)
-        every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK)
-        windows, where = np.unique(every[:, 0], return_inverse=True)
-        counts = dict(zip(windows.tolist(), np.bincount(where, every[:, 3]).tolist(), strict=True))
-        for window in sorted({k for n in counts for k in (n - 1, n) if k >= windows[0]}):
-            if counts.get(window, 0) + counts.get(window + 1, 0) < test.needed:
-                continue
-            rows, low = self._list_heights(kept, ground, window, test)
-            if rows[:, 3].sum() >= test.needed:
-                if not len(rows):
-                    chosen = np.isin(every[:, 0], [window, window + 1])
-                    rows, low = every[chosen], all_low[chosen]
-                # the cells that shrinking leaves decide, not stairs or thresholds at the edge
-                return _common_height(rows, low)
+        for top in tops:
+            every, all_low = self._list_heights(kept, ground, EVERY, UNSHRUNK, top)
+            windows, where = np.unique(every[:, 0], return_inverse=True)
+            count = np.bincount(where, every[:, 3])
+            counts = dict(zip(windows.tolist(), count.tolist(), strict=True))
+            for window in sorted({k for n in counts for k in (n - 1, n) if k >= windows[0]}):
+                end = (window + 2) * self._half
+                if counts.get(window, 0) + counts.get(window + 1, 0) < test.needed or end > top:
+                    continue
+                rows, low = self._list_heights(kept, ground, window, test, end)
+                if rows[:, 3].sum() >= test.needed:
+                    if not len(rows):
+                        chosen = np.isin(every[:, 0], [window, window + 1])
+                        rows, low = every[chosen], all_low[chosen]
+                    # the cells that shrinking leaves decide, not stairs or thresholds at the edge
+                    return _common_height(rows, low)
         return None
 
     def _list_heights(
-        self, kept: Kept, ground: float, window: int, test: AreaTest
+        self, kept: Kept, ground: float, window: int, test: AreaTest, top: float = np.inf
     ) -> tuple[Int, Float]:
         """Rows of the heights in a window, and the lowest of each row, see `list_heights`."""
-        sheets, heights = self._sheets, (ground, window, self._half)
-        name = "heights", ground, window, test.reach
+        sheets, heights = self._sheets, (ground, window, self._half, top)
+        name = "heights", ground, window, test.reach, top
         table, stale = self._recall(name, self._table, test.reach)
         asked = sheets.lattice, sheets.surfaces, kept, heights, test
         table.fill(kernels.list_heights, np.flatnonzero(stale), *asked)
@@ -230,20 +231,33 @@ class Storeys:
         return rows, low
 
     def _lower_grounds(self, kept: Kept, grounds: list[float]) -> list[float]:
-        """Lower each ground to what lies a little below it and is connected to nothing else.
+        """Lower each ground to what lies within a step below it, as few floors are quite flat.
 
-        A part of the level below that lies within a step under a ground, and that steps join to
-        nothing but the level of that ground, belongs up there: few floors are quite flat. A stair's
-        upper treads are no such part.
+        Such are parts of the level below, but no stairs, that steps join to nothing else.
         """
+        sheets, joining = self._sheets, Joining(self._step, self._step)
         for _ in grounds[1:]:
-            low, level, has_floor, links = self._list_parts(kept, grounds)
+            on, _ = self._place(kept, grounds, SLACK)
+            (labels, table), stale = self._recall(
+                ("parts", *grounds), lambda: (Labels(sheets.blocks, joining), self._table())
+            )
+            labels.update(sheets.surfaces, stale, on)
+            asked = sheets.lattice, sheets.surfaces, labels.part, kept.plateau, on
+            table.fill(tally, np.flatnonzero(stale), *asked)
+            block, (rows, heights) = table.take()
+            whole, links = labels.merge()
+            part, num = whole[labels.offset[block] + rows[:, 0]], int(whole.max(initial=-1)) + 1
+            low, level = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
+            np.minimum.at(low, part, heights)
+            level[part] = rows[:, 2]
+            is_floor = ~kept.is_stair[kept.offset[block] + rows[:, 1]]
+            has_floor = np.bincount(part[is_floor], minlength=num) > 0
             here, there = np.concatenate([links, links[::-1]], axis=1)
             lowered = list(grounds)
             for k in range(1, len(grounds)):
                 on_below, is_above = level[here] == k - 1, level[there] == k
                 to_above, to_others = (
-                    np.bincount(here[on_below & on_other], minlength=len(low)) > 0
+                    np.bincount(here[on_below & on_other], minlength=num) > 0
                     for on_other in (is_above, ~is_above)
                 )
                 joins = has_floor & to_above & ~to_others & (low >= grounds[k] - self._step - SLACK)
@@ -254,32 +268,8 @@ class Storeys:
             grounds = lowered
         return grounds
 
-    def _list_parts(self, kept: Kept, grounds: list[float]) -> tuple[Float, Int, Bool, Int]:
-        """The connected parts of the levels of some grounds.
-
-        Returns:
-            The lowest height of each [m], its level, and whether any of it is no stair; and pairs
-            of parts on different levels that are a step apart, shape (2, n).
-        """
-        sheets, (level, _) = self._sheets, self._place(kept, grounds, SLACK)
-        joining = Joining(self._step, self._step)
-        (labels, table), stale = self._recall(
-            ("parts", *grounds), lambda: (Labels(sheets.blocks, joining), self._table())
-        )
-        labels.update(sheets.surfaces, stale, level)
-        asked = sheets.lattice, sheets.surfaces, labels.part, kept.plateau, level
-        table.fill(tally, np.flatnonzero(stale), *asked)
-        block, (rows, low) = table.take()
-        whole, links = labels.merge()
-        part, num = whole[labels.offset[block] + rows[:, 0]], int(whole.max(initial=-1)) + 1
-        lowest, of_level = np.full(num, np.inf), np.zeros(num, dtype=np.int64)
-        np.minimum.at(lowest, part, low)
-        of_level[part] = rows[:, 2]
-        is_floor = ~kept.is_stair[kept.offset[block] + rows[:, 1]]
-        return lowest, of_level, np.bincount(part[is_floor], minlength=num) > 0, links
-
     def _place(
-        self, kept: Kept, grounds: list[float], tolerance: float
+        self, kept: Kept, grounds: list[float], tolerance: float, leave_floors: bool = False
     ) -> tuple[Int32, BlockTable]:
         """Give each surface its level, see `place_blocks`.
 
@@ -287,12 +277,12 @@ class Storeys:
             The levels, and a table of the part of a sheet and the level that surfaces have.
         """
         sheets, surfaces = self._sheets, self._sheets.surfaces
-        name = "places", tolerance, *grounds
+        name = "places", leave_floors, tolerance, *grounds
         (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))
         level, chosen = fit(level, len(surfaces.z)), np.flatnonzero(stale)
         self._known[name] = self._now, (level, table)
-        asked = sheets.lattice, surfaces, kept, np.array(grounds), tolerance, level, chosen
-        run_in_bands(kernels.place_blocks, len(chosen), *asked)
+        asked = sheets.lattice, surfaces, kept, np.array(grounds), tolerance, leave_floors
+        run_in_bands(kernels.place_blocks, len(chosen), *asked, level, chosen)
         part = sheets.labels.part
         table.fill(tally, chosen, sheets.lattice, surfaces, part, part, level)
         return level, table
@@ -305,9 +295,10 @@ class Storeys:
         A surface belongs to the highest ground at or below it (the lowest ones to the first). Where
         two of a column would be on one level, its surfaces are placed on the levels in their order,
         treads and landings of stairs moved rather than floors (see `place_blocks`). Where columns
-        have more surfaces than there are levels, those that found no place are left out if nobody
-        needs them, see `_are_spare`. Else a level of its own is opened at the lowest of them, or at
-        what lies up to 0.1 mm below it on its sheet, so that rounding divides no flat floor.
+        have more surfaces than there are levels, treads find no place, or the floors under them,
+        and are left out if nobody needs them, see `_are_spare`. Else a level of its own is opened
+        at the lowest tread that found none, or at what lies a little below it on its sheet, so that
+        a floor that is not quite flat stays whole.
 
         Args:
             names: the levels' names, None for those without; empty if none has one.
@@ -316,23 +307,28 @@ class Storeys:
         sheets, named = self._sheets, dict(zip(grounds, names, strict=False))
         while True:
             grounds = sorted(grounds)
-            level, table = self._place(kept, grounds, tolerance)
-            block, (rows, low) = table.take()
-            part, _, on, count = rows.T
-            lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
-            members = [sheets.members(sheet) for sheet in lost]
-            if self._are_spare(kept, level, members):
+            for leave_floors in (False, True, False):
+                name = leave_floors, tolerance, *grounds
+                level, table = self._place(kept, grounds, tolerance, leave_floors)
+                block, (rows, low) = table.take()
+                part, _, on, count = rows.T
+                lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
+                members = [sheets.members(sheet) for sheet in lost]
+                if are_spare := self._are_spare(kept, level, members, name):
+                    break
+            if are_spare:
                 break
             own = float(low[on == LOST].min(initial=np.inf))
             z = np.concatenate([one.z[kept.key[one.place] >= 0] for one in members])
-            own = float(z[(z >= own - FLAT) & (z <= own)].min(initial=own))
+            lowest = max([own - FLAT, *(ground + SLACK for ground in grounds if ground <= own)])
+            own = float(z[(z >= lowest) & (z <= own)].min(initial=own))
             # where all are grounds, their columns are taken on every level: open one above all
             ground = max(grounds) + 1.0 if own == np.inf else round(own, DECIMALS)
             grounds = [*grounds, ground]
         block, part, on, count = (column[on >= 0] for column in (block, part, on, count))
         used = np.bincount(on, minlength=len(grounds)) > 0
         number = np.cumsum(used, dtype=np.int64) - 1
-        is_new = ("places", tolerance, *grounds) not in self._kept
+        is_new = ("places", *name) not in self._kept
         grounds = [ground for ground, is_used in zip(grounds, used, strict=True) if is_used]
         labels = _label([named.get(ground) for ground in grounds])
         counts = np.stack([sheets.sheet_at(block, part), number[on], count], axis=1)
@@ -341,32 +337,35 @@ class Storeys:
         patches = [describe_members(sheets.lattice, one) for one in spare]
         return Placed(grounds, labels, level, number, counts, changed, patches)
 
-    def _are_spare(self, kept: Kept, level: Int32, members: list[Members]) -> bool:
+    def _are_spare(self, kept: Kept, level: Int32, members: list[Members], name: Any) -> bool:
         """Whether surfaces that found no place are left out, as no storey is opened for them.
 
-        So it is where they are rims of floors, nowhere wider than floors are shrunk by, and no walk
-        is cut: without them, steps join the others to no more parts.
+        So it is where they make up no floor that would count by itself, and no walk is cut: without
+        them, steps join the others to no more parts that are large enough for floors.
 
         Args:
             level: of each surface.
             members: of the sheets of those that found no place.
+            name: of the places.
         """
-        lattice, size = self._sheets.lattice, self._sheets.lattice.cell_size
-        rim = {"min_area": size**2, "shrink": self._settings.shrink / 2}
-        settings = self._settings.model_copy(update=rim)
+        sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
         for one in members:
-            marked = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+            marked = np.zeros(sheets.lattice.width * sheets.lattice.height, dtype=np.bool_)
             marked[one.cell[level[one.place] <= LOST]] = True
-            if is_large(lattice, settings, marked):
+            if is_large(sheets.lattice, self._settings, marked):
                 return False
-        without = np.where(level <= LOST, np.int32(-1), kept.key)
-        return not members or self._count_walks(without) <= self._count_walks(kept.key)
-
-    def _count_walks(self, key: Int32) -> int:
-        """Count the parts that steps join, of the surfaces with a key."""
-        labels = Labels(self._sheets.blocks, self._sheets.joining)
-        labels.update(self._sheets.surfaces, self._sheets.blocks.all(), key)
-        return int(labels.merge()[0].max(initial=-1)) + 1
+        num_walks, without = [0, 0], np.where(level <= LOST, np.int32(-1), kept.key)
+        for n, key in enumerate((kept.key, without) if members else ()):
+            labels, stale = self._recall(
+                ("walks", name if n else "all"), lambda: Labels(sheets.blocks, sheets.joining)
+            )
+            labels.update(sheets.surfaces, stale, key)
+            whole, _ = labels.merge()
+            for one in members:
+                one = one.only(labels.part[one.place] >= 0)
+                part = labels.offset[sheets.blocks.of(one.cell)] + labels.part[one.place]
+                num_walks[n] += int((np.bincount(whole[part]) >= test.needed).sum())
+        return num_walks[1] <= num_walks[0]
 
 
 def _areas_about(sheet: Int, number: Int, count: Int, half_step: float) -> Int:

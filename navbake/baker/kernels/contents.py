@@ -38,36 +38,45 @@ class LevelContents(NamedTuple):
 
 
 @kernel(nogil=True)
-def take_entries(listed):
-    """All that stands in a storey's cells, by cell and then geom: cells, geoms and flags."""
+def take_entries(listed, cells):
+    """All that stands in some cells, by their places in `cells` and then geom.
+
+    Returns places, geoms and flags.
+    """
     first, geom, flags = listed.first, listed.geom, listed.flags
     count = 0
-    for cell in range(first.shape[0]):
+    for cell in cells:
         i = first[cell]
         while geom[i] >= 0:
             i += 1
         count += i - first[cell]
     entries = np.empty(count, np.int64), np.empty(count, np.int32), np.empty(count, np.uint8)
     count = 0
-    for cell in range(first.shape[0]):
-        i = first[cell]
+    for n in range(cells.shape[0]):
+        i = first[cells[n]]
         while geom[i] >= 0:
-            entries[0][count], entries[1][count], entries[2][count] = cell, geom[i], flags[i]
+            entries[0][count], entries[1][count], entries[2][count] = n, geom[i], flags[i]
             i, count = i + 1, count + 1
     return entries
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_over_floors(listed, floors, extents, over, cells, upper_cells):
-    """Measure how a storey's geoms stand over its floors, into (geoms,) arrays.
+def measure_level(listed, floors, standable, heights, limits, over, counts, stood_on):
+    """Measure how a storey's geoms stand over its floors, and carry them, into (geoms,) arrays.
 
     Args:
+        floors, standable: (cells,) float64, NaN for none [m], and bool.
+        heights: of the lower and the upper ends of all geoms [m].
+        limits: up to which gaps a geom that carries a floor lies on another one, by geom id, and
+            up to which it only covers it [m].
         over: the least height of a geom's lower end over a floor, and the largest of its upper end
             over its lower one or a floor; are lowered and raised [m].
-        cells, upper_cells: receive in how many cells it stands, and does so in the walls' band.
+        counts: (5, geoms) int64: in how many cells it stands, and does so in the walls' band, how
+            many cells' floor it carries, and where of those it lies on a floor, or covers one;
+            are added to.
+        stood_on: receives whether one can stand on a geom anywhere, (geoms,) bool.
     """
-    base, rise = over
-    cells[:], upper_cells[:] = 0, 0
+    (lows, highs), (base, rise), (on_floor, covering) = heights, over, limits
     for cell in range(floors.shape[0]):
         i = listed.first[cell]
         while listed.geom[i] >= 0:
@@ -75,35 +84,19 @@ def measure_over_floors(listed, floors, extents, over, cells, upper_cells):
             i += 1
             if not flags & STANDS:
                 continue
-            cells[g] += 1
-            upper_cells[g] += 1 if flags & PROBED else 0
-            floor, low, high = floors[cell], extents.low[g], extents.high[g]
+            counts[0, g] += 1
+            counts[1, g] += 1 if flags & PROBED else 0
+            floor, low, high = floors[cell], lows[g], highs[g]
             if low - floor < base[g]:  # never of an endless plane, whose heights are NaN
                 base[g] = low - floor
             if high - max(low, floor) > rise[g]:
                 rise[g] = high - max(low, floor)
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def count_supports(listed, standable, limit, covering, counts, stood_on):
-    """Count the cells of one storey by the geom that carries their floor.
-
-    Args:
-        standable: (cells,) bool.
-        limit: (geoms,) float64, gaps up to this mean that the geom lies on a floor [m].
-        covering: gaps up to this mean that it only covers one [m].
-        counts: by geom, (3, geoms) int64: of all such cells, of those where it lies on a floor, and
-            of those where it covers one; are added to.
-        stood_on: receives whether one can stand on a geom anywhere, (geoms,) bool.
-    """
-    for i in range(listed.carrier.shape[0]):
-        geom = listed.carrier[i]
-        if geom < 0:
-            continue
-        counts[0, geom] += 1
-        counts[1, geom] += 1 if listed.gap[i] <= limit[geom] else 0
-        counts[2, geom] += 1 if listed.gap[i] <= covering else 0
-        stood_on[geom] |= standable[i]
+        carrier, gap = listed.carrier[cell], listed.gap[cell]
+        if carrier >= 0:
+            counts[2, carrier] += 1
+            counts[3, carrier] += 1 if gap <= on_floor[carrier] else 0
+            counts[4, carrier] += 1 if gap <= covering else 0
+            stood_on[carrier] |= standable[cell]
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -126,25 +119,3 @@ def mark_walls(listed, kinds, cells, walls, lows):
                 walls[n] |= kind == WALL or (kind == BUILDING and flags & PROBED != 0)
                 lows[n] |= kind == BUILDING
         lows[n] &= not is_upper
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def count_taken(listed, cells, body_of, taken, by):
-    """Add `by` to what each body has in `taken` for each of some cells that it takes.
-
-    A body takes a cell that it blocks where all that blocks the cell is on bodies with a free
-    joint, `body_of` each geom, -1 for none. So a cup on a table takes none.
-    """
-    geom, flags = listed.geom, listed.flags
-    for cell in cells:
-        i, is_free = listed.first[cell], True
-        while geom[i] >= 0:
-            is_free = is_free and (not flags[i] & BLOCKS or body_of[geom[i]] >= 0)
-            i += 1
-        for one in range(listed.first[cell], i if is_free else 0):
-            is_new = flags[one] & BLOCKS != 0
-            for j in range(listed.first[cell], one):
-                is_known = flags[j] & BLOCKS and body_of[geom[j]] == body_of[geom[one]]
-                is_new = is_new and not is_known
-            if is_new:
-                taken[body_of[geom[one]]] += by

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import OPEN_SURFACE, SAME
 from navbake.baker.scene.kernels.triangles import unit_normal
-from navbake.compiled import UNCOUNTED, kernel, part
+from navbake.compiled import UNCOUNTED, part
 from navbake.types import Bool, Float, Int32
 
 # Lines this close to a rim cross it, so that seams between geoms never leak [m]
@@ -193,24 +193,3 @@ def settle(hits, first, last, facets, spare, place):
     for i in range(kept, last):
         hits.geom[i] = DROPPED
     return last - kept
-
-
-@kernel(**UNCOUNTED)
-def close_up(crossings):
-    """Move crossings up to where hits were dropped before them; returns how many there are."""
-    start, count = crossings.start, np.int64(0)
-    first = start[0]
-    for line in range(start.shape[0] - 1):
-        last = start[line + 1]
-        for i in range(first, last):
-            if crossings.geom[i] == DROPPED:
-                break
-            crossings.z[count] = crossings.z[i]
-            for axis in range(3):
-                crossings.normal[count, axis] = crossings.normal[i, axis]
-            crossings.geom[count] = crossings.geom[i]
-            crossings.closed[count] = crossings.closed[i]
-            count += 1
-        first = last
-        start[line + 1] = count
-    return count

@@ -268,7 +268,7 @@ def find_parts(faces, area, edge, start, half):
         area: of each triangle, (m,) float64 [m²].
         edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the
             next one, (3 m,) int32.
-        start, half: the half-edges of each edge, ragged, ascending, int32; see `list_edges`.
+        start, half: the half-edges of each edge, ragged, ascending, int32; see `find_shells`.
 
     Returns:
         part: by triangle, a number of its closed part, the lowest triangle in it, or SHEET, or

@@ -158,16 +158,16 @@ def _is_upright(mat):
 @part(**UNCOUNTED)
 def _hit_plane(planes, p, x, y, heights, ray, hits, at):
     """Note where a line crosses an infinite plane, from its front only; returns how often."""
-    count = np.int64(0)
+    count, pos, mat = np.int64(0), planes.pos[p], planes.mat[p]
     ray.point[0], ray.point[1] = x, y
     ray.grown[:] = 0.0  # a plane of no size is infinite
     for way in range(2):
         _aim(ray, way, heights.low, heights.high)
-        distance = _cast(planes.pos[p], planes.mat[p], ray.grown, PLANE_KIND, ray.point, ray)
+        distance = _cast(pos, mat, ray.grown, PLANE_KIND, ray.point, ray)
         if distance >= 0.0:
-            z = ray.point[2] + ray.direction[2] * distance
-            if _is_upright(planes.mat[p]):
-                z = planes.pos[p, 2]  # wherever the ray begins
+            # to the last bit, wherever the ray begins
+            across = (x - pos[0]) * mat[2] + (y - pos[1]) * mat[5]
+            z = pos[2] - across / mat[8]
             _hit(hits, at + count, z, ray.normal, ray.normal[2], planes.geom[p])
             hits.closed[at + count], hits.facet[at + count] = OPEN_SURFACE, OF_PLANE
             count += 1
@@ -284,7 +284,7 @@ def cast_lines(
         heights: a `Band` below and above everything [m].
         crossings: in the first call all but `start` are empty, and ``start[cell + 1]``
             receives the number of hits; in the second, the running sums stand there, and
-            the others receive the crossings, and after a column's last what `close_up` removes.
+            the others receive the crossings, and after a column's last what is DROPPED.
         dropped: by band, int64; receives the number of hits that are no crossings.
     """
     start, writing = crossings.start, crossings.z.shape[0] > 0

@@ -21,13 +21,6 @@ HAIR = 1e-3
 ONE_COLUMN = np.int64(sum(1 << (row * TILE) for row in range(TILE)))
 
 
-@kernel
-def tile_of(lattice, cell):
-    """The tile that holds a cell; tiles are numbered row by row."""
-    row, col = cell // lattice.width, cell % lattice.width
-    return row // TILE * ((lattice.width + TILE - 1) // TILE) + col // TILE
-
-
 @part(inline="always")
 def tile_window(lattice, tile):
     """The rows and columns of a tile: the first row, past the last, and so with the columns."""

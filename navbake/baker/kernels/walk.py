@@ -479,7 +479,10 @@ def _ask_shape(walk, kind, i, n, volumes):
         elif outside(walk.solids.bounds, i, volume):
             answer = APART
         else:
-            answer = solid_meets(walk.solids, i, volume, walk.here.simplex)
+            # GJK is exact to a share of the prism's height: no more of it than the solid may meet
+            high = min(volume.high, walk.solids.bounds[i, 5] + 1.0)
+            part_of = Prism(volume.x, volume.y, volume.low, high, volume.half, volume.is_round)
+            answer = solid_meets(walk.solids, i, part_of, walk.here.simplex)
         if answer == APART:
             # what misses a volume misses the square that is a part of it
             if flag == STANDS and footprint.low >= SAME + TOUCH:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, TOUCH
-from navbake.baker.kernels.tiles import TILE, tile_of
+from navbake.baker.kernels.tiles import TILE
 from navbake.baker.kernels.walk import (
     BLOCKS,
     BY_LINE,
@@ -22,6 +22,7 @@ from navbake.baker.kernels.walk import (
     Queries,
     look_near,
 )
+from navbake.baker.listing import tile_of
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
 from navbake.threads import run_in_bands

@@ -15,10 +15,12 @@ from navbake.baker.contents.walls import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Crossings
+from navbake.baker.kernels.constants import BUILDING, WALL
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows
 from navbake.baker.scene.scene import Scene
+from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, RoomSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
@@ -50,6 +52,7 @@ class RoomFlags(NamedTuple):
     levels: list[LevelFlags]
     empty: Bool  # cells in whose columns there is nothing, shape (height, width)
     ends: Bool  # the sides of the lattice at which the scene ends, [[upper, lower], [left, right]]
+    walls: Shapes  # the geometry of walls and of meshes that hold a building
     has_ground: bool  # endless ground goes on beyond the lattice
     links: Int  # steps between cells, see `Floors`, shape (n, 4)
     marks: Mapping[str, MarkedRooms]  # the rooms that each source marks
@@ -100,7 +103,7 @@ def read_flags(
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if contents is not None:
-            wall, low = contents.wall_cells(number), contents.low_cells(number)
+            wall, low = contents.mark_walls(number)
         marked = of_columns.bits[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
@@ -113,8 +116,12 @@ def read_flags(
         more = np.array([[high_y - y1, y0 - low_y], [x0 - low_x, high_x - x1]])
         ends = more <= BEYOND * lattice.cell_size
     has_ground = len(scene.shapes.planes.geom) > 0
+    is_wall = np.zeros(len(scene.geoms), dtype=np.bool_)
+    if contents is not None:
+        is_wall = np.isin(contents.partitions, (WALL, BUILDING))
     marks = mark_rooms(scene, columns, floors.levels, settings, agent)
-    return RoomFlags(lattice, levels, empty, ends, has_ground, floors.links, marks)
+    walls = scene.shapes.only(is_wall)
+    return RoomFlags(lattice, levels, empty, ends, walls, has_ground, floors.links, marks)
 
 
 def edge_cells(is_open: Bool, sides: Bool) -> Bool:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from navbake.baker.connect import connect, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import Gaps, Scan
-from navbake.baker.rooms.walls import Direction, find_directions, turned
+from navbake.baker.rooms.walls import Direction, WallRays, find_directions, turned
 from navbake.threads import run_beside
-from navbake.types import Bool, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 Marks = NDArray[np.uint8]
 
@@ -41,6 +41,8 @@ LONG, WIDER = 3.0, 1.5
 # A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
 # are so large [m²]
 CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
+# Where so many cells could decide, widths are measured on the walls' geometry
+WAVERING = 2.0
 # A gap that is wider than the widest by so little is none the wider: rounding [m]
 ROUNDING = 1e-9
 
@@ -78,7 +80,8 @@ def find_gaps(
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
             is_open = turned(space & ~marked, direction)
-            waiting.append(run_beside(kernels.mark_gaps, is_open, direction.shift, *limits))
+            lines = is_open, direction.shift, turned(direction.near, direction).copy()
+            waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
         for wait in waiting:
             wait()
         for direction, own in zip(directions, marks, strict=True):
@@ -147,15 +150,29 @@ class Spaces:
     """
 
     def __init__(
-        self, found: list[Found], cells: Int, cell_size: float, door_width: float | None
+        self,
+        found: list[Found],
+        cells: Int,
+        cell_size: float,
+        door_width: float | None,
+        rays: WallRays | None = None,
     ) -> None:
+        """Without rays, walls begin half a column beyond the last open cells."""
         self._found, self._cell_size, self._door_width = found, cell_size, door_width
+        self._rays = rays
         self._cells, self._first = cells.astype(np.int64), cells  # now, and before any was joined
         self.whole = np.arange(len(cells), dtype=np.int32)
         # of each gap, those of all directions together
         self._start = np.cumsum([0, *(len(gaps.first) for *_, gaps in found)])
         spans = [(gaps.last - gaps.first + 1) * d.stretch for d, _, gaps in found]
         self._width = np.concatenate([np.empty(0), *spans])  # [cells]
+        # from the centre of a gap's first cell, and of its last one, to the wall [columns]
+        self._beside = np.full((len(self._width), 2), 0.5)
+        self._is_measured = np.zeros(len(self._width), dtype=np.bool_)
+        off = np.abs(self._width - (door_width or WIDEST) / cell_size)
+        for number in range(len(found)):
+            own = np.arange(self._start[number], self._start[number + 1])
+            self._measure_widths(number, own[off[own] <= WAVERING])
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
         pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
@@ -241,10 +258,49 @@ class Spaces:
         for number in np.unique(place).tolist():
             _, scan, listed = self._found[number]
             chosen, start = gaps[place == number], int(self._start[number])
-            asked = scan, listed, chosen - start, self.whole
-            self._shares[chosen], met = kernels.measure_gaps(*asked)
+            lines, met = kernels.measure_gaps(scan, listed, chosen - start, self.whole)
             for k, space in met:
                 self._met_by[space].add(start + k)
+            length, width, passed, ends = np.split(lines, (1, 2, 4), axis=3)
+            through = width + passed.sum(axis=3, keepdims=True)
+            shares = (through / length)[..., 0].min(axis=2)
+            off = np.min([np.abs(shares - share) for share in (BOTH, NARROWER, 1 / WIDER)], axis=0)
+            # others are decided wherever in the last cells the walls begin
+            close = np.flatnonzero((off * length[..., 0].min(axis=2) <= WAVERING).any(axis=1))
+            if len(close) and self._rays is not None:
+                self._measure_widths(number, chosen[close])
+                beside = np.where(passed[close] > 0, 0.5, self._beside[chosen[close], None, None])
+                parts = through[close, ..., 0] - 1 + beside.sum(axis=3)
+                beyond = self._beyond(number, ends[close]).sum(axis=3)
+                exact = parts / (length[close, ..., 0] - 1 + beyond)
+                shares[close] = np.minimum(exact.min(axis=2), 1.0)
+            self._shares[chosen] = shares
+
+    def _measure_widths(self, number: int, gaps: Int) -> None:
+        """Measure how far some gaps of a direction reach beyond their first and last cells."""
+        direction, scan, listed = self._found[number]
+        new = gaps[~self._is_measured[gaps]]
+        k = new - self._start[number]
+        rows, cols = (listed.top[k] + listed.bottom[k]) // 2, [listed.first[k], listed.last[k]]
+        cells = rows * scan.label.shape[1] + np.stack(cols, axis=1)
+        self._beside[new] = self._beyond(number, cells)
+        self._width[new] = (cols[1] - cols[0] + self._beside[new].sum(axis=1)) * direction.stretch
+        self._is_measured[new] = True
+
+    def _beyond(self, number: int, cells: Int) -> Float:
+        """How far lines' ends are from the walls beyond them, shape (…, 2) [columns].
+
+        That is from the centres of their last `cells` before and after, half a column where one is
+        -1: the line ends at no wall.
+        """
+        direction, scan, _ = self._found[number]
+        rest = np.full(cells.shape, 0.5)
+        at = np.nonzero(cells >= 0)
+        if self._rays is not None and len(at[0]):
+            row, col = np.divmod(cells[at], scan.label.shape[1])
+            row, col = (col, row) if direction.swapped else (row, col)
+            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1)
+        return rest
 
     def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""

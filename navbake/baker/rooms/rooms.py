@@ -18,6 +18,7 @@ from navbake.baker.lattice import list_differing
 from navbake.baker.rooms.flags import RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.segmentation import (
+    find_cavities,
     find_outdoors,
     give_covered,
     renumber,
@@ -191,13 +192,17 @@ class _Assignment:
         door_width = None if given == "auto" else given
         labels, count, outdoors = list[Int32](), 0, set[int]()
         for number, level in enumerate(self._flags.levels):
-            segment, close = segment_by_gaps(level, lattice.cell_size, least, door_width)
+            asked = level, lattice.cell_size, least, door_width
+            segment, close = segment_by_gaps(*asked, self._flags.walls, lattice)
             if close and door_width is None:
                 self.warnings.append(_describe_close(close, number, lattice))
             owner = self.owner[number]
             if owner.any():
                 owner = give_covered(owner, self._under[number] * level.open, segment)
                 self.owner[number], segment = share_rest(owner, segment, lattice.cell_size, least)
+            cavities = find_cavities(segment, self.owner[number], self._flags, number)
+            if cavities.any():
+                segment, _ = renumber(np.where(cavities[segment], 0, segment))
             segment, outside = find_outdoors(segment, self._flags, number)
             outdoors.update(room + count for room in outside)
             labels.append(np.where(segment > 0, segment + count, 0) if count else segment)

@@ -11,7 +11,9 @@ from navbake.baker.connect import connect, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
 from navbake.baker.rooms.flags import LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
-from navbake.baker.rooms.walls import squared_distances, wall_nodes
+from navbake.baker.rooms.walls import WallRays, squared_distances, wall_nodes
+from navbake.baker.scene.shapes import Shapes
+from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
 
 # What marked rooms leave is no room of its own if it is nowhere as wide as this [m]
@@ -28,12 +30,19 @@ ROUNDING = 1e-6  # of a cell, or of half a cell
 EDGE_LENGTH = WIDEST
 # What is no further from the edge lies under eaves, if it isn't under the sky [m]
 EAVES = 1.2
+# A space that nothing leads into is a room from this area on, and this width somewhere [m², m]
+CAVITY = 2.0, 1.0
 # Outdoors, at least this share of the floor is under the sky or under eaves
 OPEN_SHARE = 0.5
 
 
 def segment_by_gaps(
-    level: LevelFlags, cell_size: float, min_area: float, door_width: float | None = None
+    level: LevelFlags,
+    cell_size: float,
+    min_area: float,
+    door_width: float | None = None,
+    walls: Shapes | None = None,
+    lattice: Lattice | None = None,
 ) -> tuple[Int32, list[CloseCall]]:
     """Divide the open cells of a level into rooms, at gaps much narrower than the rooms are.
 
@@ -47,9 +56,10 @@ def segment_by_gaps(
       passage that opens into a wider space stays a room of its own, at a mouth of up to 3.2 m;
     - with a `door_width` [m], where it is wider than that, in place of the two widths above.
 
-    How wide a space is along a gap is measured close behind it. Gaps in one line between the same
-    spaces count as one, so that a row of pillars parts nothing. Stairs that open to a room over
-    their full width belong to it, at their foot rather than their head. What is smaller than
+    How wide a space is along a gap is measured close behind it: up to the geometry of `walls` on
+    the `lattice`, where both are given, else in cells. Gaps in one line between the same spaces
+    count as one, so that a row of pillars parts nothing. Stairs that open to a room over their full
+    width belong to it, at their foot rather than their head. What is smaller than
     `min_area` [m²] joins the room that it opens to the widest, or is no room.
 
     Returns the room of each cell from 1, in reading order, 0 for none; and close calls.
@@ -64,12 +74,15 @@ def segment_by_gaps(
         return rooms, []
     # with the walls round it: their directions count, the edge of the grid is none
     window = bounding_window(level.open)
-    row, col = top_left = [max(part.start - 1, 0) for part in window]
-    around = tuple(slice(k, part.stop + 1) for k, part in zip(top_left, window, strict=True))
+    row, col = (max(part.start - 1, 0) for part in window)
+    around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
     floor, edge = level.floor[around], level.edge[around]
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
     found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
-    spaces = Spaces(found, cells, cell_size, door_width)
+    rays = None
+    if walls is not None and lattice is not None:
+        rays = WallRays(walls, lattice.cut(*around), floor)
+    spaces = Spaces(found, cells, cell_size, door_width, rays)
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]
@@ -308,6 +321,32 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
     number = np.zeros(int(order.max(initial=0)) + 1, dtype=np.int32)
     number[order] = np.arange(1, len(order) + 1)
     return number[label], order
+
+
+def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) -> Bool:
+    """Mark the segments of a level that are cavities: hollow walls, shafts, chases.
+
+    No walk leads into one from any other space or level, none is at the edge of the grid, and it
+    is smaller than `CAVITY` or nowhere as wide as that says. A scene's only space is none.
+    """
+    cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
+    area = np.bincount(segment.ravel(), minlength=count) * cell_size**2
+    space = np.where(owner > 0, owner + count, segment)
+    pairs = space.ravel()[list_differing(space)]
+    is_open = np.zeros(count, dtype=np.bool_)
+    is_open[0] = True
+    is_open[pairs[(pairs > 0).all(axis=0) & (pairs < count)]] = True
+    is_open[segment[flags.levels[level].edge]] = True
+    for side in ((0, 1), (2, 3)):
+        on_level = flags.links[flags.links[:, side[0]] == level]
+        is_open[segment.ravel()[on_level[:, side[1]]]] = True
+    is_open |= area >= area[1:].max(initial=0.0)
+    if is_open.all():
+        return ~is_open
+    least, wide = CAVITY
+    distance = squared_distances(wall_nodes(segment > 0), int(wide / cell_size) + 2)
+    is_wide = widest_nodes(segment, distance, count) >= (wide / cell_size) ** 2 - ROUNDING
+    return ~is_open & ((area < least) | ~is_wide)
 
 
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:

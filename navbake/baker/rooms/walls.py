@@ -1,12 +1,16 @@
 """Walls: distances to them, the directions that they run in, and the sills that continue them."""
 
+from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.connect import list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
+from navbake.baker.scene.shapes import Shapes, Triangles
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
@@ -15,15 +19,25 @@ T = TypeVar("T", bound=np.generic)
 STRIP = 64  # columns that are worth a thread's while
 # The directions of walls are taken at this distance from them, in bins of so many degrees; those
 # count that belong to this length of wall, and to this share of all
-OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 2.0, 0.01
+OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 1.2, 0.01
+# Of a wall's length, so much lies on one line; its gaps begin or end so near to it [m]
+LINE_WALL, NEAR_WALL = 0.8, 1.5
 # Each is then found in steps of so many degrees, by lines so wide [cells], and about so many
 # points; an axis of the lattice is taken if it is as sharp as this share of the sharpest
 FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
+# What so large a share of walls runs in is a direction of the whole building, as is what is at
+# right angles to it, to so many degrees
+MANY, SQUARE = 0.15, 1.0
 # Nearer to it [cells] the lattice's steps disturb it
 OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
+# At which height over the floor walls are measured: over what they may begin at, and below what
+# the lowest reach; and a quarter of the tiles by which rays find them [m]
+RAY_HEIGHT, RAY_TILE = 1.0, 0.1
+# Walls begin so near to where cells say that they do [columns]
+FAR = 4.0
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
 
@@ -58,6 +72,7 @@ class Direction(NamedTuple):
     shift: Int  # the row of a line in each column less that in the first
     slope: float  # the rows that it goes down with each column
     stretch: float  # the length of a step along it [cells]
+    near: Bool  # cells near to walls that run in it
 
 
 def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
@@ -79,21 +94,58 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     slope = np.hypot(down, right)
     foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / slope
     num = 180 // BIN
-    count = np.bincount(np.rint(angle / BIN).astype(np.int64) % num, minlength=num).astype(float)
-    smooth = count + np.roll(count, 1) + np.roll(count, -1)
+    bins = np.rint(angle / BIN).astype(np.int64) % num
     # round the corners of walls the slope has all directions alike
-    around = 2.0 * float(np.median(smooth))
-    least = around + max(LEAST_WALL / cell_size, LEAST_SHARE * count.sum())
-    is_peak = np.all([smooth >= np.roll(smooth, k) for k in (-2, -1, 1, 2)], axis=0)
-    smooth[~is_peak] = 0.0
-    directions = []
-    while smooth.max() >= least:
-        best = int(smooth.argmax())
-        off = (angle - best * BIN + 90.0) % 180.0 - 90.0
-        chosen = _align(foot[:, np.abs(off) <= 1.5 * BIN], best * BIN)
-        directions.append(direction_of(chosen, open_cells.shape))
-        smooth[np.arange(best - 2, best + 3) % num] = 0.0
-    return directions
+    around = 2.0 * float(np.median(_smooth(np.bincount(bins, minlength=num))))
+    least = max(LEAST_WALL / cell_size, LEAST_SHARE * len(bins))
+    directions, main = list[Direction](), list[float]()
+    left = np.ones(len(bins), dtype=np.bool_)
+    while True:
+        count = _smooth(np.bincount(bins[left], minlength=num))
+        best = int(count.argmax())
+        if count[best] < least + around:
+            return directions
+        off = np.abs((angle - best * BIN + 90.0) % 180.0 - 90.0)
+        near = left & (off <= 1.5 * BIN)
+        chosen = _align(foot[:, near], best * BIN)
+        # what lies on its walls is no wall of another direction, be that a few degrees off
+        near = left & (off <= 2.5 * BIN)
+        explained = _on_walls(foot[:, near], chosen, LINE_WALL / cell_size)
+        if explained.sum() >= least:
+            walls: Bool = np.zeros(open_cells.shape, dtype=np.bool_)
+            row, col = np.rint(foot[:, near][:, explained]).astype(np.int64) - PADDING
+            inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
+            walls[row[inside], col[inside]] = True
+            found = direction_of(chosen, open_cells.shape)
+            if not directions or explained.sum() >= MANY * len(bins):
+                main.append(chosen)
+            elif all(abs((chosen - other + 45.0) % 90.0 - 45.0) > SQUARE for other in main):
+                most = round(NEAR_WALL / cell_size)
+                found = found._replace(near=squared_distances(walls, most) <= most**2)
+            directions.append(found)
+            left[near] = ~explained
+        else:
+            left[near] = False
+
+
+def _smooth(count: Int) -> Int:
+    return count + np.roll(count, 1) + np.roll(count, -1)
+
+
+def _across(foot: Float, angle: float) -> Float:
+    """In which line each point lies, of lines in a direction [°] that are `LINE` wide."""
+    turn = np.deg2rad(angle)
+    across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
+    return np.asarray((across - across.min()) / LINE)
+
+
+def _on_walls(foot: Float, angle: float, least: float) -> Bool:
+    """Which points lie on two neighbouring lines that have as many as a wall."""
+    line = _across(foot, angle).astype(np.int64)
+    count = np.pad(np.bincount(line), 1)
+    pairs = count[1:] + count[:-1]  # each line with the one before
+    is_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= least
+    return is_wall
 
 
 def _align(foot: Float, around: float) -> float:
@@ -105,9 +157,8 @@ def _align(foot: Float, around: float) -> float:
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
     angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
     sharpness = np.zeros(len(angles))
-    for k, angle in enumerate(np.deg2rad(angles)):
-        across = foot[0] * np.cos(angle) - foot[1] * np.sin(angle)
-        across = (across - across.min()) / LINE
+    for k, angle in enumerate(angles.tolist()):
+        across = _across(foot, angle)
         for phase in (0.0, 0.5):  # so that no wall falls between two lines
             count = np.bincount((across + phase).astype(np.int64))
             # the squares of the sums of two lines next to each other; whole numbers, so exact
@@ -125,12 +176,67 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
     count = shape[0] if swapped else shape[1]
     shift = np.rint(np.arange(count) * slope).astype(np.int64)
-    return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)))
+    near = np.ones(shape, dtype=np.bool_)
+    return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)), near)
 
 
 def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
     """An array as the kernels scan it in a direction."""
     return np.ascontiguousarray(array.T) if direction.swapped else array
+
+
+class WallRays:
+    """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
+
+    def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
+        self._lattice, self._height = lattice, floor + RAY_HEIGHT
+        low, high = np.nanmin(self._height), np.nanmax(self._height)
+        z = walls.triangles.corners[..., 2]
+        kept = (z.min(axis=1, initial=np.inf) <= high) & (z.max(axis=1, initial=-np.inf) >= low)
+        triangles = Triangles._make(array[kept] for array in walls.triangles)
+        self._walls = replace(walls, triangles=triangles)
+        self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes | None]] = {}
+
+    def measure(self, direction: Direction, row: Int, col: Int, is_after: Bool) -> Float:
+        """How far walls are from cells' centres along a direction, or back, (n,) [columns].
+
+        Half a column where there is none within `FAR`.
+        """
+        axes, tiled = self._turn(direction)
+        if tiled is None:
+            return np.full(len(row), 0.5)
+        height = self._height[row, col]
+        centers = np.column_stack([self._lattice.positions(row, col), height]) @ axes.T
+        # over a cell's width, as a thin wall lies beside the centres of cells that it is in
+        across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
+        points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
+        points[:, 0] += np.tile(across, len(row))
+        rows, cols = tiled.lattice.rows_cols(points)
+        rows = np.clip(rows, 0, tiled.lattice.height - 1)
+        cols = np.clip(cols, 0, tiled.lattice.width - 1)
+        crossings = cast_points(tiled, rows * tiled.lattice.width + cols, points)
+        line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
+        ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
+        nearest = np.full(len(row), np.inf)
+        np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
+        columns = nearest / (direction.stretch * self._lattice.cell_size)
+        return np.where(columns <= FAR, columns, 0.5)
+
+    def _turn(self, direction: Direction) -> tuple[Float, TiledShapes | None]:
+        """The axes of a frame in which the direction is up, as rows, and the walls in it."""
+        key = direction.swapped, direction.slope
+        if key not in self._turned:
+            way = np.array([1.0, -direction.slope]) / direction.stretch
+            x, y = -way[::-1] if direction.swapped else way
+            axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
+            walls = self._walls.turned(axes)
+            bounds = walls.bounds
+            tiled = None
+            if bounds is not None:
+                box = [*bounds[0, :2].tolist(), *bounds[1, :2].tolist()]
+                tiled = tile_shapes(walls, Lattice.cover(box, RAY_TILE), RAY_TILE)
+            self._turned[key] = axes, tiled
+        return self._turned[key]
 
 
 def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:

@@ -14,6 +14,7 @@ import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import unquote
@@ -35,6 +36,7 @@ MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 AXES = {sign + axis: (np.eye(3)[k] * way).tolist()
         for sign, way in (("", 1.0), ("-", -1.0)) for k, axis in enumerate("xyz")}  # fmt: skip
+SPECK = 0.1  # of a piece of a scan that is left out [m²]
 NO_AREA = 5e-15  # of triangles that are no larger [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
 # How trimesh reads a format
@@ -225,6 +227,36 @@ def _dae_asset(path: Path) -> tuple[float, str | None]:
     return meters, up
 
 
+def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
+    """Leave out what hangs together over vertices and is smaller than `SPECK`; with a warning.
+
+    Scanners see people, reflections and dust as small pieces that stand in mid-air.
+    """
+    from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
+
+    kept, dropped, lost = list[MeshPart](), 0, 0.0
+    for part in parts:
+        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
+        corners = place.reshape(-1)[part.faces]
+        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
+        size = int(corners.max()) + 1
+        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
+        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+        area = np.bincount(piece, measure_areas(part.vertices, part.faces))
+        small = (area > 0.0) & (area < SPECK)
+        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
+        vertices, faces = _only_used(part.vertices, part.faces[~small[piece]])
+        if len(faces):
+            kept.append(MeshPart(part.name, vertices, faces))
+    if not kept or not dropped:
+        return parts
+    warnings.append(
+        f"{dropped} pieces of the scan, each smaller than {SPECK} m² and {lost:.2f} m² in all, are "
+        "left out (`scene.scan`)"
+    )
+    return kept
+
+
 def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
     """Turn parts into the world frame, and name each by a name of its own."""
     turn = scale * turn_up(up)
@@ -389,12 +421,13 @@ def _to_float64(axes: Sequence[NDArray[np.floating]]) -> Float:
 
 JSON_CHUNK = 0x4E4F534A
 TRIANGLE_FAN = 6
+MESHOPT = "`gltfpack -i FILE -o unpacked.glb -noq` unpacks it (npm has gltfpack)"
 UNREAD = {
     "EXT_mesh_gpu_instancing": "export its copies as nodes",
-    "EXT_meshopt_compression": "export it without compression",
-    "KHR_meshopt_compression": "export it without compression",
-    "KHR_draco_mesh_compression": "export it without compression",
+    "EXT_meshopt_compression": MESHOPT,
+    "KHR_meshopt_compression": MESHOPT,
 }
+DRACO = "KHR_draco_mesh_compression"  # which trimesh reads by DracoPy
 
 
 def check_gltf(path: Path) -> None:
@@ -426,6 +459,8 @@ def check_gltf(path: Path) -> None:
 def _find_problems(header: dict[str, Any], size: int, folder: Path) -> Iterator[str]:
     used = (name for name in header.get("extensionsUsed", []) if name in UNREAD)
     yield from (f"it uses {name}: {UNREAD[name]}" for name in used)
+    if DRACO in header.get("extensionsUsed", []) and find_spec("DracoPy") is None:
+        yield f'it uses {DRACO}: `pip install "navbake[draco]"` reads it'
     accessors = header.get("accessors", [])
     for accessor in accessors:
         if "bufferView" not in accessor and accessor["count"] > max(size, 10_000_000):

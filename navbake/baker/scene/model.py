@@ -120,7 +120,9 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
 
     def load() -> Any:
         if path.suffix == ".xml":
-            return compile_spec(mujoco.MjSpec.from_file(str(path)), ground, warnings)
+            spec = mujoco.MjSpec.from_file(str(path))
+            _drop_missing_textures(spec, path, warnings)
+            return compile_spec(spec, ground, warnings)
         if ground is not None:  # MjSpec reads no other ending
             raise ConfigError(f"`scene.ground` can't be added to {path}: let its name end in .xml")
         return mujoco.MjModel.from_xml_path(str(path))
@@ -133,6 +135,24 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
         except BROKEN_XML as problem:  # says better where
             raise SceneError(f"broken XML in {path}: {problem}") from error
         raise
+
+
+def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
+    """Make textures plain whose file is missing, with a warning: they matter to no bake."""
+    missing = list[str]()
+    for texture in spec.textures:
+        files = [name for name in (texture.file, *texture.cubefiles) if name]
+        places = [path.parent / spec.texturedir, path.parent]
+        lost = [name for name in files if not any((place / name).is_file() for place in places)]
+        if spec.strippath:
+            lost = [name for name in lost if not (places[0] / Path(name).name).is_file()]
+        if lost:
+            missing += lost
+            texture.file, texture.cubefiles = "", [""] * len(texture.cubefiles)
+            texture.builtin, texture.width, texture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 1, 1
+    if missing:
+        more = f" and {len(missing) - 1} more" if missing[1:] else ""
+        warnings.append(f"texture {missing[0]!r}{more} of {path} not found: drawn plain")
 
 
 def model_of_parts(

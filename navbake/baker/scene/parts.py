@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import COPY, SHEET, find_parts
-from navbake.baker.scene.kernels.shells import find_shells, list_edges, weld_points
+from navbake.baker.scene.kernels.shells import find_shells, weld_points
 from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -56,8 +56,7 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     run_in_bands(_take_points, len(faces), number, faces, point, kept, least=4096)
     if not kept.all():
         faces, point = faces[kept], point[kept]
-    edges = list_edges(point, len(vertices))
-    found, is_shell = find_shells(point, *edges[1:])
+    found, is_shell, *edges = find_shells(point, len(vertices))
     turned = np.zeros(len(faces), dtype=np.bool_)
     if not is_shell.all():
         rest = np.flatnonzero(~is_shell)  # these hang together with no shell
@@ -65,7 +64,7 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
         if is_shell.any():
             used, own_number = np.unique(corners, return_inverse=True)
             corners = own_number.reshape(corners.shape).astype(np.int32)
-            edges = list_edges(corners, len(used))
+            _, _, *edges = find_shells(corners, len(used))
         part, turned[rest] = find_parts(corners, measure_areas(vertices, own), *edges)
         found[rest] = np.where(part >= 0, rest[part], part)
     del point, is_shell, edges

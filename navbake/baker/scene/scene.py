@@ -24,8 +24,8 @@ from navbake.threads import run_beside
 from navbake.types import Float
 
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
-# A mesh that is higher, wider or smaller is probably not in metres [m]
-HIGH_MESH, WIDE_MESH, SMALL_MESH = 100.0, 5000.0, 0.5
+# A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m]
+HIGH_MESH, WIDE_MESH, SMALL = 100.0, 5000.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,10 @@ def load_scene(
         )
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += warn_out_of_range(model, settings)
-    warnings += [*_warn_geometry(model, settings, parts), *notes, *collected.notes]
-    hints = [text for text in warnings if parts and ("`scene.up" in text or "`scene.unit`" in text)]
+    hints = [text for text in warnings if parts and "`scene.up" in text]
+    size = _warn_size(settings, parts, collected.shapes.bounds)
+    hints += size
+    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *collected.notes]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
@@ -125,30 +127,39 @@ def open_file(settings: SceneSettings, limits: CompileLimits | None = None) -> O
 
 
 def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPart]) -> list[str]:
-    """Warn of geometry that can't be baked, of settings for mesh files, and of a probable unit."""
+    """Warn of geometry that can't be baked, and of settings that are for mesh files."""
     notes = [
         f"{kind} can't be baked and is left out: "
         + ", ".join(name_at(model, start) or f"{kind} {i}" for i, start in enumerate(starts))
         for kind, starts in (("flex", model.name_flexadr), ("skin", model.name_skinadr))
         if len(starts)
     ]
-    if not parts:
-        given = {"up": settings.up not in ("auto", "z"), "unit": settings.unit != 1.0}
-        text = "is for mesh files and does nothing here"
-        return [*notes, *(f"`scene.{name}` {text}" for name, is_given in given.items() if is_given)]
-    sides = np.diff(box_of(parts.values()), axis=0)[0]
+    given = {"up": settings.up not in ("auto", "z"), "unit": settings.unit != 1.0}
+    text = "is for mesh files and does nothing here"
+    unused = [f"`scene.{name}` {text}" for name, is_given in given.items() if is_given]
+    return [*notes, *([] if parts else unused)]
+
+
+def _warn_size(
+    settings: SceneSettings, parts: dict[int, MeshPart], bounds: Float | None
+) -> list[str]:
+    """Warn of a scene whose size says that its unit is none that anybody stands in."""
+    if bounds is None or "unit" in settings.model_fields_set:
+        return []
+    sides = np.diff(box_of(parts.values()) if parts else bounds, axis=0)[0]
     width, height = float(sides.max()), float(sides[2])
-    text = ""
-    if height > HIGH_MESH:
-        text = f"{height:.6g} m high"
-    elif not SMALL_MESH <= width <= WIDE_MESH:
-        text = f"{'only ' if width < SMALL_MESH else ''}{width:.6g} m large"
-    if text and "unit" not in settings.model_fields_set:
-        hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
-        if width < SMALL_MESH:
+    if width < SMALL:
+        hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
+        if parts:
             hint = "set `scene.unit` to the metres that one unit of it is, as 1000 for kilometres"
-        notes.append(f"the mesh is {text}: {hint} (1 silences this)")
-    return notes
+            hint += " (1 silences this)"
+        return [f"the {'mesh' if parts else 'scene'} is only {width:.6g} m large: {hint}"]
+    if parts and (height > HIGH_MESH or width > WIDE_MESH):
+        is_high = height > HIGH_MESH
+        text = f"{height:.6g} m high" if is_high else f"{width:.6g} m large"
+        hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
+        return [f"the mesh is {text}: {hint} (1 silences this)"]
+    return []
 
 
 DigestedNames = tuple[Any, NDArray[np.uint8], NDArray[np.uint8]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,31 @@ class Shapes:
 
         kept = marked(self.solids), marked(self.planes), marked(self.triangles)
         return Shapes(*kept, self.endless & geoms)
+
+    def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
+        """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
+
+        def put(old: Items, now: Items) -> Items:
+            at = np.flatnonzero(geoms[old.geom])
+            if not len(at):
+                return old
+            arrays: list[NDArray[Any]] = [array.copy() for array in old]
+            for array, values in zip(arrays, now, strict=True):
+                array[at] = values
+            return type(old)._make(arrays)
+
+        solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
+        return Shapes(solids, planes, put(self.triangles, new.triangles), self.endless)
+
+    def turned(self, axes: Float) -> Shapes:
+        """All but infinite planes in a frame with these axes, its rows, shape (3, 3)."""
+        solids, mats = self.solids, axes @ self.solids.mat.reshape(-1, 3, 3)
+        pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
+        bounds = solid_bounds(solids.kind, *pose)
+        corners = np.ascontiguousarray(self.triangles.corners @ axes.T)
+        planes = Planes._make(array[:0] for array in self.planes)
+        turned = self.triangles._replace(corners=corners)
+        return Shapes(Solids(solids.geom, solids.kind, *pose, bounds), planes, turned, self.endless)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:

@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.scene.mesh_scene import AXES, Direction, MeshPart, box_of, stated_up, turn_up
+from navbake.baker.scene.mesh_scene import (
+    AXES,
+    Direction,
+    MeshPart,
+    box_of,
+    drop_specks,
+    stated_up,
+    turn_up,
+)
 from navbake.config.settings import SceneSettings
 from navbake.types import Bool, Float
 
@@ -59,6 +67,8 @@ def stand_up(
     is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)
     up = (said or "z") if settings.up in ("auto", "level") else settings.up
     parts = read(up=up)
+    if settings.scan:
+        parts = drop_specks(parts, warnings)
     ups, is_clear = find_up(parts)
     if is_level:
         if not is_clear:

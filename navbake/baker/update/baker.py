@@ -162,20 +162,20 @@ class Baker:
             self._grid, self._passes = grid, passes
             return Changes(grid, cells, is_new, reason, time.perf_counter() - begin)
 
-    def _follow(
-        self, passes: list[LiveStages] | None, moved: Moved
-    ) -> tuple[list[LiveStages], str]:
+    def _follow(self, known: list[LiveStages] | None, moved: Moved) -> tuple[list[LiveStages], str]:
         """Bring the stages up to date, or find them anew; with why."""
         try:
-            if passes is None:
+            if known is None:
                 raise FullBake("the last update failed")
-            differ, reasons = self._candidates.pose(moved.scene, moved.every), []
-            for one in passes:
-                rejected = [body.id for body in one.stages.rejected]
-                reasons.append(one.follow(moved, differ))
-                if rejected != [body.id for body in one.stages.rejected]:
-                    raise FullBake("another body is a door, or none any more")
-            return passes, next(filter(None, reasons), "")
+            candidates, unmatched = self._doors.pose(moved.scene, moved.every)
+            passes, reasons = list[LiveStages](), list[str]()
+            for one in known:  # until one rejects nothing: others were of another pose
+                reasons.append(one.follow(moved, candidates, unmatched))
+                passes.append(one)
+                candidates = one.stages.settled
+                if len(candidates) == len(one.stages.candidates):
+                    break
+            return self._settle(passes), next(filter(None, reasons), "")
         except FullBake as why:
             LOG.debug("all is baked again: %s", why)
             opened = self._opened._replace(data=moved.scene.data)
@@ -183,11 +183,13 @@ class Baker:
 
     def _bake(self, first: Stages) -> list[LiveStages]:
         """Find all stages; see `settle_doors`."""
-        self._candidates = FollowedDoors(self._config, first.scene, first.candidates)
-        passes = [LiveStages(first)]
-        while rejected := (last := passes[-1].stages).rejected:
-            kept = [candidate for candidate in last.candidates if candidate not in rejected]
-            passes.append(LiveStages(replace(last, candidates=kept)))
+        self._doors = FollowedDoors(self._config, first.scene, first.candidates, first.unmatched)
+        return self._settle([LiveStages(first)])
+
+    def _settle(self, passes: list[LiveStages]) -> list[LiveStages]:
+        """Find the stages again without what the last ones reject as doors, until none does."""
+        while (last := passes[-1].stages).rejected:
+            passes.append(LiveStages(replace(last, candidates=last.settled)))
         return passes
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.baker.doors.candidates import DoorCandidate, find_candidates
+from navbake.baker.doors.candidates import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
@@ -39,9 +39,8 @@ class Moved(NamedTuple):
     """What is different in a scene; geoms are marked, shape (ngeom,)."""
 
     scene: Scene  # as it is now
-    geoms: Bool  # those that count now or did, and whose geometry differs
-    shapes: tuple[Shapes, Shapes]  # their geometry, as it was and as it is
-    every: Bool  # all that moved, whether they count or not
+    geoms: Bool  # those that count now or did, and whose geometry or way to count differs
+    every: Bool  # all that may have moved, whether they count or not
     digest: Callable[[], str]  # returns the scene's digest, which it does not have yet
 
 
@@ -98,19 +97,19 @@ class FollowedScene:
         if not choices_hold or self._may_count_otherwise(moved & (model.geom_type == MESH), data):
             opened, config = self._opened._replace(data=data), self._config
             scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-            every = np.ones(model.ngeom, dtype=np.bool_)
-            return Moved(scene, every, (was.shapes, scene.shapes), every, lambda: scene.digest)
+            differs = find_differing(was.shapes, scene.shapes)
+            differs |= [a != b for a, b in zip(was.choices, scene.choices, strict=True)]
+            return Moved(scene, differs, np.ones_like(differs), lambda: scene.digest)
         digest = start_digest(model, data, was.parts, self._names)
         mask = moved & [choice.counted for choice in was.choices]
-        before = after = was.shapes.only(mask)
         shapes, bounds = was.shapes, was.bounds
         if mask.any():
             chosen = was.choices, was.parts, np.flatnonzero(mask).tolist(), was.meshes
             after = collect_shapes(model, data, *chosen).shapes
-            shapes = _with(was.shapes, after, mask)
+            shapes = was.shapes.replaced(after, mask)
             bounds = shapes.bounds
         scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)
-        return Moved(scene, mask, (before, after), moved, digest)
+        return Moved(scene, mask, moved, digest)
 
     def _may_count_otherwise(self, meshes: Bool, data: Any) -> bool:
         """Whether one of some meshes is or was so large that its pose decides as what it counts."""
@@ -173,22 +172,6 @@ def _poses_of(data: Any) -> Float:
     return np.hstack([data.geom_xpos, data.geom_xmat])
 
 
-def _with(shapes: Shapes, new: Shapes, changed: Bool) -> Shapes:
-    """The shapes with new ones in place of those of the geoms that are marked."""
-
-    def put(old: Items, now: Items) -> Items:
-        at = np.flatnonzero(changed[old.geom])
-        if not len(at):
-            return old
-        arrays: list[NDArray[Any]] = [array.copy() for array in old]
-        for array, values in zip(arrays, now, strict=True):
-            array[at] = values
-        return type(old)._make(arrays)
-
-    solids, planes = put(shapes.solids, new.solids), put(shapes.planes, new.planes)
-    return Shapes(solids, planes, put(shapes.triangles, new.triangles), shapes.endless)
-
-
 def boxes_of(shapes: Shapes) -> Float:
     """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
     geom, corners = shapes.triangles.geom, shapes.triangles.corners
@@ -201,18 +184,42 @@ def boxes_of(shapes: Shapes) -> Float:
     return np.concatenate(boxes)
 
 
+def find_differing(was: Shapes, now: Shapes) -> Bool:
+    """Mark the geoms whose geometry differs, shape (ngeom,)."""
+    num, differs = len(was.endless), np.array(was.endless != now.endless)
+
+    def compare(old: Items, new: Items) -> None:
+        arrays: Iterable[tuple[NDArray[Any], NDArray[Any]]] = zip(old, new, strict=True)
+        same: Bool = np.equal(*(np.bincount(items.geom, minlength=num) for items in (old, new)))
+        differs[~same] = True
+        kept = same[old.geom], same[new.geom]
+        for one, other in arrays:
+            unequal = one[kept[0]] != other[kept[1]]
+            rows = unequal.any(axis=tuple(range(1, unequal.ndim)))
+            differs[new.geom[kept[1]][rows]] = True
+
+    compare(was.solids, now.solids)
+    compare(was.planes, now.planes)
+    compare(was.triangles, now.triangles)
+    return differs
+
+
 class FollowedDoors:
     """The candidates for doors in one pose after the other."""
 
-    def __init__(self, config: BakeConfig, scene: Scene, candidates: list[DoorCandidate]) -> None:
-        self._config, self._candidates = config, candidates
+    def __init__(
+        self,
+        config: BakeConfig,
+        scene: Scene,
+        candidates: list[DoorCandidate],
+        unmatched: list[str],
+    ) -> None:
+        self._config, self._candidates, self._unmatched = config, candidates, unmatched
         model, ends = scene.model, find_subtree_ends(scene.model)
         self._joints = np.isin(model.jnt_type, (HINGE, SLIDE))
         self._geoms = np.zeros(model.ngeom, dtype=np.bool_)
         for body in np.asarray(model.jnt_bodyid)[self._joints].tolist():
             self._geoms[geoms_of_bodies(model, body, int(ends[body]))] = True
-        for candidate in candidates:
-            self._geoms[candidate.geoms] = True
         self._turns = self._turns_of(scene)
 
     def _turns_of(self, scene: Scene) -> Float:
@@ -222,27 +229,26 @@ class FollowedDoors:
         turns = model.jnt_range, model.jnt_limited[:, None], model.jnt_axis, model.jnt_pos
         return np.hstack([*turns, position[:, None]])
 
-    def pose(self, scene: Scene, moved: Bool) -> dict[str, DoorCandidate]:
-        """The candidates that differ now, by their ids; FullBake where they are not the same."""
-        turns, was = self._turns_of(scene), self._candidates
+    def pose(self, scene: Scene, moved: Bool) -> tuple[list[DoorCandidate], list[str]]:
+        """The candidates, those that don't differ as they were; and of unused patterns."""
+        turns = self._turns_of(scene)
         is_other = (turns != self._turns).any(axis=1)
-        if not is_other.any() and not (moved & self._geoms).any():
-            return {}
-        found, _ = find_candidates(scene, self._config.doors)
-        # all of each but how its joint is modelled
-        before, now = (
-            [(one.id, one.joint, one.joint_id, one.named, one.geoms.tolist()) for one in some]
-            for some in (was, found)
-        )
-        if before != now:
-            raise FullBake("other bodies look like doors")
-        differ = {
-            new.id: new
-            for new in found
-            if moved[new.geoms].any() or (new.joint_id >= 0 and is_other[new.joint_id])
-        }
-        self._candidates, self._turns = [differ.get(old.id, old) for old in was], turns
-        return differ
+        may_differ = self._geoms | mark_geoms(len(moved), self._candidates)
+        if is_other.any() or (moved & may_differ).any():
+            known = {one.id: one for one in self._candidates}
+            found, self._unmatched = find_candidates(scene, self._config.doors)
+
+            def holds(new: DoorCandidate) -> bool:
+                old = known.get(new.id)
+                turns_alike = new.joint_id < 0 or not is_other[new.joint_id]
+                if old is None or moved[new.geoms].any() or not turns_alike:
+                    return False
+                same = old.joint_id == new.joint_id and old.named == new.named
+                return same and np.array_equal(old.geoms, new.geoms)
+
+            self._candidates = [known[new.id] if holds(new) else new for new in found]
+            self._turns = turns
+        return self._candidates, self._unmatched
 
 
 def _numbers(given: ArrayLike, what: str) -> Float:

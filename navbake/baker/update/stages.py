@@ -5,7 +5,7 @@ and doors found again where anything that they read has changed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,19 +14,18 @@ from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
 from navbake.baker.blocks import Blocks
-from navbake.baker.column_blocks import cast_at, place_columns
+from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
-from navbake.baker.doors.candidates import DoorCandidate
+from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
 from navbake.baker.doors.doors import Placing, place_doors
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import TOUCH
-from navbake.baker.lattice import cells_near, lay_lattice
+from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
+from navbake.baker.lattice import cells_near, cut_cells, lay_lattice
 from navbake.baker.rooms.flags import RoomFlags, are_equal
 from navbake.baker.rooms.sources import find_markers
 from navbake.baker.stages import Stages
 from navbake.baker.update.following import FullBake, Moved, boxes_of
-from navbake.errors import SceneError
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int, Int32
 
@@ -34,6 +33,8 @@ from navbake.types import Bool, Float, Int, Int32
 MOST_CELLS = 0.5
 # So many cells are worth a call on another thread
 LEAST_CELLS = 4096
+# Of so large a share of the cells, columns are copied once for all who ask
+MANY = 1 / 8
 # The store of columns has so many times the room that it needs at first
 ROOM = 1.25
 
@@ -48,6 +49,7 @@ class KeptColumns:
     def __init__(self, columns: Columns) -> None:
         self.lattice = columns.lattice
         self._cells = np.arange(self.lattice.width * self.lattice.height)
+        self._all: Columns | None = None  # of all cells, as they are now
         self._hold(columns.crossings)
 
     def _hold(self, crossings: Crossings) -> None:
@@ -66,11 +68,15 @@ class KeptColumns:
 
     def blocks(self) -> Iterator[Columns]:
         """All columns, in one block."""
-        yield Columns(self.lattice, self.take(self._cells))
+        if self._all is None:
+            self._all = Columns(self.lattice, self.take(self._cells))
+        yield self._all
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        asked = np.unique(cells).astype(np.int64)
+        if len(cells) > MANY * len(self._cells):  # likely so for several sheets
+            return next(self.blocks())
+        asked = list_once(self.lattice, cells)
         return place_columns(self.lattice, asked, self.take(asked))
 
     def take(self, cells: Int) -> Crossings:
@@ -79,7 +85,7 @@ class KeptColumns:
 
     def put(self, cells: Int, crossings: Crossings) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        end = self._used + len(crossings.z)
+        self._all, end = None, self._used + len(crossings.z)
         if end > len(self._arrays[0]):
             self._make_room(len(crossings.z))
             end = self._used + len(crossings.z)
@@ -90,64 +96,79 @@ class KeptColumns:
 
 
 class LiveStages:
-    """The `stages` of a scene with the same bodies taken for doors, kept up to date."""
+    """The `stages` of a scene with some bodies taken for doors, kept up to date.
+
+    Columns and floors are those of the lattice on which floors are judged; what follows on them is
+    of the window of it that is baked.
+    """
 
     def __init__(self, stages: Stages) -> None:
         self._finder: FloorFinder
         stages.floors, self._finder = stages.judge_floors()
-        lattice = stages.lattice
-        self._is_whole, self._blocks = stages.judged[0] == lattice, Blocks(lattice)
-        is_kept = self._is_whole and lattice.width * lattice.height <= column_blocks.KEPT_CELLS
-        self._kept = KeptColumns(stages.columns) if is_kept else None
+        source, (lattice, _) = stages.judged_columns, stages.judged
+        self._blocks, self._kept = Blocks(lattice), None
+        if lattice.width * lattice.height <= column_blocks.KEPT_CELLS:
+            (columns,) = source.blocks()
+            self._kept = KeptColumns(columns)
         self._take_over(stages)
 
     def _take_over(self, stages: Stages) -> None:
         """Find all stages after the floors, and keep what updates need of them."""
         _ = stages.contents
         self._markers = find_markers(stages.scene, stages.config.rooms)
-        self._cells, self._heights = stages.cells, stages.tiled.heights
+        self._cells = stages.cells
         self._room_flags: RoomFlags | None = stages.room_flags
         _ = stages.doors
         stages.free_geometry()
         self.stages = stages
 
-    def follow(self, moved: Moved, differ: Mapping[str, DoorCandidate]) -> str:
-        """Bring all up to date; `differ` has the candidates that differ now, by their ids.
+    def follow(self, moved: Moved, candidates: list[DoorCandidate], unmatched: list[str]) -> str:
+        """Bring all up to date, with other candidates for doors or the same.
 
-        Returns why all that follows on the floors was found anew; empty where it was not. After a
-        FullBake, nothing here is to be used any more.
+        Returns why all that follows on the floors was found anew; empty where it was not. After an
+        error, nothing here is to be used any more.
+
+        Raises:
+            FullBake: the lattice is another one, or so much moved that a bake takes no longer.
+            SceneError: there is no floor.
         """
         was, scene = self.stages, moved.scene
-        candidates = [differ.get(one.id, one) for one in was.candidates]
-        now = replace(was, scene=scene, candidates=candidates)
+        now = replace(was, scene=scene, candidates=candidates, unmatched=unmatched)
         now.stated_settings = was.stated_settings
-        own = moved.geoms.copy()
-        for candidate in candidates:
-            own[candidate.geoms] = False
-        boxes = np.concatenate([boxes_of(shapes.only(own)) for shapes in moved.shapes])
-        reach = max(now.footprint.reach, now.config.floors.crack) + 2 * TOUCH
-        near = cells_near(now.lattice, boxes, reach)
-        self._check(now, near)
+        hidden, hides = (mark_geoms(len(moved.geoms), one.candidates) for one in (was, now))
+        own = (moved.geoms & ~(hidden & hides)) | (hidden ^ hides)
+        boxes = np.concatenate([boxes_of(one.doorless.shapes.only(own)) for one in (was, now)])
+        if lay_lattice(scene, now.config) != was.lattice or now.judged != was.judged:
+            raise FullBake("the grid is another one: the box round the scene has changed")
+        (lattice, window), reach = now.judged, max(now.footprint.reach, now.config.floors.crack)
+        near = cells_near(lattice, boxes, reach + 2 * TOUCH)
+        if len(near) > MOST_CELLS * lattice.width * lattice.height:
+            raise FullBake("what moved is near most of the cells")
+        if self._kept:
+            now.judged_columns = self._kept
         known, self._markers = self._markers, find_markers(scene, now.config.rooms)
         planes, before = (len(one.doorless.shapes.planes.geom) for one in (now, was))
         flags_hold = np.array_equal(known[1], self._markers[1]) and planes == before
         flags_hold &= not (moved.every & known[0]).any()
         flags_hold &= np.array_equal(_box(was), _box(now))
-        now.floors, reason, changed = was.floors, "", near[:0]
+        now.floors, touched, changed = was.floors, near[:0], near[:0]
         # of few cells, a share takes no longer than to give it to another thread
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
             if len(near):
                 flags_hold &= self._cast(now, near)
-                reason, changed = self._find_floors(now, near)
-            if was.contents is not None and _box(was)[1, 2] != _box(now)[1, 2]:
-                reason = reason or "the top of the scene has another height"
-            if reason:
-                self._take_over(now)
-                return reason
+                now.floors, finder = now.judge_floors(self._finder, self._blocks.holding(near))
+                levels = [
+                    [(one.name, one.ground) for one in some.floors.levels] for some in (was, now)
+                ]
+                if finder.changed is None or levels[0] != levels[1]:
+                    self._take_over(now)
+                    return "there are other levels"
+                changed = cut_cells(finder.changed, window, lattice.width)[0]
+                touched = np.union1d(cut_cells(near, window, lattice.width)[0], changed)
             now.occupancy, now.contents = was.occupancy, was.contents
-            if len(near):
-                near, holds = self._ask_cells(now, own, near, changed)
-                flags_hold &= holds and np.array_equal(was.floors.links, now.floors.links)
+            if len(touched):
+                flags_hold &= self._ask_cells(now, own, touched)
+                flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
             else:
@@ -158,34 +179,17 @@ class LiveStages:
             flags_hold = flags is not None and are_equal(now.room_flags, flags)
         if flags_hold or are_equal(now.rooms, was.rooms):
             now.rooms = was.rooms
-        now.doors = _follow_doors(was, now, set(differ), near)
-        if was.rejected and not now.rejected:
-            raise FullBake("all that looks like a door is one now")
+        now.doors = _follow_doors(was, now, touched)
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
         now.free_geometry()
         self.stages = now
         return ""
 
-    def _check(self, now: Stages, near: Int) -> None:
-        """FullBake where not just what is near to what moved may be others."""
-        was, lattice = self.stages, lay_lattice(now.scene, now.config)
-        if not self._is_whole:
-            raise FullBake("the scene goes on beyond the grid")
-        if lattice != was.lattice or now.judged != was.judged:
-            raise FullBake("the grid is another one: the box round the scene has changed")
-        if len(near) > MOST_CELLS * lattice.width * lattice.height:
-            raise FullBake("what moved is near most of the cells")
-        heights, self._heights = self._heights, now.tiled.heights
-        if heights != self._heights and now.doorless.shapes.planes.mat[:, [2, 5, 6, 7]].any():
-            raise FullBake("lines that cross a plane that is not level begin at another height")
-        if self._kept:
-            now.judged_columns = self._kept
-
     def _cast(self, now: Stages, near: Int) -> bool:
         """Cast columns again; whether the surfaces that mark rooms are known to be the same."""
         config, marks = now.config, self._markers[0]
-        found = cast_at(now.tiled, config.agent, config.floors.crack, near)
+        found = cast_at(now.judged_shapes, config.agent, config.floors.crack, near)
         crossings = take_columns(found.crossings, near)
         self._finder.replace(near, crossings, now.doorless.shapes.planes)
         if self._kept is None:
@@ -194,34 +198,21 @@ class LiveStages:
         self._kept.put(near, crossings)
         return _same_surfaces(known, crossings, marks)
 
-    def _find_floors(self, now: Stages, near: Int) -> tuple[str, Int]:
-        """Find floors again; returns whether there are other levels, and why; and what changed."""
-        source, finder = now.judged_columns, self._finder
-        asked = source, now.doorless.shapes, now.occupancy_test(source), self._blocks.holding(near)
-        before = [(one.name, one.ground) for one in now.floors.levels]
-        try:
-            now.floors = finder.find(*asked)
-        except SceneError as error:  # which a full bake raises, with more to say
-            raise FullBake(str(error)) from error
-        after = [(one.name, one.ground) for one in now.floors.levels]
-        if finder.changed is None or before != after:
-            return "there are other levels", near
-        return "", finder.changed
-
-    def _ask_cells(self, now: Stages, own: Bool, near: Int, changed: Int) -> tuple[Int, bool]:
+    def _ask_cells(self, now: Stages, own: Bool, touched: Int) -> bool:
         """Look again at cells near what moved, and where the floor changed.
 
-        Returns these, and whether rooms read the same there as before.
+        Returns whether rooms read the same there as before.
         """
-        touched = np.union1d(near, changed)
-        columns, (finder, of_columns) = now.judged_columns.at(touched), self._cells
+        columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
         crossings, was = take_columns(columns.crossings, touched), now.contents
         holds = not of_columns.look(touched, crossings, now.floors.levels)
         finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
-        return touched, holds
+            # widths of gaps are measured up to walls
+            holds &= not np.isin(now.contents.partitions[own], (WALL, BUILDING)).any()
+        return holds
 
 
 def _box(stages: Stages) -> Float:
@@ -230,18 +221,18 @@ def _box(stages: Stages) -> Float:
     return np.full((2, 3), np.inf) if bounds is None else bounds
 
 
-def _follow_doors(was: Stages, now: Stages, differ: set[str], touched: Int) -> list[Placing]:
+def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
-    around = now.around_doors
+    around, known = now.around_doors, {one.candidate: one for one in was.doors}
     again = [
-        new
-        for new, old in zip(now.candidates, was.doors, strict=True)
-        if now.rooms is not was.rooms or new.id in differ or old.depends_on(touched, around)
+        one
+        for one in now.candidates
+        if now.rooms is not was.rooms or one not in known or known[one].depends_on(touched, around)
     ]
-    if not again:
+    if not again and len(now.candidates) == len(was.candidates):
         return was.doors
-    placed = {one.candidate.id: one for one in place_doors(now.scene, again, around)}
-    return [placed.get(one.candidate.id, one) for one in was.doors]
+    known |= {one.candidate: one for one in place_doors(now.scene, again, around)}
+    return [known[one] for one in now.candidates]
 
 
 def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:

@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from navbake.baker.arguments import take_input
 from navbake.baker.columns import cast_columns, split_rows, tile_shapes, tiles_of_rows
 from navbake.baker.kernels.voxels import Voxels, fill_voxels
+from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.pose import data_of_qpos, pose_model
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.baker.scene.shapes import solid_bounds
 from navbake.baker.voxelize.segments import Labels, Segments, label_geoms
+from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
@@ -175,6 +176,7 @@ class Voxelizer:
         Raises:
             ConfigError: `segments` is wrong, or the grid needs more memory than there is.
         """
+        ensure_compiled("baker.kernels.voxels.", "baker.kernels.rays.")
         labels = self._label(segments)
         dtype = dtype_of(max(labels.names, default=1))
         # one kernel for all IDs beyond a byte: each dtype costs seconds of compiling
@@ -246,23 +248,11 @@ class Voxelizer:
         counted = np.array([geom.counted for geom in self.scene.geoms])
         if not (np.isfinite(pos[counted]).all() and np.isfinite(flat[counted]).all()):
             raise SceneError(f"a geom of {self.scene.id} would stand at no finite place")
-        # always from where the geoms were loaded: nothing adds up
         moved = (pos != first.geom_xpos).any(axis=1) | (flat != first.geom_xmat).any(axis=1)
-        matrices = np.array(first.geom_xmat).reshape(-1, 3, 3)
-        rotation = flat.reshape(-1, 3, 3) @ matrices.transpose(0, 2, 1)
-        shift = pos - np.einsum("nij,nj->ni", rotation, first.geom_xpos)
-        corners, moves = base.triangles.corners.copy(), moved[base.triangles.geom]
-        geom = base.triangles.geom[moves]
-        corners[moves] = corners[moves] @ rotation[geom].transpose(0, 2, 1) + shift[geom, None]
-        solids, plane = base.solids, base.planes.geom
-        at = {"pos": pos[solids.geom], "mat": flat[solids.geom]}
-        box = solid_bounds(kind=solids.kind, size=solids.size, **at)
-        self.shapes = replace(
-            base,
-            solids=solids._replace(**at, bounds=box),
-            planes=base.planes._replace(pos=pos[plane], mat=flat[plane]),
-            triangles=base.triangles._replace(corners=corners),
-        )
+        moved &= counted
+        known = self.scene.choices, self.scene.parts, np.flatnonzero(moved).tolist()
+        shapes = collect_shapes(model, data, *known, self.scene.meshes).shapes
+        self.shapes = base.replaced(shapes, moved)
 
     def _label(self, segments: Segments | None) -> Labels:
         if segments is None:

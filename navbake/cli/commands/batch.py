@@ -293,7 +293,7 @@ def _warm_up() -> None:
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written: each worker compiles its own"
         print_warnings([f"{lost}: {compiled.REMEDY}"])
-    compiled.warm_up()
+    compiled.ensure_compiled()
 
 
 def warm_up() -> None:
@@ -305,16 +305,12 @@ def warm_up() -> None:
     Example: navbake warm-up
     """
     from navbake import compiled
-    from navbake.cli.progress import progress_bars
 
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written, so nothing can be kept"
         print_warnings([f"{lost}: {compiled.REMEDY}"])
         return
-    with progress_bars("compiling", VOLUME.quiet) as show:
-        cold = compiled.warm_up(
-            everything=True, watch=lambda done, total: show("kernels", done / total)
-        )
+    cold = compiled.warm_up()
     if cold:
         print_warnings([f"not compiled, or not kept: {', '.join(cold)}"])
     else:

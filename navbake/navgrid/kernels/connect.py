@@ -48,24 +48,3 @@ def number_parts(pairs, count):
         else:
             part[node] = part[root]
     return part
-
-
-@kernel
-def list_touching(cells, width):
-    """The pairs of cells that meet at an edge or a corner; see `touching`. By a merge each way."""
-    num = cells.shape[0]
-    one, other, count = np.empty(4 * num, np.int64), np.empty(4 * num, np.int64), 0
-    for way in range(4):
-        down, right, m = (0 if way == 0 else 1), (1 if way == 0 else way - 2), 0
-        for n in range(num):
-            col = cells[n] % width + right
-            beside = cells[n] + down * width + right
-            while m < num and cells[m] < beside:
-                m += 1
-            if m < num and cells[m] == beside and 0 <= col < width:
-                one[count], other[count] = n, m
-                count += 1
-    pairs = np.empty((2, count), np.int64)
-    for i in range(count):  # slices take a second to compile: their errors are text
-        pairs[0, i], pairs[1, i] = one[i], other[i]
-    return pairs

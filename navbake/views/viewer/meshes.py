@@ -360,8 +360,10 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     Without holes, cells without a floor lie at the level's ground. There are at most `most`
     rectangles, unless single cells are more.
     """
-    from navbake.formats.kernels.planes import cover_planes  # numba loads slowly
+    from navbake.compiled import ensure_compiled  # numba loads slowly
+    from navbake.formats.kernels.planes import cover_planes  # as above
 
+    ensure_compiled("formats.kernels.planes.")
     floor, size = level.floor.astype(np.float64), level.lattice.cell_size
     shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     heights = np.where(np.isnan(floor), level.ground, floor)

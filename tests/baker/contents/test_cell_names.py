@@ -167,7 +167,7 @@ def test_a_window_counts_cells_from_its_own_corner(tmp_path):
 def test_an_empty_level_has_no_user_data(tmp_path):
     stages = stages_of_xml(tmp_path, world(FLOOR))
     assert user_data(stages) == {}
-    assert not stages.contents.wall_cells(0).any()
+    assert not stages.contents.mark_walls(0)[0].any()
 
 
 def test_the_map_of_a_room(tmp_path):
@@ -203,7 +203,7 @@ def test_the_map_of_a_room(tmp_path):
     )
     expected = np.zeros((10, 10), dtype=bool)
     expected[:, 0] = expected[9] = True
-    np.testing.assert_array_equal(contents.wall_cells(0), expected)
+    np.testing.assert_array_equal(contents.mark_walls(0)[0], expected)
     assert [contents.kinds[k] for k in (1, 2)] == [WALL, WALL]
 
 

@@ -61,7 +61,7 @@ def random_things(rng: np.random.Generator, kinds: tuple[str, ...], number: int)
 
 def masks(listed: LevelContents, geom: int) -> tuple[NDArray, NDArray, NDArray]:
     """The cells that a geom stands in, those it blocks, and those it meets in the upper band."""
-    cell, geoms, flags = take_entries(listed)
+    cell, geoms, flags = take_entries(listed, np.arange(len(listed.first)))
     found = np.zeros((3, len(listed.first)), dtype=bool)
     for mask, flag in zip(found, (STANDS, BLOCKS, PROBED), strict=True):
         mask[cell[(geoms == geom) & (flags & flag > 0)]] = True
@@ -114,7 +114,7 @@ def check_whole(stages: Stages, contents: Contents) -> None:
         stages.floors.levels, stages.occupancy.levels, contents.levels, strict=True
     ):
         has_floor = ~np.isnan(level.floor.ravel())
-        cell, geom, flags = take_entries(listed)
+        cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
         assert has_floor[cell].all()
         assert (np.diff(cell * 100_000 + geom) > 0).all()
         assert flags.all()
@@ -176,7 +176,10 @@ def test_threads_change_nothing(tmp_path):
             )
         found.append(stages.contents.levels)
     for one, other in zip(*found, strict=True):
-        for arrays in zip(take_entries(one), take_entries(other), strict=True):
+        for arrays in zip(
+            *(take_entries(listed, np.arange(len(listed.first))) for listed in (one, other)),
+            strict=True,
+        ):
             np.testing.assert_array_equal(*arrays)
 
 

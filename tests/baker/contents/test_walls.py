@@ -241,7 +241,7 @@ def test_patterns_override_the_rule(tmp_path):
     assert kinds(stages) == ["structure", "object", "wall", "wall"]
     contents = stages.contents
     assert contents.warnings == []
-    assert contents.wall_cells(0).sum() == 40 + 200
+    assert contents.mark_walls(0)[0].sum() == 40 + 40 + 200  # for rooms, walls by shape stay walls
     named = {name for d in user_data(stages).values() for name in d.get("walls", [])}
     assert named == {"hedge_1", "hedges"}
 
@@ -296,7 +296,7 @@ def test_a_building_in_one_mesh_is_wall_where_it_is_high(tmp_path):
     assert kinds(stages) == ["building"]
     expected = np.ones((40, 40), dtype=bool)
     expected[1:-1, 1:-1] = False
-    np.testing.assert_array_equal(contents.wall_cells(0), expected)
+    np.testing.assert_array_equal(contents.mark_walls(0)[0], expected)
     data = user_data(stages)
     bench = data[20 * 40 + 3]
     assert len({str(entry) for entry in data.values()}) == 2
@@ -375,9 +375,9 @@ def test_walls_of_the_small_house():
 def test_a_pattern_makes_a_low_arena_a_wall():
     path = DATA / "turtlebot3_world" / "scene.xml"
     settings = {"scene": {"path": path, "meshes": "surface"}}
-    assert not bake_stages(settings).contents.wall_cells(0).any()
+    assert not bake_stages(settings).contents.mark_walls(0)[0].any()
     named = {**settings, "names": {"walls": ["ros_symbol#15"]}}
-    assert bake_stages(named).contents.wall_cells(0).sum() > 200
+    assert bake_stages(named).contents.mark_walls(0)[0].sum() > 200
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -397,5 +397,5 @@ def test_walls_of_a_labmaze(seed, tmp_path):
     stages = bake_stages({"scene": {"path": path}, "levels": levels})
     walls = np.array([list(row) for row in str(maze.entity_layer).split("\n") if row]) == "*"
     np.testing.assert_array_equal(
-        stages.contents.wall_cells(0), np.kron(walls, np.ones((20, 20), dtype=bool))
+        stages.contents.mark_walls(0)[0], np.kron(walls, np.ones((20, 20), dtype=bool))
     )

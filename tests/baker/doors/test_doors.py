@@ -110,12 +110,30 @@ def test_with_doors_leaves_the_grid_alone(bake):
     assert grid.doors[0].state == "modelled"
 
 
-def test_a_leaf_that_cannot_move_is_a_wall_unless_it_is_named(bake):
-    for settings, is_wall in (({}, True), ({"doors": {"patterns": ["leaf"]}}, False)):
+def test_a_leaf_that_cannot_move_is_a_wall_where_nobody_looks_for_doors(bake):
+    for settings, is_wall in (({}, False), ({"doors": {"find": False}}, True)):
         grid = bake(ROOMS, FIXED_LEAF, **settings)
         facts = grid.describe_cell(3.01, 1.51)
         assert facts["walls"] == (["leaf"] if is_wall else [])
         assert (facts["room"] is None) == is_wall
+
+
+AS_HIGH = FIXED_LEAF.replace('0.44 1"', '0.44 1.2"').replace("0.43 1", "0.43 1.2")
+
+
+@pytest.mark.parametrize(
+    ("what", "leaf"),
+    [
+        (
+            "the same wall goes on",
+            FIXED_LEAF.replace("0.43 1", "0.43 1.2").replace("44 1", "44 1.2"),
+        ),
+        ("a shelf in a room", FIXED_LEAF.replace('pos="3 1.06 0"', 'pos="1.5 1.06 0"')),
+        ("a wing before a wall", FIXED_LEAF.replace('pos="3 1.06 0"', 'pos="3 0.2 0"')),
+    ],
+)
+def test_what_stands_in_no_opening_is_no_door(bake, what, leaf):
+    assert bake(ROOMS, leaf).doors == (), what
 
 
 def test_unknown_door_and_state_are_named(bake):
@@ -257,17 +275,17 @@ def test_a_door_beside_the_bounds_is_none(bake):
 
 @pytest.mark.parametrize("state", STATES)
 def test_a_door_without_a_joint(bake, warnings, state):
-    settings = {"doors": {"patterns": ["leaf"], "state": state}}
+    settings = {"doors": {"state": state}}
     grid = bake(ROOMS, FIXED_LEAF, **settings)
     (door,) = grid.doors
-    assert door.joint is None
-    assert door.state == ("modelled" if state == "open" else state)
-    assert in_gap(grid).any() == (state == "removed")
+    assert door.joint is None and sorted(door.rooms) == ["0:1", "0:2"]
+    assert door.state == state
+    assert in_gap(grid).any() == (state in ("open", "removed"))
+    set_later = bake(ROOMS, FIXED_LEAF).with_doors(state)
+    np.testing.assert_array_equal(set_later.occupancy, grid.occupancy)
     told = [text for text in warnings(ROOMS, FIXED_LEAF, **settings) if "leaf" in text]
     assert len(told) == (state == "open")
-    assert all("door 'leaf' can't be open" in text for text in told)
-    with pytest.raises(QueryError, match=r"'leaf' can't be open: it can be modelled, closed, rem"):
-        grid.with_doors({"leaf": "open"})
+    assert all("door 'leaf' has no hinge or slide of its own" in text for text in told)
 
 
 def test_a_joint_beyond_its_range_is_told(warnings, bake):

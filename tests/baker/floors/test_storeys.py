@@ -61,20 +61,63 @@ def test_treads_without_room_in_their_columns_are_left_out(tmp_path: Path):
     assert f"{count} cells of 'tread" in warning
 
 
-def test_what_a_walk_needs_opens_a_level(tmp_path: Path):
-    """Two turns of a stair between two storeys: without the upper turn, nobody gets up."""
-    geoms = [box("", -4, -4, -0.2, 4, 4, 0)]
-    sides = [(-4, -4, -1, 4), (1, -4, 4, 4), (-1, -4, 1, -1), (-1, 1, 1, 4)]
-    geoms += [box("", x0, y0, 4.6, x1, y1, 4.8) for x0, y0, x1, y1 in sides]
-    around = [(0, -1), (0.5, -1), (0.5, -0.5), (0.5, 0), (0.5, 0.5), (0, 0.5)]
-    around += [(-0.5, 0.5), (-1, 0.5), (-1, 0), (-1, -0.5), (-1, -1), (-0.5, -1)]
+@pytest.mark.parametrize("size", [0.5, 1.5])
+def test_what_a_walk_needs_opens_a_level(tmp_path: Path, size):
+    """Two turns of a stair between two storeys: without either turn, nobody gets up.
+
+    The floor under narrow treads is left out, as nobody needs it; that under wide ones is a floor
+    as good as any.
+    """
+    far, turn, top = 8 * size, 2 * size, 4.8
+    geoms = [box("", -far, -far, -0.2, far, far, 0)]
+    sides = [(-far, -far, -turn, far), (turn, -far, far, far)]
+    sides += [(-turn, -far, turn, -turn), (-turn, turn, turn, far)]
+    geoms += [box("", x0, y0, top - 0.2, x1, y1, top) for x0, y0, x1, y1 in sides]
+    around = [(0, -2), (1, -2), (1, -1), (1, 0), (1, 1), (0, 1)]
+    around += [(-1, 1), (-2, 1), (-2, 0), (-2, -1), (-2, -2), (-1, -2)]
     for k in range(24):
-        (x, y), z = around[k % 12], 0.2 * (k + 1)
-        geoms.append(box("", x, y, z - 0.05, x + 0.5, y + 0.5, z))
+        (i, j), z = around[k % 12], 0.2 * (k + 1)
+        x, y = i * size, j * size
+        geoms.append(box("", x, y, z - 0.05, x + size, y + size, z))
     stages = stages_of_xml(tmp_path, world("".join(geoms)))
-    assert len(stages.floors.levels) > 2
-    assert stages.floors.spare == []
+    if size == 0.5:
+        assert grounds(stages) == [0, 4.8]
+        assert 1 < sum(patch.area for patch in stages.floors.spare) < 2
+    else:
+        assert len(stages.floors.levels) > 2
+        assert stages.floors.spare == []
     assert stages.floors.unreached == []
+
+
+def test_a_level_of_its_own_takes_whole_decks(tmp_path: Path):
+    """A bridge over a path, both needed; the path lies below 4 mm of its height only."""
+    parts = [(-4, 2, 4, 6, 0.0), (-4, -6, 4, -2, 0.0), (-0.4, -2, 0.4, 2, 0.0)]
+    parts += [(-2, -0.4, -0.4, 0.4, 1.996), (-0.4, -0.4, 0.4, 0.4, 2.0), (0.4, -0.4, 2, 0.4, 1.996)]
+    parts += [(-4, -1, -2, 1, 2.0), (2, -1, 4, 1, 2.0)]
+    parts += [(-4, 1 + 0.3 * k, -3, 1.3 + 0.3 * k, 1.8 - 0.2 * k) for k in range(9)]
+    geoms = [box("", x0, y0, z - 0.1, x1, y1, z) for x0, y0, x1, y1, z in parts]
+    stages = stages_of_xml(tmp_path, world("".join(geoms)))
+    assert grounds(stages) == [0, 1.996]
+    assert np.count_nonzero(stages.floors.levels[1].floor > 1.9) == 40 * 8 + 2 * 20 * 20
+
+
+@pytest.mark.parametrize("thickness", [0.06, 0.2])
+def test_treads_that_lean_are_one_walk(tmp_path: Path, thickness):
+    """A line meets the side of a tread, as the stair leans; the floor there is the tread's below.
+
+    A block higher than a step is no stair for that.
+    """
+    geoms = [box("", -2, -6, -0.2, 2, 6, 0), box("block", -2, 3, 0, 2, 6, 0.45)]
+    for k in range(12):
+        y, z = -4 + 0.285 * k, 0.19 * (k + 1)
+        geoms.append(box("", 0, y, max(z - thickness, 0), 1, y + 0.285, z))
+    geoms.append(box("", 0, -0.58, 2.2, 1, 1, 2.4))
+    leaning = f'<body euler="1 0 0">{"".join(geoms)}</body>'
+    settings = {"scene": {"path": str(tmp_path / "scene.xml")}, "grid": {"cell_size": 0.02}}
+    (tmp_path / "scene.xml").write_text(world(leaning))
+    finder = PathFinder(run_bake(parse_config(settings)).grid)
+    assert finder.find_path([0.5, -5.0, -0.1], [0.5, 0.5, 2.4]) is not None
+    assert finder.find_path([-1.0, -5.0, -0.1], [-1.0, 4.5, 0.53]) is None
 
 
 def cast(folder: Path, xml: str) -> Stages:

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import Generator
 
+from navbake.baker.contents.contents import OPEN_ABOVE
 from navbake.baker.contents.walls import WALL_BAND, wall_candidates
 from navbake.baker.kernels.constants import MEETS, SAME, TOUCH, UNDECIDED
 from navbake.baker.kernels.contents import take_entries
@@ -105,14 +106,15 @@ def test_contents_as_when_every_cell_asks_every_geom(seed):
     half = stages.lattice.cell_size / 2 - TOUCH
     extents = measure_geoms(stages.scene.shapes, len(stages.scene.geoms))
     candidates = wall_candidates(stages.scene, extents)
-    tops = [*(level.ground for level in stages.floors.levels[1:]), stages.scene.bounds[1, 2]]
+    tops = [*(level.ground for level in stages.floors.levels[1:]), np.inf]
     levels = zip(stages.floors.levels, stages.occupancy.levels, tops, contents.levels, strict=True)
     for level, occupied, top, listed in levels:
-        at, geom, flags = take_entries(listed)
+        at, geom, flags = take_entries(listed, np.arange(len(listed.first)))
         for cell in np.flatnonzero(~np.isnan(level.floor)).tolist():
             floor = level.floor.flat[cell]
+            ceiling = max(min(top, floor + OPEN_ABOVE), floor + height) - TOUCH
             volumes = {
-                "stands": (floor + SAME + TOUCH, max(top, floor + height) - TOUCH, half, 0.0),
+                "stands": (floor + SAME + TOUCH, ceiling, half, 0.0),
                 "blocks": (floor + footprint.low, floor + footprint.high, *footprint[:2]),
                 "upper": (floor + WALL_BAND[0] + TOUCH, floor + WALL_BAND[1] - TOUCH, half, 0.0),
             }
@@ -156,7 +158,8 @@ def test_any_number_of_threads_finds_the_same():
     for threads in (1, 2):
         with limit_threads(threads):
             stages = random_stages(11)
-            listed = take_entries(stages.contents.levels[0])
+            level = stages.contents.levels[0]
+            listed = take_entries(level, np.arange(len(level.first)))
             answers.append([stages.occupancy.levels[0], *listed])
     for one, two in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, two)

@@ -41,8 +41,8 @@ def floor_plan(rng, rows=60, cols=70):
 
 
 @numba.njit
-def measure_runs(is_open, shift):
-    return kernels.measure_runs(is_open, shift)
+def measure_runs(is_open, shift, marked):
+    return kernels.measure_runs(is_open, shift, marked)
 
 
 def line_of(row, col, shift):
@@ -56,10 +56,12 @@ def test_runs_are_as_long_as_lines_go_on(angle):
     is_open = blobs(rng)
     shift = direction_of(angle, is_open.shape).shift[: is_open.shape[1]]
     shift = np.concatenate([shift, np.repeat(shift[-1:], max(0, is_open.shape[1] - len(shift)))])
-    run = measure_runs(is_open, shift)
+    marks = rng.random(is_open.shape) < 0.02
+    marked = marks.copy()
+    run = measure_runs(is_open, shift, marked)
     for row, col in np.ndindex(is_open.shape):
         line = line_of(row, col, shift)
-        length = 0
+        length, has_mark = 0, marks[row, col]
         if is_open[row, col]:
             length = 1
             for way in (-1, 1):
@@ -68,8 +70,10 @@ def test_runs_are_as_long_as_lines_go_on(angle):
                     if not (is_open[line[c], c - way] or is_open[line[c - way], c]):
                         break  # between two closed cells that touch at their corners
                     length += 1
+                    has_mark |= marks[line[c], c]
                     c += way
         assert run[row, col] == length
+        assert not is_open[row, col] or marked[row, col] == has_mark
 
 
 @pytest.mark.parametrize("both", [True, False])
@@ -77,7 +81,8 @@ def test_gaps_are_beside_longer_runs(both):
     rng = np.random.default_rng(1)
     widest, rise, thickness = 14, 2.0, 5
     for _ in range(4):
-        scanned = floor_plan(rng), np.zeros(70, dtype=np.int64)
+        is_open = floor_plan(rng)
+        scanned = is_open, np.zeros(70, dtype=np.int64), np.ones(is_open.shape, dtype=np.bool_)
         run = measure_runs(*scanned)
         gap = np.zeros(run.shape, dtype=np.uint8)
         kernels.mark_gaps(*scanned, widest, GROWTH, rise, thickness, both, gap)
@@ -179,37 +184,47 @@ def share_of(scan, gaps, k, side, depth, whole):
     sign = 1 if side == 0 else -1
     rows, cols = scan.label.shape
     width = int(gaps.last[k] - gaps.first[k]) + 1
-    length = through = width
-    met = set()
-    for end, (way, start) in enumerate(((-1, int(gaps.first[k])), (1, int(gaps.last[k])))):
-        top, bottom = int(gaps.top[k, end]), int(gaps.bottom[k, end])
+    whole_width, met = width, set()
+    for is_last in (False, True):
+        length = through = width
+        for end, (way, start) in enumerate(((-1, int(gaps.first[k])), (1, int(gaps.last[k])))):
+            top, bottom = int(gaps.top[k, end]), int(gaps.bottom[k, end])
 
-        def cell(row, col, start=start):
-            row = row + int(scan.shift[col] - scan.shift[start]) if 0 <= col < cols else -1
-            return (row, col) if 0 <= row < rows else None
+            def cell(row, col, start=start):
+                row = row + int(scan.shift[col] - scan.shift[start]) if 0 <= col < cols else -1
+                return (row, col) if 0 <= row < rows else None
 
-        opened = reached = passed = 0
-        for step in range(1, cols):
-            col, lean = start + way * step, sign * int(scan.leans[depth])
-            down = sign * int(scan.depths[depth])
-            near = cell((top if side == 0 else bottom) - down, col + lean)
-            if step > REACH * (width + opened) or near is None or not scan.is_open[near]:
-                break
-            here = scan.label[near]
-            if here and whole[here] != own:
-                met.add(int(whole[here]))
-                break
-            between = [cell(row, col) for row in range(top, bottom + 1)]
-            far = cell((bottom if side == 0 else top) + down, col - lean)
-            is_through = far and all(at and scan.is_open[at] for at in between)
-            if is_through and scan.is_open[far]:
-                if whole[scan.label[far]] in (other, 0):
-                    opened += 1
-                else:
-                    met.add(int(whole[scan.label[far]]))
-            if here:
-                reached, passed = step, opened
-        length, through = length + reached, through + passed
+            opened = reached = passed = 0
+            for step in range(1, cols):
+                col, lean = start + way * step, sign * int(scan.leans[depth])
+                down = sign * int(scan.depths[depth])
+                near = cell((top if side == 0 else bottom) - down, col + lean)
+                most = max(whole_width, width + opened) if is_last else cols
+                if step > REACH * most or not 0 <= col + lean < cols:
+                    break
+                if near is None or not scan.is_open[near]:
+                    before = cell((top if side == 0 else bottom) - down, col + lean - way)
+                    if step > 1 or (before and scan.is_open[before]):
+                        reached, passed = step - 1, opened
+                    break
+                here = scan.label[near]
+                if here and whole[here] != own:
+                    met.add(int(whole[here]))
+                    break
+                between = [cell(row, col) for row in range(top, bottom + 1)]
+                far = cell((bottom if side == 0 else top) + down, col - lean)
+                is_through = far and all(at and scan.is_open[at] for at in between)
+                if is_through and scan.is_open[far]:
+                    if whole[scan.label[far]] in (other, 0):
+                        opened += 1
+                    else:
+                        met.add(int(whole[scan.label[far]]))
+                if here:
+                    reached, passed = step, opened
+                if not is_last and opened < step:
+                    break
+            length, through = length + reached, through + passed
+            whole_width += 0 if is_last else opened
     return through / length, met
 
 
@@ -225,7 +240,8 @@ def test_the_share_that_a_gap_has(angle):
             whole[whole == max(one, other)] = min(one, other)
         for _, scan, gaps in found:
             chosen = np.arange(len(gaps.first))
-            shares, met = kernels.measure_gaps(scan, gaps, chosen, whole)
+            lines, met = kernels.measure_gaps(scan, gaps, chosen, whole)
+            shares = (lines[..., 1:4].sum(axis=-1) / lines[..., 0]).min(axis=-1)
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}
                 if whole[gaps.above[k]] == whole[gaps.below[k]]:

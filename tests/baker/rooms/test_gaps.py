@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from box_worlds import box, stages_of_xml, world
 from navbake.baker.rooms import segmentation
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.baker.rooms.gaps import Spaces, find_gaps
@@ -153,13 +154,13 @@ def test_stairs_belong_to_where_they_begin():
 
 def test_what_is_tiny_joins_what_it_opens_to_and_what_is_shut_in_is_none():
     is_open = hall(40, 60)
-    is_open[10:20, 30:33] = False
-    is_open[11:19, 31] = True  # shut in, 0.08 m²
+    is_open[12:18, 30:33] = False
+    is_open[13:17, 31] = True  # shut in, 0.04 m²
     is_open[1:9, 45] = is_open[8, 45:] = False
     is_open[4:8, 45] = True  # a closet of less than 1 m²
     rooms = segment_by_gaps(is_open, CELL, 1.2)[0]
     assert rooms.max() == 1
-    assert not rooms[11:19, 31].any() and rooms[4, 50] == 1
+    assert not rooms[13:17, 31].any() and rooms[4, 50] == 1
 
 
 def test_rooms_hang_together_and_turn_with_the_map():
@@ -293,3 +294,27 @@ def test_rooms_of_offices_and_flats(tmp_path, as_mesh):
         shares += overlaps(rooms, plan.truth(stages.lattice))
         assert count_leaks(rooms, plan, stages.lattice) == 0
     assert np.mean(np.array(shares) >= 0.8) >= 0.9
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.08, 0.1])
+@pytest.mark.parametrize(("width", "rooms"), [(1.85, 2), (1.89, 1)])
+def test_a_gap_is_as_wide_as_the_geometry_at_any_size_of_cells(tmp_path, width, rooms, cell_size):
+    """A room 2.4 m wide whose doorway is 0.77 or 0.79 of that: 0.78 decides, the cells don't."""
+    walls = box("", 0, -0.1, 0, 6, 0, 2.5) + box("", 0, 2.4, 0, 6, 2.5, 2.5)
+    walls += box("", -0.1, -0.1, 0, 0, 2.5, 2.5) + box("", 6, -0.1, 0, 6.1, 2.5, 2.5)
+    walls += box("", 2.93, 0, 0, 3.03, 2.4 - width, 2.5)
+    scene = world(box("floor", -0.1, -0.1, -0.1, 6.1, 2.5, 0) + walls)
+    stages = stages_of_xml(tmp_path, scene, grid={"cell_size": cell_size})
+    assert len(stages.rooms.table) == rooms
+
+
+@pytest.mark.parametrize(("wide", "rooms"), [(0.9, 2), (1.2, 3)])
+def test_a_cavity_is_no_room(tmp_path, wide, rooms):
+    """Two rooms joined by a doorway, and a closed space 3 m long between their walls."""
+    walls = box("", 0, 0, 0, 10, 0.1, 2.5) + box("", 0, 4.9, 0, 10, 5, 2.5)
+    walls += box("", 0, 0, 0, 0.1, 5, 2.5) + box("", 9.9, 0, 0, 10, 5, 2.5)
+    walls += box("", 4, 0, 0, 4.1, 3.2, 2.5) + box("", 4.1 + wide, 0, 0, 4.2 + wide, 3.2, 2.5)
+    walls += box("", 4, 3.1, 0, 4.2 + wide, 3.2, 2.5) + box("", 4.5, 4.2, 0, 4.6, 5, 2.5)
+    stages = stages_of_xml(tmp_path, world(box("floor", 0, 0, -0.1, 10, 5, 0) + walls))
+    assert len(stages.rooms.table) == rooms
+    assert (stages.rooms.room_at(0, stages.lattice.width * 30 + 45) is None) == (rooms == 2)

@@ -10,7 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from box_worlds import body, box, stages_of_xml, world
 from navbake.baker.clock import StageClock
+from navbake.baker.kernels.constants import WALL
 from navbake.baker.pipeline import run_bake
 from navbake.baker.rooms.flags import LevelFlags, are_equal
 from navbake.baker.rooms.rooms import Opening, find_openings, find_rooms, match_doors
@@ -424,3 +426,42 @@ def test_aws_small_house():
     auto = run_bake(parse_config(settings)).grid
     bed, gym, sofa, _ = auto.room_index[rows, cols]
     assert len({bed, gym, sofa}) == 3
+
+
+# two spaces of 4 x 3.6 m, and an opening between them that is too wide to part rooms, over a sill
+PARTED = (
+    box("floor", 0, 0, -0.1, 8.1, 3.6, 0)
+    + box("s", 0, -0.1, 0, 8.1, 0, 2.5)
+    + box("n", 0, 3.6, 0, 8.1, 3.7, 2.5)
+    + box("w", -0.1, -0.1, 0, 0, 3.7, 2.5)
+    + box("e", 8.1, -0.1, 0, 8.2, 3.7, 2.5)
+    + box("one", 4, 0, 0, 4.1, 0.5, 2.5)
+    + box("other", 4, 3.1, 0, 4.1, 3.6, 2.5)
+    + box("sill", 3.9, 0.5, 0, 4.2, 3.1, 0.1)
+)
+
+
+@pytest.mark.parametrize("angle", [0, 30, 77])
+@pytest.mark.parametrize(
+    ("high", "joint", "rooms"),
+    [
+        (2.1, "", 2),  # a fixed pane
+        (2.1, '<joint type="slide" axis="0 1 0" range="0 1"/>', 2),
+        (1.3, '<joint type="slide" axis="0 1 0" range="0 1"/>', 1),  # a barrier
+    ],
+)
+def test_what_stands_in_an_opening_up_to_door_height_closes_it(tmp_path, high, joint, rooms, angle):
+    half = (high - 0.1) / 2
+    pane = f'<geom type="box" size="0.01 1.3 {half}"/>'
+    pane = body("pane", joint + pane, f'pos="4.05 1.8 {0.1 + half}"')
+    scene = world(body("house", PARTED + pane, f'euler="0 0 {angle}"'))
+    stages = stages_of_xml(tmp_path, scene, doors={"find": False})
+    assert len(stages.rooms.table) == rooms
+
+
+def test_walls_that_are_named_objects_still_part_rooms(tmp_path):
+    parted = PARTED + box("pane", 4.04, 0.5, 0, 4.06, 3.1, 2.1)
+    stages = stages_of_xml(tmp_path, world(parted), names={"walls": ["one"]})
+    assert len(stages.rooms.table) == 2
+    walls = stages.contents.kinds == WALL
+    assert walls.tolist() == [geom.name == "one" for geom in stages.scene.geoms]

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
@@ -486,3 +487,23 @@ def test_height_fields_without_a_size_are_refused(tmp_path, value):
     mujoco.mj_saveModel(model, str(tmp_path / "a.mjb"))
     with pytest.raises(SceneError, match="hfield 'hill' has heights or a size that are no numbers"):
         load_scene(SceneSettings(path=tmp_path / "a.mjb"))
+
+
+def test_a_missing_texture_is_told_and_stops_nothing(load, tmp_path):
+    (tmp_path / "pictures").mkdir()
+    Image.new("RGB", (4, 4)).save(tmp_path / "pictures/there.png")
+    before = """
+      <compiler texturedir="pictures"/>
+      <asset><texture name="a" type="2d" file="there.png"/>
+      <texture name="b" type="2d" file="gone.png"/><texture name="c" type="cube" file="lost.png"/>
+      <material name="m" texture="b"/></asset>"""
+    scene = load('<geom name="box" material="m" size="1 1 1"/>', before)
+    told = [text for text in scene.warnings if "texture" in text]
+    assert len(told) == 1 and "'gone.png' and 1 more" in told[0] and "drawn plain" in told[0]
+
+
+@pytest.mark.parametrize(("size", "is_told"), [(0.1, True), (1.0, False)])
+def test_a_scene_that_is_far_too_small_is_told(load, size, is_told):
+    scene = load(f'<geom name="box" size="{size} {size} {size}"/>')
+    assert scene.hints == scene.warnings and len(scene.hints) == is_told
+    assert all("the scene is only 0.2 m large: MuJoCo's unit" in hint for hint in scene.hints)

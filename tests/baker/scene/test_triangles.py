@@ -1,4 +1,4 @@
-"""Normals, boxes, areas and spans of triangles, against numpy over all of them at once."""
+"""Normals, areas and spans of triangles, against numpy over all of them at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from navbake.baker.scene.extents import DIRECTIONS, find_facing
 from navbake.baker.scene.kernels.triangles import (
     measure_areas,
-    measure_boxes,
     measure_spans,
     unit_normal,
 )
@@ -31,17 +30,14 @@ def cross_of(vertices, faces):
     return np.cross(b - a, c - a)
 
 
-def test_normals_and_boxes(mesh):
+def test_normals(mesh):
     corners = mesh[0][mesh[1]]
     normal = np.array([unit_normal(corners, t) for t in range(len(corners))])
-    bounds = np.empty((len(corners), 6))
-    measure_boxes(corners, bounds, 0, len(corners))
     cross = cross_of(*mesh)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     expected = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
     expected[np.abs(expected[:, 2]) < 1e-9, 2] = 0.0
     np.testing.assert_array_equal(normal, expected)
-    np.testing.assert_array_equal(bounds, np.hstack([corners.min(axis=1), corners.max(axis=1)]))
 
 
 def test_areas(mesh):

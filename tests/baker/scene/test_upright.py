@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -201,3 +202,27 @@ def test_a_verification_takes_no_closed_hole_for_a_floor_that_is_off(tmp_path):
     settings = {"scene": {"path": path, "up": "z", "scan": True}, "verify": {"sample": 5000}}
     result = run_bake(parse_config(settings))
     assert result.grid.navbake["verified"]["disagreements"] == 0
+
+
+@pytest.mark.parametrize(("fill", "told"), [(0.0, "no floor: `floors.fill`"), (2.0, "layer")])
+def test_holes_of_a_floor_are_told(tmp_path, fill, told):
+    path = scan(tmp_path / "scan.ply", (0, 0, 1))
+    warnings = run_bake(parse_config({"scene": {"path": path}, "floors": {"fill": fill}})).warnings
+    (text,) = (text for text in warnings if "open in its floor" in text)
+    area = re.search(r"a hole of (\S+) m² in all", text)
+    assert told in text and float(area[1]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_specks_of_a_scan_are_left_out(tmp_path):
+    path = scan(tmp_path / "scan.ply", (0, 0, 1))
+    specks = [sheet((x, 1, 1), (0.2, 0, 0), (0, 0.2, 0)) for x in (1.0, 2.5)]
+    table = sheet((1, 0.5, 0.7), (0.5, 0, 0), (0, 0.5, 0))
+    trimesh.util.concatenate([trimesh.load(path), *specks, table]).export(path)
+
+    def load(is_scan):
+        return load_scene(SceneSettings(path=path, up="z", scan=is_scan))
+
+    (whole,), (kept,) = (load(is_scan).parts.values() for is_scan in (False, True))
+    assert len(whole.faces) - len(kept.faces) == 2 * len(specks[0].faces)
+    (told,) = (text for text in load(True).warnings if "pieces of the scan" in text)
+    assert told.startswith("2 pieces") and "0.08 m² in all" in told

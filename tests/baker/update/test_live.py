@@ -118,6 +118,7 @@ def test_a_geom_vanishes_and_appears():
     for shown in (0, 1):
         baker.model.geom_contype[geom] = baker.model.geom_conaffinity[geom] = shown
         changes = baker.update()
+        assert changes.reason == ""
         assert first_difference(changes.grid, fresh(baker)) is None
         assert (int(changes.grid.occupancy.sum()) == occupied) == bool(shown)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +13,10 @@ import navbake
 from differences import first_difference, fresh
 from navbake.baker.update import baker as module
 from navbake.baker.update import stages as stages_module
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
+
+from sweep_moves import ROOM
 
 pytestmark = pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
 
@@ -166,6 +173,37 @@ def test_a_scene_may_become_endless():
 
 
 CHAIR = '<body name="chair" pos="1 1 0.4"><freejoint/><geom type="box" size="0.2 0.2 0.4"/></body>'
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_grid_of_a_part_of_the_scene_is_followed(levels):
+    loft = "".join(f'<geom type="box" pos="4.5 3 {z}" size="1.5 3 0.1"/>' for z in (2.5, 5.0))
+    settings = {"grid": {"bounds": [2, 2, 5, 5]}, "floors": {"reach": "all"}}
+    baker = navbake.Baker(make(CHAIR + loft * (levels - 1)), **settings)
+    assert len(baker.grid.levels) == levels
+    for place in ([3.0, 3.0, 0.4], [2.0, 2.5, 0.4], [0.5, 0.5, 0.4], [5.0, 3.0, 0.8]):
+        assert check(baker, settings, bodies={"chair": place}) == ""
+
+
+def test_what_looks_like_a_door_may_look_like_none():
+    """A flap does while it stands; whether or not it joins rooms, only what is near is baked."""
+    joint, flap = 'axis="0 0 1" range="0 1.6"', 'axis="0 1 0" range="0 1.6"'
+    room = ROOM.format(bodies=CHAIR).replace(joint, flap)
+    alone = room.replace('pos="3 2 1"', 'pos="4.5 2 1"')  # in the middle of a room
+    for xml, doors in ((room, 1), (alone, 0)):
+        baker = navbake.Baker(mujoco.MjModel.from_xml_string(xml))
+        assert len(baker.grid.doors) == doors
+        reasons = [check(baker, {}, joints={"hinge": angle}) for angle in (1.5, 0.0, 0.3, 0.0)]
+        assert reasons == [""] * 4
+        assert len(baker.grid.doors) == doors
+
+
+def test_on_a_slope_without_end_only_what_is_near_is_baked():
+    slope = '<geom name="slope" type="plane" pos="3 3 -0.4" size="0 0 1" euler="3 5 0"/>'
+    settings = {"grid": {"bounds": [-1, -1, 7, 7]}}
+    baker = navbake.Baker(make(CHAIR + slope), **settings)
+    for place in ([-0.5, 1.0, 0.4], [-0.5, 1.0, 3.4]):
+        assert check(baker, settings, bodies={"chair": place}) == ""
 
 
 @pytest.mark.parametrize("where", ["build_grid", "_compare"])

@@ -141,19 +141,17 @@ def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
 
     Args:
         region: by block, bool; floors and rings of the cells outside are not written to.
-        cells: those of the region where the floor may go on.
-        start, height: the heights at which it may in each, ragged [m].
+        cells, start, height: those of the region where the floor may go on, and the heights at
+            which it may in each, ragged [m].
         floor, ring: see `Growing`.
         local: (all cells,) int32, -1 everywhere, and so again afterwards.
-        room: (3, cells) int64: cells at the region's edge, of a ring, and of the next one;
-            (cells,) bool, all False: whether a cell is in one of the last two; and (cells,)
-            float64: the answers of a ring.
+        room: scratch: (3, cells) int64; (cells,) bool, all False; (cells,) float64.
     """
     num, width, everywhere = cells.shape[0], lattice.width, region.all()
     for n in range(num):
         local[cells[n]] = n
-    rings, queued, answer = room
-    edge, queue, following = rings[0], rings[1], rings[2]
+    # cells at the region's edge, of a ring, and of the next one; which are in these; the answers
+    (edge, queue, following), queued, answer = room
     num_edge, num_queue = 0, 0
     # beyond the last of the rings around, only what is new can bring more
     last = 0
@@ -218,6 +216,7 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
     """
     (rows,), (level, number), num = columns, placed, 0
     first, length, z = surfaces.first, surfaces.length, surfaces.z
+    far = math.inf if by_slopes else step + SLACK
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -226,8 +225,13 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
                 for way, other in enumerate(_around(lattice, cell)[:2]):
                     if other < 0:
                         continue
+                    low, last = first[other], first[other] + length[other]
                     for a in range(first[cell], first[cell] + length[cell]):
-                        for b in range(first[other], first[other] + length[other]):
+                        while low < last and z[low] < z[a] - far:
+                            low += 1
+                        for b in range(low, last):
+                            if z[b] > z[a] + far:
+                                break
                             if level[a] < 0 or level[b] < 0:
                                 continue
                             one, two = number[level[a]], number[level[b]]

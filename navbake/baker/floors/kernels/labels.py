@@ -1,10 +1,10 @@
 """Connected parts of surfaces, block by block, the pairs of parts that meet, and their sizes.
 
 Union-find inside of each block; parts that meet over a border are pairs, which the caller unites.
-What is counted becomes rows of three numbers that tell what it is, and how often it was met; rows
-may repeat. See `navbake.baker.blocks.list_rows` for how kernels list them.
+Rows count how often three numbers were met; they may repeat. See `navbake.baker.blocks.list_rows`.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +27,8 @@ class Joining(NamedTuple):
     """What joins surfaces of neighbouring cells, and what only links them.
 
     Attributes:
-        step: surfaces of one group at most so far apart hang together [m].
-        reach: parts that do not, and have surfaces at most so far apart, are linked [m]; none are
-            where it is less than 0.
+        step: surfaces of one group at most so far apart are of one part [m].
+        reach: parts that have surfaces at most so far apart are linked, none if less than 0 [m].
         by_slopes: whether slopes join surfaces, too.
     """
 
@@ -75,21 +74,25 @@ def _joins(lattice, surfaces, key, joining, a, b, way):
     return joining.by_slopes and slope_joins(lattice, surfaces, a, b, way, joining.step)
 
 
+@part(inline="always")
+def _far(joining):
+    """Surfaces farther apart than this neither join nor are linked [m]."""
+    return math.inf if joining.by_slopes else max(joining.step, joining.reach) + SLACK
+
+
 @kernel(nogil=True, **UNCOUNTED)
 def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, end):
     """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``.
 
-    Surfaces of one group in neighbouring cells are connected if they are at most a step apart, or
-    if slopes join them.
-
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
-            that one can stand on are one group.
+            that one can stand on are one group. Only surfaces of one group are connected.
         part: receives the part of each surface, numbered by the parts' first members in the order
             of cells, -1 for surfaces of no group, (n,) int32.
         count: receives the number of parts of each block.
     """
-    first, length, width = surfaces.first, surfaces.length, lattice.width
+    first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
+    far = _far(joining)
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         # at first `part` has the parents of union-find, by place
@@ -101,8 +104,13 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
                     if cell == row * width + col0 if way == 0 else row == row0:
                         continue
                     other = cell - 1 if way == 0 else cell - width
+                    low, last = first[other], first[other] + length[other]
                     for j in range(first[cell], first[cell] + length[cell]):
-                        for i in range(first[other], first[other] + length[other]):
+                        while low < last and z[low] < z[j] - far:
+                            low += 1
+                        for i in range(low, last):
+                            if z[i] > z[j] + far:
+                                break
                             if part[i] < 0 or part[j] < 0:
                                 continue
                             if _joins(lattice, surfaces, key, joining, i, j, way):
@@ -131,15 +139,13 @@ def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, en
 def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
     """List the pairs of parts that meet, inside of blocks and over their east and south borders.
 
-    Parts of one group JOIN over a border where surfaces are at most a step apart, or slopes join
-    them. Parts LINK that do not join and have surfaces at most a reach apart, everywhere; none do
-    where it is less than 0: see `Joining`.
+    Parts JOIN over a border as surfaces do inside, and LINK everywhere, see `Joining`.
 
     The rows: the part in the block; the other one, in the same block, or in the one east or south
     of it; and three times the kind, more by 1 for the east and by 2 for the south.
     """
-    rows, num, width = columns[0], np.int64(0), lattice.width
-    first, length = surfaces.first, surfaces.length
+    rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
+    first, length, z = surfaces.first, surfaces.length, surfaces.z
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
@@ -153,14 +159,19 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
                     if (col == width - 1) if way == 0 else (row == lattice.height - 1):
                         continue
                     other, where = cell + (1 if way == 0 else width), way + 1 if at_border else 0
+                    low, last = first[other], first[other] + length[other]
                     for a in range(first[cell], first[cell] + length[cell]):
                         if part[a] < 0:
                             continue
-                        for b in range(first[other], first[other] + length[other]):
+                        while low < last and z[low] < z[a] - far:
+                            low += 1
+                        for b in range(low, last):
+                            if z[b] > z[a] + far:
+                                break
                             if part[b] < 0 or (not at_border and part[a] == part[b]):
                                 continue
                             joins = _joins(lattice, surfaces, key, joining, a, b, way)
-                            apart = abs(surfaces.z[a] - surfaces.z[b]) > joining.reach + SLACK
+                            apart = abs(z[a] - z[b]) > joining.reach + SLACK
                             if (not at_border) if joins else apart:
                                 continue
                             kind = JOINS if joins else LINKS

@@ -83,60 +83,57 @@ def mark_kept(labelled, spans, key, blocks, stacked, begin, end):
 
 
 @part(inline="always")
-def _window_of(surfaces, kept, block, cell, j, heights):
-    """The number of the window that `list_heights` counts a surface in, or NO_WINDOW."""
-    z, (ground, window, half) = surfaces.z[j], heights
-    if kept.key[j] < 0 or z < ground - SLACK:
-        return NO_WINDOW
-    is_lowest = True
-    for i in range(surfaces.first[cell], j):
-        if kept.key[i] >= 0 and surfaces.z[i] >= ground - SLACK:
-            is_lowest = False
+def _window_of(surfaces, kept, block, j, heights, is_lowest):
+    """The number of the window that `list_heights` counts a kept surface in, or NO_WINDOW."""
+    ground, window, half, _ = heights
     if is_lowest != (ground == -math.inf):
         return NO_WINDOW
     if window == LOWEST:
         return LOWEST
-    number = np.int64(math.floor(z / half))
+    number = np.int64(math.floor(surfaces.z[j] / half))
     is_asked = window == EVERY or window <= number <= window + 1
     return number if is_asked and not _is_stair(kept, block, j) else NO_WINDOW
 
 
 @part(**UNCOUNTED)
-def _mark_window(lattice, surfaces, kept, heights, reach, block, mask):
-    """Mark the cells of a block, with a margin, that have floors in a window of heights."""
-    row0, row1, col0, col1 = block_window(lattice, block)
-    for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
-        for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
-            cell, own = row * lattice.width + col, block_of(lattice, row, col)
-            for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                if _window_of(surfaces, kept, own, cell, j, heights) != NO_WINDOW:
-                    mask[row - row0 + reach, col - col0 + reach] = True
-
-
-@part(**UNCOUNTED)
-def _list_left(lattice, surfaces, kept, heights, test, block, mask, columns, num):
+def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, num):
     """See `list_heights`; of one block. Returns how many rows there are then, -1 for no room."""
-    (rows, low), before, reach = columns, num, test.reach
+    (rows, low), (ground, _, _, top), reach, before = columns, heights, test.reach, num
     row0, row1, col0, col1 = block_window(lattice, block)
-    for row in range(row0, row1):
-        follows = False
-        for col in range(col0, col1):
-            if reach > 0:
+    # the cells of the window are marked, with a margin, before those that are left are counted
+    for marks in (True, False):
+        if marks and reach == 0:
+            continue
+        margin = reach if marks else 0
+        for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
+            follows = False
+            for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
                 r, c = row - row0 + reach, col - col0 + reach
-                follows = mask[r, c] and is_left(mask, r, c, test.rim if follows else test.disc)
-                if not follows:
-                    continue
-            cell = row * lattice.width + col
-            for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-                number = _window_of(surfaces, kept, block, cell, j, heights)
-                if number == NO_WINDOW:
-                    continue
-                z = surfaces.z[j]
-                at = note_row(rows, before, num, number, bin_of(z), 0)
-                if at < 0:
-                    return at
-                low[at] = min(low[at], z) if at < num else z
-                num = max(num, at + 1)
+                if reach > 0 and not marks:
+                    disc = test.rim if follows else test.disc
+                    follows = mask[r, c] and is_left(mask, r, c, disc)
+                    if not follows:
+                        continue
+                own, is_lowest = block_of(lattice, row, col) if marks else block, True
+                first = surfaces.first[row * lattice.width + col]
+                for j in range(first, first + surfaces.length[row * lattice.width + col]):
+                    z = surfaces.z[j]
+                    if z >= top:
+                        break
+                    if kept.key[j] < 0 or z < ground - SLACK:
+                        continue
+                    number = _window_of(surfaces, kept, own, j, heights, is_lowest)
+                    is_lowest = False
+                    if number == NO_WINDOW:
+                        continue
+                    if marks:
+                        mask[r, c] = True
+                        continue
+                    at = note_row(rows, before, num, number, bin_of(z), 0)
+                    if at < 0:
+                        return at
+                    low[at] = min(low[at], z) if at < num else z
+                    num = max(num, at + 1)
     return num
 
 
@@ -144,12 +141,12 @@ def _list_left(lattice, surfaces, kept, heights, test, block, mask, columns, num
 def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns, begin, end):
     """Count floors by their heights, in ``blocks[begin:end]``, as far as shrinking leaves them.
 
-    `heights` are the ground that they lie over [m], the number of a window, EVERY or LOWEST, and
-    half a window's height [m]. Floors are the kept surfaces, without stairs, that lie over another
-    one at or above the ground in their column; over a ground of -inf, they are the lowest of their
-    columns. Window n reaches from ``n * half`` to ``(n + 1) * half``; where one is asked for, it
-    counts with the one above it. The cells of windows are shrunk together; without a `reach` all of
-    them are left.
+    `heights` are the ground that they lie over [m], the number of a window, EVERY or LOWEST, half a
+    window's height, and the height from which on nothing counts [m]. Floors are the kept surfaces,
+    without stairs, that lie over another one at or above the ground in their column; over a ground
+    of -inf, they are the lowest of their columns. Window n reaches from ``n * half`` to
+    ``(n + 1) * half``; where one is asked for, it counts with the one above it. The cells of
+    windows are shrunk together; without a `reach` all of them are left.
 
     The rows, see `navbake.baker.blocks.list_rows`: the window, the multiple of PLATEAU that heights
     round to, 0, and how many there are; with the lowest of these heights [m].
@@ -157,9 +154,7 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     size, num = SIZE + 2 * test.reach, np.int64(0)
     for k in range(begin, end):
         mask = np.zeros((size, size), np.bool_)
-        if test.reach > 0:
-            _mark_window(lattice, surfaces, kept, heights, test.reach, blocks[k], mask)
-        after = _list_left(lattice, surfaces, kept, heights, test, blocks[k], mask, columns, num)
+        after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], mask, columns, num)
         if after < 0:
             return k
         counts[k], num = after - num, after
@@ -167,28 +162,25 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
 
 
 @part(**UNCOUNTED)
-def _place_bases(surfaces, kept, grounds, tolerance, cell, end, level):
-    """Give the kept surfaces of cells their bases; returns a cell where two share one, or `end`."""
-    while cell < end:
-        in_order, before = True, -1
-        for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
-            level[j] = -1
-            if kept.key[j] < 0:
-                continue
-            base = 0
-            while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= surfaces.z[j]:
-                base += 1
-            level[j] = base
-            in_order = in_order and base != before
-            before = base
-        if not in_order:
-            return cell
-        cell += 1
-    return cell
+def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
+    """Give the kept surfaces of a cell their bases; returns how many they are if two share one."""
+    count, base, is_shared = 0, 0, False
+    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+        level[j] = -1
+        if kept.key[j] < 0:
+            continue
+        before, z = base if count > 0 else -1, surfaces.z[j]
+        while base + 1 < grounds.shape[0] and grounds[base + 1] - tolerance <= z:
+            base += 1
+        level[j], count = base, count + 1
+        is_shared = is_shared or base == before
+    return count if is_shared else 0
 
 
 @kernel(nogil=True)
-def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, begin, end):
+def place_blocks(
+    lattice, surfaces, kept, grounds, tolerance, leave_floors, level, blocks, begin, end
+):  # fmt: skip
     """Give each kept surface in ``blocks[begin:end]`` its level; no two of a column share one.
 
     A surface's base is the highest ground at or below it. Where all bases of a column differ, they
@@ -199,36 +191,38 @@ def place_blocks(lattice, surfaces, kept, grounds, tolerance, level, blocks, beg
     Args:
         grounds: heights, ascending [m].
         tolerance: how far below a ground its floors may lie [m].
+        leave_floors: whether columns with more surfaces than levels leave out floors, the lower
+            ones first, rather than treads.
         level: by place, int32; receives the levels, LOST or LOST_GROUND where all are taken, -1
             for surfaces that are not kept.
     """
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            cell, last = row * lattice.width + col0, row * lattice.width + col1
-            while cell < last:
-                cell = _place_bases(surfaces, kept, grounds, tolerance, cell, last, level)
-                if cell < last:
-                    _place_column(surfaces, kept, blocks[k], grounds, cell, level)
-                cell += 1
+            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+                count = _place_bases(surfaces, kept, grounds, tolerance, cell, level)
+                if count > 0:
+                    _place_column(
+                        surfaces, kept, blocks[k], grounds, leave_floors, cell, level, count
+                    )
 
 
 @part
-def _place_column(surfaces, kept, block, grounds, cell, level):
+def _place_column(surfaces, kept, block, grounds, leave_floors, cell, level, count):
     """Place the kept surfaces of a cell, whose levels are their bases."""
-    num_levels, num, count = grounds.shape[0], surfaces.length[cell], 0
-    places, base, is_stair = (
-        np.empty(num, np.int64),
-        np.empty(num, np.int64),
-        np.empty(num, np.bool_),
-    )
-    for j in range(surfaces.first[cell], surfaces.first[cell] + num):
+    num_levels, num = grounds.shape[0], 0
+    places, base = np.empty(count, np.int64), np.empty(count, np.int64)
+    found, cost = np.empty(count, np.int64), np.empty((2, count), np.int64)
+    leave_floors = leave_floors and count > num_levels
+    for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
         if kept.key[j] >= 0:
-            places[count], base[count] = j, level[j]
-            is_stair[count] = _is_stair(kept, block, j)
-            count += 1
-    base, is_stair, found = base[:count], is_stair[:count], np.empty(count, np.int64)
-    _align(base, is_stair, num_levels, found)
+            is_stair = _is_stair(kept, block, j)
+            places[num], base[num] = j, level[j]
+            cost[0, num] = MOVE_STAIR if is_stair or leave_floors else MOVE_FLOOR
+            cost[1, num] = SKIP_STAIR if is_stair != leave_floors else SKIP_FLOOR
+            cost[1, num] += num if leave_floors else 0
+            num += 1
+    _align(base, cost, num_levels, found)
     taken = np.zeros(num_levels, np.bool_)
     for n in range(count):
         if found[n] >= 0:
@@ -245,14 +239,16 @@ def _place_column(surfaces, kept, block, grounds, cell, level):
 
 
 @part
-def _align(base, is_stair, num_levels, level):
-    """Place the surfaces of a column in their order; -1 for those that are left out of it."""
+def _align(base, costs, num_levels, level):
+    """Place the surfaces of a column in their order; -1 for those that are left out of it.
+
+    `costs` are those of moving each by one level, and of leaving it out.
+    """
     count = base.shape[0]
     # cost[i, k]: of the first i surfaces on the first k levels
     cost = np.zeros((count + 1, num_levels + 1), np.int64)
     for i in range(1, count + 1):
-        move = MOVE_STAIR if is_stair[i - 1] else MOVE_FLOOR
-        skip = SKIP_STAIR if is_stair[i - 1] else SKIP_FLOOR
+        move, skip = costs[0, i - 1], costs[1, i - 1]
         cost[i, 0] = cost[i - 1, 0] + skip
         for k in range(1, num_levels + 1):
             placed = cost[i - 1, k - 1] + move * abs(k - 1 - base[i - 1])
@@ -261,8 +257,7 @@ def _align(base, is_stair, num_levels, level):
     # rather the upper one moves up than the lower one down
     i, k = count, num_levels
     while i > 0:
-        move = MOVE_STAIR if is_stair[i - 1] else MOVE_FLOOR
-        skip = SKIP_STAIR if is_stair[i - 1] else SKIP_FLOOR
+        move, skip = costs[0, i - 1], costs[1, i - 1]
         if cost[i, k] == cost[i - 1, k] + skip:
             level[i - 1] = -1
             i -= 1
@@ -281,8 +276,7 @@ def climb(lower, upper, area, by_lower, by_upper):
     Args:
         lower, upper: the parts that each step joins, (steps,) int64.
         area: of the floor that each part belongs to, (parts,) int64.
-        by_lower: the steps in the order of the heights of their lower parts, (steps,) int64.
-        by_upper: likewise of their upper parts.
+        by_lower, by_upper: the steps in the order of the heights of these parts, (steps,) int64.
 
     Returns:
         The largest area above each part, and below it, 0 for none, (parts,) int64.

@@ -314,16 +314,3 @@ def look_below(labelled, cells, places):
                 z[n], sheet[n] = labelled.z[j], other
                 break
     return z, sheet
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def mark_between(labelled, low, high, found):
-    """Mark the sheets that have a surface from a height up to below another one [m]."""
-    width = labelled.lattice.width
-    for cell in range(labelled.first.shape[0]):
-        block = block_of(labelled.lattice, cell // width, cell % width)
-        for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-            if low <= labelled.z[j] < high:
-                sheet = sheet_of(labelled, block, j)
-                if sheet >= 0:
-                    found[sheet] = True

@@ -18,6 +18,8 @@ from navbake.types import Float, Int, Int32
 # What a surface is: a floor may go on at it, an agent can stand on it, nothing lies above it; an
 # agent could stand on it if closed meshes held nothing inside
 FLOOR_LIKE, STANDS, TOP, HELD = 1, 2, 4, 8
+# Sides that are nearly upright face up by at most this, as those of steps in a building that leans
+LEANING = 0.05
 
 
 class Surfaces(NamedTuple):
@@ -91,19 +93,22 @@ def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin
     does: a bump too low to be an obstacle. Standable: faces up within the slope, lies inside of
     no solid, and the next surface above is at least the headroom higher; held where it is so but
     for closed meshes around, or for infinite planes over it. Of several surfaces at one height the
-    lowest counts. Looks at the columns ``range(begin, end)``, which belong to ``cells``; `count`,
-    int64, receives how many of each are floor-like.
+    lowest counts. Where a line leaves a solid by a side that leans a little, at most a step above
+    what faces up within the slope, it has the floor of the lower side: that is standable there.
+
+    Looks at the columns ``range(begin, end)``, which belong to ``cells``; `count`, int64, receives
+    how many of each are floor-like.
     """
     for n in range(begin, end):
         first, last = crossings.start[n], crossings.start[n + 1]
         x, y = cell_center(lattice, cells[n])
-        previous, held, gentle = -math.inf, -math.inf, -math.inf
+        previous, held, gentle, at = -math.inf, -math.inf, -math.inf, first
         count[n] = 0
         for i in range(first, last):
             z, up = crossings.z[i], crossings.normal[i, 2]
             marks[i] = FLOOR_LIKE if up > 0.0 and z - gentle <= limits.step + SLACK else 0
             if up >= limits.min_up:
-                marks[i], gentle = FLOOR_LIKE, z
+                marks[i], gentle, at = FLOOR_LIKE, z, i
                 surfaces, others, above = look_up(crossings, i, last)
                 if z - previous > SAME and above - z >= limits.headroom - SLACK:
                     behind, _ = planes_over(planes, x, y, z)
@@ -115,6 +120,11 @@ def mark_surfaces(lattice, cells, crossings, planes, limits, marks, count, begin
                     elif others <= 0 and (surfaces <= 0 or behind == 0) and z - held > SAME:
                         marks[i] |= HELD
                         held = z
+            elif marks[i] and up <= LEANING and gentle - previous > SAME:
+                surfaces, others, above = look_up(crossings, i, last)
+                if surfaces + others <= 0 and above - gentle >= limits.headroom - SLACK:
+                    marks[i], previous = 0, gentle
+                    marks[at] |= STANDS if above < math.inf else STANDS | TOP
             if marks[i]:
                 count[n] += 1
 

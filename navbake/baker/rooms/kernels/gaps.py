@@ -83,8 +83,11 @@ def flag_columns(crossings, floor, ground, limits, above_heads, flags, begin, en
 
 
 @part
-def measure_runs(is_open, shift):
-    """The number of open cells in a row along a line through each cell, 0 for closed ones."""
+def measure_runs(is_open, shift, marked):
+    """The number of open cells in a row along a line through each cell, 0 for closed ones.
+
+    Where one cell of a row is `marked`, all of it becomes so.
+    """
     rows, cols = is_open.shape
     run = np.zeros((rows, cols), dtype=np.int32)
     length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
@@ -100,6 +103,7 @@ def measure_runs(is_open, shift):
                 # two lines of cells that touch at corners only don't cross
                 goes_on = goes_on and (is_open[before, col] or is_open[row, col - 1])
                 length[line] = length[line] + 1 if goes_on else 1
+                marked[row, col] |= goes_on and marked[before, col - 1]
                 run[row, col] = length[line]
     for col in range(cols - 2, -1, -1):
         for row in range(rows):
@@ -108,23 +112,26 @@ def measure_runs(is_open, shift):
                 continue
             if is_open[after, col] or is_open[row, col + 1]:
                 run[row, col] = run[after, col + 1]
+                marked[row, col] |= marked[after, col + 1]
     return run
 
 
 @kernel(nogil=True)
-def mark_gaps(is_open, shift, widest, growth, rise, thickness, both, gap):
+def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
     """Mark the cells of gaps: runs along lines of at most `widest` cells next to much longer ones.
+
+    A run counts where a cell of it is `near` a wall along the line; all of such a run become so.
 
     A run is much longer by the factor `growth` and by `rise` cells. Between two such steps that are
     at most `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8; else
     the last one is marked 1, unless only gaps with steps on `both` sides are wanted.
     """
-    run = measure_runs(is_open, shift)
+    run = measure_runs(is_open, shift, near)
     rows, cols = run.shape
     for row in range(rows):
         for col in range(cols):
             here = run[row, col]
-            if here == 0 or here > widest:
+            if here == 0 or here > widest or not near[row, col]:
                 continue
             least = max(growth * here, here + rise)
             if row > 0 and run[row - 1, col] >= least:
@@ -200,24 +207,23 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 @kernel
 def measure_gaps(scan, gaps, chosen, whole):
-    """How open the lines of some gaps are, seen from the regions above them and below them.
+    """Measure the lines behind some gaps, in the regions above them and below them.
 
     Behind a gap, at each depth, a line runs along it as far as the region reaches, but on either
-    side no further than the gap is wide, times `REACH`. Of that length, the gap is a share,
-    together with other openings in its line to the same region, which also count as its width.
-    A region that ends before the first depth is measured where it ends.
+    side no further than the gap is wide, times `REACH`. Other openings in its line to the same
+    region count as its width. A region that ends before the first depth is measured where it ends.
 
-    `whole` is the region that each label is part of by now. Returns the least share over all
-    depths, from above and from below, (n, 2), 1 where both sides are one region; and pairs of gaps
-    and other regions that their lines met: shares change only when one of these is joined.
+    `whole` is the region that each label is part of by now. Returns by gap, side and depth, int64,
+    how long the line is, how much of that the gap is, and such openings before and after it
+    [columns]; and the cells at which it ends at a wall before and after, -1 for none. Where both
+    sides are one region that is 1, 1, 0, 0, -1, -1. And pairs of gaps and other regions that their
+    lines met: lines change only when one of these is joined.
     """
-    shares = np.ones((len(chosen), 2))
+    lines = np.full((len(chosen), 2, len(scan.depths), 6), -1, dtype=np.int64)
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
         above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
-        if above == below:
-            continue
         for side in range(2):
             own, other = (above, below) if side == 0 else (below, above)
             # how many open rows lie behind the gap in its middle, up to the first depth
@@ -229,19 +235,20 @@ def measure_gaps(scan, gaps, chosen, whole):
                     break
                 deep += 1
             for depth in range(len(scan.depths)):
+                measured = lines[i, side, depth]
+                if above == below:
+                    measured[0], measured[1], measured[2], measured[3] = 1, 1, 0, 0
+                    continue
                 rows, lean = scan.depths[depth], scan.leans[depth]
                 if depth == 0 and deep < rows:
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
-                line = side, rows, lean, own, other
-                shares[i, side] = min(
-                    shares[i, side], _measure_line(scan, gaps, k, line, whole, met)
-                )
-    return shares, met[1:]
+                _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
+    return lines, met[1:]
 
 
 @part
-def _measure_line(scan, gaps, k, line, whole, met):
-    """The share that gap k has of a line behind it; `met` receives the regions that it meets.
+def _measure_line(scan, gaps, k, line, whole, met, measured):
+    """Measure a line behind gap k; `met` receives the regions that it meets.
 
     `line` is its side (0 above, 1 below), how many rows behind the gap it is and how many columns
     it leans on the way up so far, and the regions on its side and on the other one.
@@ -253,44 +260,61 @@ def _measure_line(scan, gaps, k, line, whole, met):
     down = -depth if side == 0 else depth
     lean = rise if side == 0 else -rise
     width = gaps.last[k] - gaps.first[k] + 1
-    length, through = width, width
-    for end in range(2):
-        way = -1 if end == 0 else 1
-        start = gaps.first[k] if end == 0 else gaps.last[k]
-        top, bottom = gaps.top[k, end], gaps.bottom[k, end]
-        near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
-        reached, opened, passed = 0, 0, 0
-        for step in range(1, cols):
-            col = start + way * step
-            near, far = col + lean, col - lean
-            if step > REACH * (width + opened) or not 0 <= near < cols:
-                break
-            row = near_row + down + shift[near] - shift[start]
-            if not 0 <= row < rows or not is_open[row, near]:
-                break
-            here = np.int64(whole[label[row, near]])
-            if here > 0 and here != own:
-                met.append((k, here))
-                break
-            if 0 <= col < cols and 0 <= far < cols:
-                on = shift[col] - shift[start]
-                opposite = far_row - down + shift[far] - shift[start]
-                is_through = top + on >= 0 and bottom + on < rows and 0 <= opposite < rows
-                # no wall anywhere between: one row may miss a thin wall at an angle
-                for middle in range(top + on, bottom + on + 1 if is_through else 0):
-                    is_through &= is_open[middle, col]
-                if is_through and is_open[opposite, far]:
-                    there = np.int64(whole[label[opposite, far]])
-                    # another gap that ends here has no label: the line goes on beyond it
-                    if there == other or there == 0:
-                        opened += 1
-                    elif there > 0 and met[-1] != (k, there):
-                        met.append((k, there))
-            if here > 0:
-                reached, passed = step, opened
-        length += reached
-        through += passed
-    return through / length
+    length, whole_width = width, width
+    # first to find how wide the opening is that this gap is a part of
+    for is_last in (False, True):
+        for end in range(2):
+            way = -1 if end == 0 else 1
+            start = gaps.first[k] if end == 0 else gaps.last[k]
+            top, bottom = gaps.top[k, end], gaps.bottom[k, end]
+            near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
+            reached, opened, passed, last = 0, 0, 0, np.int64(-1)
+            for step in range(cols):
+                col = start + way * step
+                near, far = col + lean, col - lean
+                most = max(whole_width, width + opened) if is_last else np.int64(cols)
+                if step > REACH * most or not 0 <= near < cols:
+                    last = np.int64(-1)
+                    break
+                row = near_row + down + shift[near] - shift[start]
+                if not 0 <= row < rows or not is_open[row, near]:
+                    if step == 0:
+                        continue  # there is wall beside the gap's end
+                    if last >= 0:
+                        reached, passed = step - 1, opened
+                    break
+                here = np.int64(whole[label[row, near]])
+                last = row * cols + near
+                if step == 0:
+                    continue
+                if here > 0 and here != own:
+                    met.append((k, here))
+                    last = np.int64(-1)
+                    break
+                if 0 <= col < cols and 0 <= far < cols:
+                    on = shift[col] - shift[start]
+                    opposite = far_row - down + shift[far] - shift[start]
+                    is_through = top + on >= 0 and bottom + on < rows and 0 <= opposite < rows
+                    # no wall anywhere between: one row may miss a thin wall at an angle
+                    for middle in range(top + on, bottom + on + 1 if is_through else 0):
+                        is_through &= is_open[middle, col]
+                    if is_through and is_open[opposite, far]:
+                        there = np.int64(whole[label[opposite, far]])
+                        # another gap that ends here has no label: the line goes on beyond it
+                        if there == other or there == 0:
+                            opened += 1
+                        elif there > 0 and met[-1] != (k, there):
+                            met.append((k, there))
+                if here > 0:
+                    reached, passed = step, opened
+                if not is_last and opened < step:
+                    break
+            if is_last:
+                length += reached
+                measured[2 + end], measured[4 + end] = passed, last
+            else:
+                whole_width += opened
+    measured[0], measured[1] = length, width
 
 
 @kernel(nogil=True)

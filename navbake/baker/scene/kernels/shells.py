@@ -83,14 +83,9 @@ def sort_keys(keys, num):
         gap //= 3
 
 
-@kernel
-def list_edges(faces, num):
-    """Number the undirected edges of triangles, (m, 3) int32, of distinct points below `num`.
-
-    Returns:
-        The edge of each half-edge 3 f + k, from corner k of triangle f to the next one, (3 m,)
-        int32; and the half-edges of each edge, ragged, ascending, int32: `start` and `half`.
-    """
+@part
+def _list_edges(faces, num):
+    """Number the undirected edges of triangles; see `find_shells` for what it returns."""
     # the half-edges by the lower one of their two points, ragged
     end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
     for writing in (False, True):
@@ -140,12 +135,19 @@ def _are_neighbours(faces, h, g):
 
 
 @kernel
-def find_shells(faces, start, half):
+def find_shells(faces, num):
     """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
 
-    Takes `list_edges`' arguments and results. Returns by triangle the lowest one that it hangs
-    together with over edges, (m,) int32; and whether that part is such a shell, (m,) bool.
+    Args:
+        faces: corners of each triangle, (m, 3) int32, of distinct points below `num`.
+
+    Returns:
+        By triangle the lowest one that it hangs together with over edges, (m,) int32; whether that
+        part is such a shell, (m,) bool; the edge of each half-edge 3 f + k, from corner k of
+        triangle f to the next one, (3 m,) int32; and the half-edges of each edge, ragged,
+        ascending, int32: `start` and `half`.
     """
+    edge, start, half = _list_edges(faces, num)
     is_shell = np.ones(faces.shape[0], np.bool_)
     part = np.arange(faces.shape[0]).astype(np.int32)
     for e in range(start.shape[0] - 1):
@@ -161,4 +163,4 @@ def find_shells(faces, start, half):
             is_shell[part[f]] = False
     for f in range(part.shape[0]):
         is_shell[f] = is_shell[part[f]]
-    return part, is_shell
+    return part, is_shell, edge, start, half

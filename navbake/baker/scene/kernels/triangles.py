@@ -1,4 +1,4 @@
-"""Normals, boxes and areas of many triangles in one pass, without arrays between.
+"""Normals, areas and spans of many triangles in one pass, without arrays between.
 
 Each number is computed in the order in which numpy's cross product and norm do it.
 """
@@ -24,15 +24,6 @@ def _cross(a, b, c):
 @part(inline="always")
 def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def measure_boxes(corners, bounds, first, end):
-    """Write the boxes round the triangles ``range(first, end)``: lower, upper corner [m]."""
-    for t in range(first, end):
-        for k in range(3):
-            a, b, c = corners[t, 0, k], corners[t, 1, k], corners[t, 2, k]
-            bounds[t, k], bounds[t, 3 + k] = min(a, b, c), max(a, b, c)
 
 
 @part(**UNCOUNTED)
