@@ -120,10 +120,8 @@ def check_links(facts: Facts) -> Iterator[Found]:
 
 
 def check_missing_links(facts: Facts) -> Iterator[Found]:
-    """Free neighbours on two levels lie within a step, but nothing joins their islands.
-
-    A bake links all such cells; files of other programs know no links.
-    """
+    """Free neighbours on two levels lie within a step, but nothing joins their islands."""
+    # files of other programs know no links
     for number, level in enumerate(facts.levels if facts.grid.navbake else ()):
         for other in range(number + 1, len(facts.levels)):
             beside = facts.levels[other]

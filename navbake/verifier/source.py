@@ -161,8 +161,7 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
 def _position(model: Any, body: int, door: Door) -> float | None:
     """Where its hinge or slide is in the door's state [rad or m]; None as it is modelled.
 
-    It opens to the end of its range that is farther from where it is closed, which is at 0 or
-    next to it. Without a range, a hinge opens by a quarter turn, a slide by a metre.
+    Closed is 0 or next to it, open the end farther from it; without a range, 90 degrees or 1 m.
     """
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:

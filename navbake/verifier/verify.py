@@ -175,12 +175,11 @@ def verify_scene(
         inflated = content if cylinder is not None else content.inflate(width)
         try:
             swept, touching = Sweep(inflated, probes, agent, width, tolerance).run(paths, seed)
-        except FormatError as error:
-            notes.append(f"no paths were swept: {error}")
-        else:
             findings += touching
             if swept.paths < paths:
                 notes.append(f"only {swept.paths} paths were found between random places")
+        except FormatError as error:
+            notes.append(f"no paths were swept: {error}")
     findings.sort(key=lambda found: (found.level, found.cell or (-1, -1), found.kind))
     report = VerifyReport(
         content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes

@@ -86,9 +86,8 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
         (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
         ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
-        (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
-        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file
-        states them.
+        (from 1, the largest; None where it isn't free); names of what stands in the cell:
+        ``doors``, ``objects``, ``walls``, and of what blocks it, if stated: ``blockers``.
     """
     place = place_at(grid, (x, y), level)
     if place is None:

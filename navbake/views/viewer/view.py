@@ -63,10 +63,7 @@ PERIOD = 0.5  # between two looks at files [s]
 
 
 def find_camera(bounds: Float, aspect: float) -> Float:
-    """Where a box, shape (2, 3) [m], fills the page, seen from -y and above: shape (3,) [m].
-
-    `aspect` is the width of the page by its height.
-    """
+    """Where a box, (2, 3) [m], fills a page of an aspect, seen from -y and above: (3,) [m]."""
     middle = bounds.mean(axis=0)
     away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
     up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
