@@ -41,16 +41,16 @@ def check_all_free(facts: Facts) -> Iterator[Found]:
 
 def check_empty_levels(facts: Facts) -> Iterator[Found]:
     """A level has no floor, or nowhere to stand, which an inflation may do; or so has the grid."""
-    severity = ERROR if facts.reach is None else REMARK
-    inflated = "" if facts.reach is None else f", inflated by {facts.reach:g} m"
+    severity, inflated = ERROR, ""
+    if facts.reach is not None:
+        severity, inflated = REMARK, f", inflated by {facts.reach:g} m"
     if not any(free.any() for free in facts.free):
         yield severity, None, None, f"no cell is free, on any level{inflated}"
         return
-    for number, (free, floor) in enumerate(zip(facts.free, facts.floors, strict=True)):
-        has_floor = np.count_nonzero(~np.isnan(floor))
+    for number in [number for number, free in enumerate(facts.free) if not free.any()]:
+        has_floor = np.count_nonzero(~np.isnan(facts.floors[number]))
         text = f"none of its {has_floor} cells with a floor is free{inflated}"
-        if not free.any():
-            yield (severity, number, None, text) if has_floor else (ERROR, number, None, "no floor")
+        yield (severity, number, None, text) if has_floor else (ERROR, number, None, "no floor")
 
 
 def check_free_share(facts: Facts) -> Iterator[Found]:
@@ -87,7 +87,7 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
     """The cells of a level that have something within reach [m] for which they may be closed.
 
     An occupied cell, none, a floor more than a step off, one of another level less than the agent's
-    height away, or the edge: looked for in a square, so that none is missed.
+    height away, or the edge; in a square, which misses none.
     """
     level = grid.levels[number]
     cells = min(math.ceil(reach / level.lattice.cell_size) + 1, max(level.shape))
@@ -149,8 +149,7 @@ def check_floors(facts: Facts) -> Iterator[Found]:
 def check_jumps(facts: Facts) -> Iterator[Found]:
     """A patch of floor lies more than a step above or below what is round it.
 
-    No step and no link leads there, so it is a spike, a pit, or the top of something. One that is
-    too small for a floor can't be meant; of a larger one, a person would ask.
+    It is a spike, a pit, or the top of something: an error if it is too small for a floor.
     """
     settings = facts.settings.get("floors")
     stated = settings.get("min_area") if isinstance(settings, dict) else None
@@ -159,8 +158,8 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
     # and by how much in all [m]
     islands = facts.islands
     count = max((int(island.max(initial=0)) for island in islands), default=0) + 1
-    cells, edges = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    jumps, total = np.zeros((2, count)), np.zeros((2, count))
+    cells, edges = np.zeros((2, count), dtype=np.int64)
+    jumps, total = np.zeros((2, 2, count))
     for number, island in enumerate(islands):
         cells += np.bincount(island.ravel(), minlength=count)
         padded = np.pad(island, 1)  # beyond the rim is none
@@ -187,8 +186,7 @@ def check_jumps(facts: Facts) -> Iterator[Found]:
             around = "all" if is_most else "most of what is"
             size = f"{area[patch]:.3g} m² of floor ({count_of(int(cells[patch]), 'cell')})"
             text = f"{size} lies {by:.2f} m {way} {around} round it, and no step leads there"
-            is_fault = is_most and area[patch] < min_area
-            found.append((not is_fault, -area[patch], patch, text))
+            found.append((not (is_most and area[patch] < min_area), -area[patch], patch, text))
     found.sort()
     for is_remark, _, patch, text in found[:MOST_PATCHES]:
         # the level that has most of it, and a cell in its middle
@@ -215,11 +213,10 @@ def pairs_across(values: NDArray[Any], gap: int) -> Iterator[tuple[Int, int]]:
 
 
 def check_cut_off(facts: Facts) -> Iterator[Found]:
-    """One cell, or two or three side by side, cut off an island.
+    """One cell, or two or three side by side, cut off an island, with all doors open.
 
-    All doors are open for that. Where more such cells part the same two islands, they are a thin
-    wall, and are meant; cells in it that nothing occupies are a gap closed for a larger agent. The
-    floors on both sides are within a step of each other, as they would be on one walk.
+    More cells between the same two islands are a thin wall; cells in it that nothing occupies are a
+    gap closed for a larger agent. The floors on both sides are within a step of each other.
     """
     islands, cell_size = facts.open_islands, facts.levels[0].lattice.cell_size
     largest = max((int(island.max(initial=0)) for island in islands), default=0)

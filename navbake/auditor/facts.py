@@ -33,10 +33,9 @@ DOWN, RIGHT = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
 def number_islands(masks: list[Bool], floors: list[Float], limit: float, links: Int) -> list[Int32]:
     """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
 
-    Neighbours by an edge hang together unless they lie more than a limit [m] apart, and so do the
-    ends of a link (level, cell, level, cell), shape (n, 4). Cells without a floor are at no height,
-    so that nothing lies above or below them. These are the parts of an image, which shares no code
-    with a bake. Of parts of one size, that with the lowest cell comes first.
+    Neighbours by an edge hang together unless their floors lie more than a limit [m] apart, and so
+    do the ends of a link (level, cell, level, cell), shape (n, 4). It shares no code with a bake.
+    Of parts of one size, that with the lowest cell comes first.
     """
     parts, count = list[Int32](), 1
     for mask, floor in zip(masks, floors, strict=True):
@@ -55,9 +54,8 @@ def number_islands(masks: list[Bool], floors: list[Float], limit: float, links: 
         count += num
     ends = np.zeros((2, len(links)), dtype=np.int64)
     for number, part in enumerate(parts):
-        for end, (level, cell) in zip(ends, ((0, 1), (2, 3)), strict=True):
-            here = links[:, level] == number
-            end[here] = part.ravel()[links[here, cell]]
+        for end, (level, cell) in zip(ends, (links[:, :2].T, links[:, 2:].T), strict=True):
+            end[level == number] = part.ravel()[cell[level == number]]
     ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end joins nothing
     pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count, count))
     num, group = connected_components(pairs, directed=False)  # numbered by their first parts
@@ -82,13 +80,12 @@ def read_inflations(grid: GridBase) -> tuple[list[Inflation], str | None]:
         return [], f"`inflation` is {stated!r}, expected a list of what was done"
     done, broken = list[Inflation](), None
     for number, entry in enumerate(stated):
-        if isinstance(entry, dict) and entry.get("mode") in MODES:
-            lengths = entry.get("radius"), entry.get("clearance", 0)
-            if all(is_within(length, 0, MOST_INFLATED) for length in lengths):
-                done.append(Inflation(entry["mode"], *map(float, lengths)))
-                continue
-        text = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
-        broken = broken or text
+        known = entry if isinstance(entry, dict) and entry.get("mode") in MODES else {}
+        lengths = known.get("radius"), known.get("clearance", 0)
+        if all(is_within(length, 0, MOST_INFLATED) for length in lengths):
+            done.append(Inflation(known["mode"], *map(float, lengths)))
+        elif broken is None:
+            broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
     return done, broken
 
 
@@ -110,27 +107,38 @@ def find_wrong_sizes(grid: GridBase) -> dict[str, str]:
         if stated is not None and not is_within(stated, least, FARTHEST / grid.unit):
             wrong[key] = f"`{key}` is {shorten(repr(stated))}, which is no length {expected}"
     if not wrong and grid.max_step >= grid.agent_height:
-        text = f"the agent of {grid.agent_height:g} m takes steps of {grid.max_step:g} m"
-        wrong["step"] = text
+        sizes = grid.agent_height, grid.max_step
+        wrong["step"] = "the agent of {:g} m takes steps of {:g} m".format(*sizes)
     return wrong
 
 
 class Facts:
-    """Layers and parts of a grid without its blocks, each found when it is first needed."""
+    """Layers and parts of a grid without its blocks.
+
+    Tables that are broken count as empty, and `rooms` are None then: checks report them.
+
+    Attributes:
+        free: the free cells of each level.
+        floors: the floors of each level, NaN for none [m].
+        links: shape (n, 4).
+    """
 
     def __init__(self, grid: GridBase) -> None:
         self.grid: GridBase = grid.without_blocks()
         self.levels: list[SceneGrid2D] = self.grid.levels
-
-    @cached_property
-    def free(self) -> list[Bool]:
-        """The free cells of each level."""
-        return [level.free for level in self.levels]
-
-    @cached_property
-    def floors(self) -> list[Float]:
-        """The floors of each level, NaN for none [m]."""
-        return [level.floor for level in self.levels]
+        self.free: list[Bool] = [level.free for level in self.levels]
+        self.floors: list[Float] = [level.floor for level in self.levels]
+        stated = self.grid.navbake.get("settings")
+        self.settings: Json = stated if isinstance(stated, dict) else {}
+        self.doors: tuple[Door, ...] = ()
+        self.rooms: tuple[Room, ...] | None = None
+        self.links: Int = np.empty((0, 4), dtype=np.int64)
+        with suppress(FormatError):
+            self.doors = self.grid.doors
+        with suppress(FormatError):
+            self.rooms = self.grid.rooms
+        with suppress(FormatError):
+            self.links = self.grid.link_array
 
     @cached_property
     def step_limit(self) -> float:
@@ -140,37 +148,10 @@ class Facts:
         return self.grid.max_step + SLACK + rounding
 
     @cached_property
-    def settings(self) -> Json:
-        """The settings that the grid states; {} for none."""
-        stated = self.grid.navbake.get("settings")
-        return stated if isinstance(stated, dict) else {}
-
-    @cached_property
     def reach(self) -> float | None:
         """How far from a cell's centre may be what an inflation closed it for [m]."""
         done, _ = read_inflations(self.grid)
         return max((one.radius + one.clearance for one in done), default=None)
-
-    @cached_property
-    def doors(self) -> tuple[Door, ...]:
-        """The doors; none where the table is broken, which a check tells."""
-        with suppress(FormatError):
-            return self.grid.doors
-        return ()
-
-    @cached_property
-    def rooms(self) -> tuple[Room, ...] | None:
-        """The rooms; None where the table is broken, which a check tells."""
-        with suppress(FormatError):
-            return self.grid.rooms
-        return None
-
-    @cached_property
-    def links(self) -> Int:
-        """The links, shape (n, 4); none where they are broken, which a check tells."""
-        with suppress(FormatError):
-            return self.grid.link_array
-        return np.empty((0, 4), dtype=np.int64)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
         """The cells of each level that doors block in some states."""

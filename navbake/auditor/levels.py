@@ -90,10 +90,10 @@ def check_links(facts: Facts) -> Iterator[Found]:
     """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
     links = facts.grid.link_array
     one, other = places = np.full((2, len(links), 3), np.nan)
-    for place, (level, cell) in zip(places, ((0, 1), (2, 3)), strict=True):
+    for place, (level, cell) in zip(places, (links[:, :2].T, links[:, 2:].T), strict=True):
         for number, grid in enumerate(facts.levels):
-            here = links[:, level] == number
-            rows, cols = np.divmod(links[here, cell], grid.width)
+            here = level == number
+            rows, cols = np.divmod(cell[here], grid.width)
             place[here, :2] = grid.lattice.positions(rows, cols).reshape(-1, 2)
             place[here, 2] = facts.floors[number][rows, cols]
     # a bake links neighbours more than a step apart where a ramp leads on, which its own slope
@@ -120,10 +120,8 @@ def check_links(facts: Facts) -> Iterator[Found]:
 
 
 def check_missing_links(facts: Facts) -> Iterator[Found]:
-    """Free neighbours on two levels lie within a step, but nothing joins their islands.
-
-    A bake links all such cells; files of other programs know no links.
-    """
+    """Free neighbours on two levels lie within a step, but nothing joins their islands."""
+    # files of other programs know no links
     for number, level in enumerate(facts.levels if facts.grid.navbake else ()):
         for other in range(number + 1, len(facts.levels)):
             beside = facts.levels[other]
@@ -140,18 +138,14 @@ def check_missing_links(facts: Facts) -> Iterator[Found]:
                 unlinked |= is_walk & (islands[0] != islands[1])
             if unlinked.any():
                 k, count = int(np.argmax(unlinked)), int(unlinked.sum())
-                text = f"{count_of(count, 'free cell')} a step away from level {number} "
-                text += (
-                    f"{'has' if count == 1 else 'have'} no link to it, and nothing else leads there"
-                )
+                has = f"level {number} {'has' if count == 1 else 'have'}"
+                text = f"{count_of(count, 'free cell')} a step away from {has} no link to it, "
+                text += "and nothing else leads there"
                 yield ERROR, other, facts.place(other, int(rows[k]), int(cols[k])), text
 
 
 def check_agent(facts: Facts) -> Iterator[Found]:
-    """The agent can't be: its sizes are none, it takes steps as high as itself, or it is another.
-
-    That is another than that of the settings, which a bake states beside it.
-    """
+    """The agent's sizes are none, or others than the settings', or it steps as high as itself."""
     grid, settings = facts.grid, facts.settings.get("agent", {})
     wrong = find_wrong_sizes(grid)
     for key, taken, name, default in (
@@ -207,10 +201,8 @@ def find_middles(level: SceneGrid2D) -> dict[int, Vector3]:
     x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
     z = np.where(np.isnan(level.floor), level.ground, level.floor)
     means = [np.bincount(which.ravel(), values.ravel()) / count for values in (x, y, z)]
-    middles = (np.round(means, 6) + 0.0).T.tolist()  # no -0.0
-    return {
-        room: (x, y, z) for room, (x, y, z) in zip(rooms.tolist(), middles, strict=True) if room
-    }
+    middles = map(tuple, (np.round(means, 6) + 0.0).T.tolist())  # no -0.0
+    return {room: middle for room, middle in zip(rooms.tolist(), middles, strict=True) if room}
 
 
 def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
@@ -230,9 +222,8 @@ def check_rooms_without_way_out(facts: Facts) -> Iterator[Found]:
                 joined = ~(np.abs(height[one] - height[other]) > facts.step_limit)
             joined &= can_pass[one] & can_pass[other]
             leads[room[one[joined]]] = leads[room[other[joined]]] = True
-        for level_of, cell in ((0, 1), (2, 3)):
-            here = facts.links[facts.links[:, level_of] == number]
-            leads[room[here[:, cell]]] = True
+        for ends in (facts.links[:, :2], facts.links[:, 2:]):
+            leads[room[ends[ends[:, 0] == number, 1]]] = True
         size = count * level.lattice.cell_size**2
         for which in np.flatnonzero(~leads & (size >= MIN_FREE)).tolist():
             if which:

@@ -40,11 +40,11 @@ def rounding(*coordinates: float) -> float:
 class FloorCheck:
     """Checks floors by MuJoCo's rays, and searches for places to stand that no level has.
 
-    All that hangs together by steps with such a place is a fault only where steps lead to it, or
-    where it is as large as a floor, without drops, and either has walls round most of it (a
-    storey), or lies over nothing that one could stand on (a ground). Else it may be the top of
-    furniture, a shelf or a roof: `num_left` and `area_left` [m²] count these. Floors by themselves
-    are faults where the settings don't leave out any; and where the grid has no floor at all.
+    All that hangs together by steps with such a place is a fault where steps lead to it, or where
+    it is as large as a floor, without drops, and has walls round most of it (a storey) or nothing
+    to stand on under it (a ground). Else it may be the top of furniture, a shelf or a roof:
+    `num_left` and `area_left` [m²] count these. A floor that no steps lead to is a fault only where
+    the settings leave out none, or the grid has no floor at all.
 
     Cells are given by row and column on the lowest level's lattice, also beside it.
     """
@@ -73,9 +73,8 @@ class FloorCheck:
     def run(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
         """Check the floors of a level, and look for places to stand that no level has.
 
-        A floor may lie inside of a solid: floors go on under things, of which those that are lower
-        than a step block nothing. Where an agent can stand on one of these, that place is lost.
-        Columns whose floor is off, or beside the centre, are not asked for more.
+        A floor may lie inside of a solid, as under things lower than a step, which block nothing.
+        Columns whose floor is off, or beside the centre, aren't searched.
         """
         findings, shift = list[Finding](), shift_between(sample.level.lattice, self._lattice)
         unknown: list[tuple[int, int, float]] = []  # places that no level has
@@ -105,21 +104,18 @@ class FloorCheck:
                 off_by = f"{nearest:.4f} m off the nearest surface" if gaps else "over no surface"
                 text = f"has its floor at {z:.4f} m, {off_by}"
                 findings.append(sample.finding(FLOOR_OFF, k, text, None, nearest))
-        counts.lost += sum(self._is_lost(*place) for place in unknown)
+        for row, col, z in unknown:  # lost itself, or where a search looked beside it
+            looked_at = (row, col), (row - row % self._stride, col - col % self._stride)
+            counts.lost += any((*cell, self._near(*cell, z)) in self._lost for cell in looked_at)
         return findings
-
-    def _is_lost(self, row: int, col: int, z: float) -> bool:
-        """Whether a place, or the one beside it at which a search looked, was found to be lost."""
-        looked_at = (row, col), (row - row % self._stride, col - col % self._stride)
-        return any((*cell, self._near(*cell, z)) in self._lost for cell in looked_at)
 
     def _look_from(
         self, row: int, col: int, place: Vector3, sample: LevelSample, k: int
     ) -> list[Finding]:
         """The finding about a place that no level has, seen from a cell of a sample.
 
-        None where it was found before, or is as narrow as furniture. Places are looked at every
-        `STRIDE`, so what is narrower may be missed, but beside a step from a free cell.
+        None where it was found before, or is narrower than furniture, unless it is a step from a
+        free cell: places are looked at every `STRIDE`.
         """
         is_step = self._is_a_step_from_free(row, col, place[2]) and self._is_sure(*place)
         if not is_step:
@@ -168,11 +164,10 @@ class FloorCheck:
         return [replace(found, position=place)]
 
     def _search(self, start: Node) -> tuple[set[Node], bool, list[Node | None]]:
-        """Search from place to place; the places that no level has, as far as they were found.
+        """Search breadth first over places a step apart.
 
-        It goes on over floors of the grid, until these are large enough to be a floor, which is
-        returned, too: what stands on the floor may be one by its lower parts, without steps that
-        lead there. Last is how the outline ends at each edge, see `_end_at`.
+        Returns the places that no level has; whether the search reached as much of the grid's
+        floors as makes steps that lead there; and how the outline ends at each edge, see `_end_at`.
         """
         own, known, queue = {start}, set[Node](), deque([start])
         ends, is_reached = list[Node | None](), False
@@ -202,12 +197,11 @@ class FloorCheck:
 
     def _walks(self, row: int, col: int, dr: int, dc: int, z: float) -> bool:
         """Whether steps from cell to cell lead over a stride."""
-        for _ in range(self._stride):
-            row, col = row + dr, col + dc
-            beside = self._near(row, col, z)
+        for n in range(1, self._stride + 1):
+            beside = self._near(row + n * dr, col + n * dc, z)
             if beside is None:
                 return False
-            z = self._standable_at(row, col)[beside].z
+            z = self._standable_at(row + n * dr, col + n * dc)[beside].z
         return True
 
     def _end_at(self, row: int, col: int, dr: int, dc: int, z: float) -> Node | None:
@@ -215,8 +209,7 @@ class FloorCheck:
         low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
         for _ in range(self._stride):
             row, col = row + dr, col + dc
-            solid = self._line_at(row, col).solid
-            if any(begin < low and end > high for begin, end in solid):
+            if any(begin < low and end > high for begin, end in self._line_at(row, col).solid):
                 return None
         return row, col, sum(s.z < z for s in self._standable_at(row, col)) - 1
 

@@ -98,8 +98,7 @@ class Lines:
     ) -> bool:
         """Whether a surface faces up within reach of a place [m]: its line may run through a crack.
 
-        It may be `off` above or below, and more where it slopes, between the lines that are cast,
-        if its normal has a z of at least `min_up`.
+        It may be `off` above or below, and more on a slope whose normal's z is at least `min_up`.
         """
         x, y, z = at
         beyond = np.array([reach + RIM, reach + RIM, off])

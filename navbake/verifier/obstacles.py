@@ -1,8 +1,8 @@
 """The geoms that count, as FCL and MuJoCo hold them: what a verification judges by.
 
-The shapes come from the compiled MuJoCo model and the choice of geoms alone. They are put into a
-MuJoCo model of their own, so that MuJoCo means the same shapes as the bake: a mesh that counts by
-its hull is its hull there, also for rays, and what is drawn transparent is hit like anything else.
+The shapes come from the compiled MuJoCo model and the choice of geoms alone. A MuJoCo model of
+their own makes them what the bake counts: a mesh that counts by its hull is its hull, also for
+rays, and transparent geoms are hit like others.
 """
 
 from __future__ import annotations
@@ -66,10 +66,7 @@ class Obstacle(NamedTuple):
 
     @property
     def same_in_mujoco(self) -> bool:
-        """Whether MuJoCo collides the same shape.
-
-        It has no surfaces, and takes finite planes for infinite ones.
-        """
+        """Whether MuJoCo collides the same shape: not surfaces, nor finite planes."""
         return self.kind in (CONVEX, HALF_SPACE)
 
 
@@ -86,10 +83,9 @@ class _Piece(NamedTuple):
 class Obstacles:
     """The geoms that count, but for some, in a pose that doors may change.
 
-    They are numbered as the geoms of a MuJoCo model that holds nothing else. Behind them that model
-    has a box and a cylinder to probe with, and the geoms of `facing`: of each surface of a mesh,
-    its triangles that face up, and those that face down, because where two lie in one place, a ray
-    meets only one of them. `names` are those of the scene's geoms.
+    They are numbered as the geoms of a MuJoCo model. Behind them it has a box and a cylinder to
+    probe with, and the geoms of `facing`: the triangles of a surface that face up, and those that
+    face down, because where two lie in one place, a ray meets one. `names` are the scene's geoms'.
     """
 
     def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
@@ -271,17 +267,12 @@ def _find_turned(vertices: Float, faces: Int, edge: Int, way: Int, part: Int) ->
     and turned, neighbours over an edge of two triangles are joined where they wind alike.
     """
     order = np.argsort(edge, kind="stable")
-    pair = order[:-1][np.diff(edge[order]) == 0]
-    pair = np.stack([pair, order[1:][np.diff(edge[order]) == 0]])
+    pair = np.stack([order[:-1], order[1:]])[:, np.diff(edge[order]) == 0]
     pair = pair[:, np.bincount(edge)[edge[pair[0]]] == 2]
     one, other, count = *pair // 3, len(faces)
     other = other + count * (way[pair[0]] == way[pair[1]])
-    ends = (
-        np.concatenate([one, (one + count)]),
-        np.concatenate([other, (other + count) % (2 * count)]),
-    )
-    shape = 2 * count, 2 * count
-    graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape)
+    ends = np.concatenate([[one, other], [one + count, (other + count) % (2 * count)]], axis=1)
+    graph = coo_array((np.ones(ends.shape[1], np.int8), tuple(ends)), (2 * count, 2 * count))
     label = connected_components(graph, directed=False)[1]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -297,24 +288,21 @@ def _used(vertices: Float, faces: Int) -> tuple[Float, Int]:
     return vertices[used], corners.reshape(-1, 3)
 
 
-def _mesh_arrays(model: Any, mesh: int) -> tuple[Float, Int, Float]:
+def _mesh_arrays(model: Any, number: int) -> tuple[Float, Int, Float]:
     """Vertices and faces of a mesh, and the vertices of MuJoCo's hull of it, geom's frame."""
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    vertices = model.mesh_vert[first : first + count].astype(np.float64)
-    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces = model.mesh_face[first : first + count].astype(np.int64)
-    address, on_hull = int(model.mesh_graphadr[mesh]), vertices
-    if address >= 0:  # numbers of vertices and faces, edge addresses, then the vertices' ids
-        count = int(model.mesh_graph[address])
-        on_hull = vertices[model.mesh_graph[address + 2 + count : address + 2 + 2 * count]]
-    return vertices, faces, on_hull
+    mesh = model.mesh(number)
+    vert, face, address = int(mesh.vertadr[0]), int(mesh.faceadr[0]), int(mesh.graphadr[0])
+    vertices = model.mesh_vert[vert : vert + int(mesh.vertnum[0])].astype(np.float64)
+    faces = model.mesh_face[face : face + int(mesh.facenum[0])].astype(np.int64)
+    if address < 0:
+        return vertices, faces, vertices
+    # numbers of vertices and faces, edge addresses, then the vertices' ids
+    count = int(model.mesh_graph[address])
+    return vertices, faces, vertices[model.mesh_graph[address + 2 + count :][:count]]
 
 
 def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:
-    """The closed surface of a height field, as MuJoCo's documentation describes it.
-
-    Its squares are halved from their lower corner to their upper one; sides and bottom close it.
-    """
+    """The closed surface of a height field, its squares halved as MuJoCo's documentation says."""
     rows, cols = heights.shape
     x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
     layers = [np.stack([x, y, z], axis=-1) for z in (heights * size[2], np.full_like(x, -size[3]))]
@@ -333,8 +321,7 @@ def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:
 
     A part is what hangs together over edges. It encloses a volume where each of its edges is met
     as often in one direction as in the other, once triangles that are wound against most of the
-    part's area are turned. What only might enclose one (an edge is open) is unclear: there, only
-    its surface is judged.
+    part's area are turned. With few open edges, it is unclear, and its surface alone is judged.
     """
     _, point = np.unique(vertices, axis=0, return_inverse=True)
     corner = point.reshape(-1)[faces]

@@ -22,9 +22,8 @@ class OccupancyCheck:
 
     A free cell's volume, made smaller by the tolerance on all sides, must touch nothing. A blocked
     cell's, made larger by it, must touch something, or lie inside of something. `reach` is that of
-    the inflation that closed cells [m], 0 for none. `num_groundless` counts those that touch
-    nothing, of levels that state no floors, where the scene has no place to stand at the level's
-    ground.
+    the inflation that closed cells [m], 0 for none. `num_groundless` counts blocked cells without a
+    place to stand at their level's ground, of levels that state no floors.
     """
 
     def __init__(
@@ -59,16 +58,15 @@ class OccupancyCheck:
         counts.free_touches += int((by >= 0).sum())
         counts.free_free += int((is_apart & ~disputed).sum())
         for cell in np.flatnonzero(by >= 0).tolist():
-            number = int(by[cell])
-            name, depth = self._obstacles.name(number), None
+            number, depth = int(by[cell]), None
+            name = self._obstacles.name(number)
+            text = f"is free, but {name!r} reaches into it"
             if within[cell] >= 0:
                 text = f"is free, but lies inside of {name!r}"
             elif self._is_measured(FREE_TOUCHES):
                 place = volume[int(part[cell])].put_over(sample, cell)
                 depth = self._probes.depth(*place, number)
                 text = f"is free, but {name!r} reaches {depth:.4f} m into it"
-            else:
-                text = f"is free, but {name!r} reaches into it"
             findings.append(sample.finding(FREE_TOUCHES, cell, text, name, depth))
         return findings
 
@@ -82,11 +80,9 @@ class OccupancyCheck:
         apart &= self._inside(sample, apart, volume[0]) < 0
         for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
             # where the scene has no place to stand within a step of the ground, it may be blocked
-            places = self._lines.at(*sample.xy[cell]).standable(
-                self._agent.height, self._agent.min_up
-            )
-            floor = sample.floor[cell]
-            apart[cell] = any(abs(s.z - floor) <= self._agent.step for s in places)
+            line, agent, z = self._lines.at(*sample.xy[cell]), self._agent, sample.floor[cell]
+            places = line.standable(agent.height, agent.min_up)
+            apart[cell] = any(abs(s.z - z) <= agent.step for s in places)
             self.num_groundless += not apart[cell]
         unclear = np.zeros_like(apart)
         for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
@@ -96,26 +92,23 @@ class OccupancyCheck:
         counts.disputed += num_unclear
         counts.blocked_apart += num_apart
         counts.blocked_blocked += int((~sample.free).sum()) - num_unclear - num_apart
-        return [self._say_apart(sample, cell, volume) for cell in np.flatnonzero(apart).tolist()]
-
-    def _say_apart(self, sample: LevelSample, cell: int, volume: list[Part]) -> Finding:
-        name, gap = None, None
-        if self._reach > 0 and not sample.occupied[cell]:
-            text = f"is blocked for {self._reach:g} m, but nothing within that radius is in the way"
-        elif not self._is_measured(BLOCKED_APART):
-            text = "is blocked, but touches nothing"
-        elif known := list(
-            filter(None, (self._probes.nearest(*part.put_over(sample, cell)) for part in volume))
-        ):
-            gap, number = min(known)
-            name = self._obstacles.name(number)
-            text = (
-                "is blocked, but nothing touches the volume over it: the nearest geom, "
-                f"{name!r}, is {gap:.4f} m off"
-            )
-        else:
-            text = f"is blocked, but nothing is within {FARTHEST:g} m"
-        return sample.finding(BLOCKED_APART, cell, text, name, gap)
+        findings = []
+        for cell in np.flatnonzero(apart).tolist():
+            name, gap, text = None, None, "is blocked, but touches nothing"
+            if self._reach > 0 and not sample.occupied[cell]:
+                text = f"is blocked for {self._reach:g} m, but nothing within that radius is "
+                text += "in the way"
+            elif self._is_measured(BLOCKED_APART):
+                columns = [part.put_over(sample, cell) for part in volume]
+                nearest = [found for put in columns if (found := self._probes.nearest(*put))]
+                text = f"is blocked, but nothing is within {FARTHEST:g} m"
+                if nearest:
+                    gap, number = min(nearest)
+                    name = self._obstacles.name(number)
+                    text = "is blocked, but nothing touches the volume over it: the nearest geom, "
+                    text += f"{name!r}, is {gap:.4f} m off"
+            findings.append(sample.finding(BLOCKED_APART, cell, text, name, gap))
+        return findings
 
     def _is_measured(self, kind: str) -> bool:
         self._found[kind] += 1
@@ -126,8 +119,7 @@ class OccupancyCheck:
     ) -> tuple[Int, Int, Bool]:
         """What touches the volumes over cells, grown by a margin [m].
 
-        An obstacle, -1 for none; the part of the volume that it touches; and where the libraries
-        contradict each other.
+        Returns the obstacle, -1 for none, the part of the volume, and where libraries disagree.
         """
         by, which = np.full(len(asked), -1), np.zeros(len(asked), np.int64)
         disputed = np.zeros_like(asked)

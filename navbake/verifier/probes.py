@@ -107,17 +107,11 @@ class Probes:
         return float(self._center @ way + across + half_z * z)
 
     def depth(self, column: Column, center: Float, number: int) -> float:
-        """By how much a column has to shrink on all sides to leave an obstacle [m].
-
-        At most half of its least size, where it touches at its very middle.
-        """
+        """By how much a column must shrink to leave an obstacle [m], up to half its least size."""
         return -self._margin(column, center, number, -min(column[:3]), 0.0)
 
     def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
-        """By how much a column has to grow on all sides to touch anything [m], and what it touches.
-
-        None if nothing is within `FARTHEST`.
-        """
+        """By how much a column has to grow to touch anything within `FARTHEST` [m], and what."""
         reach = np.array(column[:3]) + FARTHEST
         nearest, gap = None, FARTHEST
         for number in self.obstacles.meeting(center - reach, center + reach):
@@ -129,8 +123,6 @@ class Probes:
         """The margin by which a column has to grow to touch an obstacle, by bisection [m]."""
         for _ in range(HALVINGS):
             middle = (low + high) / 2
-            if self.touches(number, column, center, middle):
-                high = middle
-            else:
-                low = middle
+            is_met = self.touches(number, column, center, middle)
+            low, high = (low, middle) if is_met else (middle, high)
         return high

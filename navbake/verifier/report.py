@@ -28,8 +28,7 @@ class Finding:
     position: Vector3  # world x, y, z [m]
     text: str  # what is wrong, in words
     geom: str | None = None  # the geom that it is about, None for none
-    # how deep it touches, how far it is from everything, how far a floor is off [m], or how large a
-    # lost place is [m²]; None where that wasn't measured
+    # depth of a touch, gap, offset of a floor [m], or area of a lost place [m²]; None: not measured
     size: float | None = None
 
     def to_json(self) -> Json:
@@ -41,10 +40,7 @@ class Finding:
 
 @dataclass
 class LevelCounts:
-    """How often the cells of a level agree with the scene, and how often they don't.
-
-    The first word of a name says what the grid says, the second one what the scene does.
-    """
+    """How often cells agree with the scene: a name has what the grid says, then the scene."""
 
     name: str  # the level's
     cells: int = 0  # that were looked at

@@ -33,18 +33,16 @@ class Agent(NamedTuple):
         """The agent that a grid states, with the format's defaults for what it doesn't state."""
         wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope", 45.0)
         if not is_within(slope, 0, 90):
-            wrong.append(
-                f"`maxSlope` is {shorten(repr(slope))}, which is no slope of 0 to 90 degrees"
-            )
+            shown = shorten(repr(slope))
+            wrong.append(f"`maxSlope` is {shown}, which is no slope of 0 to 90 degrees")
         if wrong:
-            raise FormatError(
-                f"the grid's metadata: {wrong[0]}: cells can't be judged for such an agent"
-            )
+            text = f"the grid's metadata: {wrong[0]}: cells can't be judged for such an agent"
+            raise FormatError(text)
         min_up = float(np.cos(np.radians(slope)))
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
 
 
-class Inflation(NamedTuple):
+class Inflated(NamedTuple):
     """A grid as it is verified, and what was done to it for a larger agent."""
 
     grid: Any
@@ -53,12 +51,10 @@ class Inflation(NamedTuple):
     by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
 
 
-def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflation:
+def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
     """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
 
-    A grid that was inflated for a smaller radius is inflated further: that gives what one
-    inflation for the larger radius gives. One that was inflated for a larger radius, or in the mode
-    ``minos``, is a QueryError.
+    One that was inflated for a larger radius, or in the mode ``minos``, is a QueryError.
     """
     done, broken = read_inflations(grid)
     if broken is not None:
@@ -77,16 +73,16 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflation:
             "inflated in the mode minos, which measures from the centres of cells: free cells are "
             "judged by the baked footprint"
         )
-        return Inflation(grid, None, largest, by_centres=True)
+        return Inflated(grid, None, largest, by_centres=True)
     if radius is None:
-        return Inflation(grid, largest if done else None, largest)
+        return Inflated(grid, largest if done else None, largest)
     if radius < largest:
         raise QueryError(
             f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
             f"expected a radius of at least {largest:g} m, or the grid as it was before"
         )
     inflated = grid if done and radius == largest else grid.inflate(radius)
-    return Inflation(inflated, radius, radius)
+    return Inflated(inflated, radius, radius)
 
 
 @dataclass(frozen=True)
@@ -117,10 +113,7 @@ class LevelSample:
 
 
 def states_floors(level: SceneGrid2D) -> bool:
-    """Whether the cells of a level have floors of their own.
-
-    Those that an inflation wrote into a map that has none, its ground, say no more than the map.
-    """
+    """Whether cells of a level have floors of their own, not the ground that an inflation wrote."""
     if not level.uses_cell_floors or level.navbake or "inflation" not in level.metadata:
         return level.uses_cell_floors
     floors = level.floor_height[~np.isnan(level.floor_height)]
@@ -156,10 +149,7 @@ def shift_between(one: Lattice, two: Lattice) -> tuple[int, int]:
 
 
 class Surroundings:
-    """The floors of all levels, each by row and column of any other's lattice.
-
-    All that is occupied closes cells (`by_centres`), or only what is solid.
-    """
+    """The floors of all levels; cells are closed by what is occupied (`by_centres`) or solid."""
 
     def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
         self._step, self._lattices = step, [level.lattice for level in grid.levels]
@@ -173,10 +163,7 @@ class Surroundings:
     def floors_under(
         self, number: int, rows: Int, cols: Int, floor: Float, radius: float
     ) -> tuple[Float, Float]:
-        """The lowest and the highest floor that a disc stands on, shape (n,) [m].
-
-        Of all levels, what is within a step of the disc's own floor counts.
-        """
+        """The lowest and highest floor within a step of a disc's own, of any level, (n,) [m]."""
         low, high = floor.copy(), floor.copy()
         for _, there, *_ in self._around(number, rows, cols, radius):
             near = np.abs(there - floor) <= self._step + SLACK
@@ -187,15 +174,13 @@ class Surroundings:
     def has_reason(self, number: int, rows: Int, cols: Int, floor: Float, radius: float) -> Bool:
         """Whether a disc meets what may close its cell: an occupied square, an edge, a ledge.
 
-        Beyond each of several levels is no floor, which closes cells. Beyond a single level
-        nothing was baked, and nothing closes them.
+        Beyond a single level nothing was baked, and nothing closes cells.
         """
         found = np.zeros(len(rows), dtype=np.bool_)
-        is_single = len(self._lattices) == 1
         for other, there, occupied, inside in self._around(number, rows, cols, radius):
             if other == number:
                 is_ledge = ~(np.abs(there - floor) <= self._step - SLACK)
-                found |= (occupied | is_ledge) & (inside | (not is_single))
+                found |= (occupied | is_ledge) & (inside | (len(self._lattices) > 1))
             else:
                 found |= ~np.isnan(there) & (occupied | (there > floor + self._step))
         return found
@@ -213,10 +198,7 @@ class Surroundings:
                 yield other, *self.look(number, other, rows + row, cols + col)
 
     def look(self, number: int, other: int, rows: Int, cols: Int) -> tuple[Float, Bool, Bool]:
-        """Floor and occupancy of another level at cells of one, and whether it has them.
-
-        Where it has none, the floor is NaN, and they aren't occupied.
-        """
+        """Floor (else NaN) and occupancy of another level at cells of one; whether it has them."""
         two = self._lattices[other]
         down, right = shift_between(self._lattices[number], two)
         r, c = rows + down, cols + right
@@ -246,8 +228,8 @@ def volume_over(
 ) -> list[Part]:
     """The volume over each cell: its square as baked, joined with a disc.
 
-    The disc is that of the bake, from a step above the floor to the agent's height; or one for the
-    radius of a larger agent [m], between the heights that all floors under it leave free.
+    The disc is the bake's; or one for the radius of a larger agent [m], between the heights that
+    all floors under it leave free.
     """
     half, floor = sample.level.lattice.cell_size / 2, sample.floor
     square = Part(half, False, floor + agent.step, floor + agent.height)

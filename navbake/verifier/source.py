@@ -55,8 +55,10 @@ def find_source(
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
     A scene file, and a scene in memory, gets the settings that the grid states. `data` is the pose
-    of a scene in memory; as the settings say if None. A scene that isn't given or found is a
-    QueryError, and so is another one than the grid was baked from, unless `force` is set.
+    of a scene in memory; as the settings say if None.
+
+    Raises:
+        QueryError: no scene is given or found; or it isn't the grid's, unless `force` is set.
     """
     stated = grid.navbake.get("settings")
     stated = stated if isinstance(stated, dict) else {}
@@ -68,9 +70,8 @@ def find_source(
     opened, in_memory = None, is_in_memory(given)
     if data is not None:
         if not in_memory:
-            raise ConfigError(
-                "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
-            )
+            text = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
+            raise ConfigError(text)
         own = {key: own[key] for key in own if key not in ("keyframe", "joints")}
     if in_memory or is_file:
         path = memory_path(name_of(given)) if in_memory else Path(str(given))
@@ -103,25 +104,23 @@ def find_source(
 
 
 def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
-    """The scene's file, of which the grid states the name.
-
-    It is looked for beside the grid, in the current folder, and in a folder ``scenes`` of each.
-    """
+    """The stated scene's file: beside the grid, in the current folder, or in ``scenes`` there."""
+    whose = grid.scene_id or "the grid"
     if not isinstance(stated, str) or not stated:
         raise NoSceneError(
-            f"{grid.scene_id or 'the grid'} doesn't say which scene it was baked from: give the "
-            "scene, or the settings of its bake"
+            f"{whose} doesn't say which scene it was baked from: give the scene, or the settings "
+            "of its bake"
         )
     name = Path(stated).name
     folders = dict.fromkeys([grid_path.parent if grid_path else Path(), Path()])
-    for place in (place / name for folder in folders for place in (folder, folder / SCENES)):
-        if os.path.isfile(place):
-            return place
+    for folder in folders:
+        for place in (folder / name, folder / SCENES / name):
+            if os.path.isfile(place):
+                return place
     names = [str(folder) if str(folder) != "." else "the current folder" for folder in folders]
     raise NoSceneError(
-        f"the scene {name} that {grid.scene_id or 'the grid'} was baked from isn't in "
-        f"{' or '.join(names)}, nor in {SCENES!r} there: give its path, or the settings of its "
-        "bake (--scene)"
+        f"the scene {name} that {whose} was baked from isn't in {' or '.join(names)}, nor in "
+        f"{SCENES!r} there: give its path, or the settings of its bake (--scene)"
     )
 
 
@@ -162,18 +161,15 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
 def _position(model: Any, body: int, door: Door) -> float | None:
     """Where its hinge or slide is in the door's state [rad or m]; None as it is modelled.
 
-    It opens to the end of its range that is farther from where it is closed, which is at 0 or
-    next to it. Without a range, a hinge opens by a quarter turn, a slide by a metre.
+    Closed is 0 or next to it, open the end farther from it; without a range, 90 degrees or 1 m.
     """
     joint = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint < 0 or model.body_jntnum[body] != 1:
         return None
-    kind = int(model.jnt_type[joint])
-    if kind not in (HINGE, SLIDE):
+    if (kind := int(model.jnt_type[joint])) not in (HINGE, SLIDE):
         return None
     low, high = 0.0, np.pi / 2 if kind == HINGE else 1.0
     if model.jnt_limited[joint]:
         low, high = model.jnt_range[joint].tolist()
     closed = min(max(0.0, low), high)
-    is_open = door.state == "open"
-    return max(high, low, key=lambda end: abs(end - closed)) if is_open else closed
+    return closed if door.state == "closed" else max(high, low, key=lambda end: abs(end - closed))

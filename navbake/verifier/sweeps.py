@@ -34,9 +34,8 @@ class Piece(NamedTuple):
 class Sweep:
     """Sweeps a cylinder along paths on a grid that is inflated for it.
 
-    It is as high as the agent, less a step at its lower end. It has to touch nothing between the
-    heights that all floors under it leave free. What it meets lower or higher than that, up to a
-    step, is counted by itself: a cell is judged from its own floor.
+    It is as high as the agent, less a step at its lower end, and has to touch nothing between the
+    heights that all floors under it leave free; what it meets beyond is counted by itself.
     """
 
     def __init__(
@@ -58,13 +57,12 @@ class Sweep:
             path = None if goal is None else finder.find_path(start, goal)
             if path is None or path.length == 0.0:
                 continue
+            found, beside = self._along(path.positions, path.levels)
             counts.paths += 1
             counts.length += path.length
-            found, beside = self._along(path.positions, path.levels)
             counts.beside += beside
-            counts.touching += len(found)
             findings += found
-        counts.length = round(counts.length, 6)
+        counts.touching, counts.length = len(findings), round(counts.length, 6)
         return counts, findings
 
     def _along(self, positions: Float, levels: Int) -> tuple[list[Finding], bool]:
@@ -78,10 +76,8 @@ class Sweep:
                 x, y = ((piece.a + piece.b) / 2).tolist()
                 lattice = self._grid.levels[piece.level].lattice
                 row, col = (int(v) for v in lattice.rows_cols([x, y]))
-                text = (
-                    f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into {name!r}, "
-                    f"between {sure[0]:.3f} and {sure[1]:.3f} m"
-                )
+                text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
+                text += f"{name!r}, between {sure[0]:.3f} and {sure[1]:.3f} m"
                 cell, place = (piece.level, (row, col)), (x, y, piece.floor)
                 return [Finding(PATH_TOUCHES, *cell, place, text, name, depth)], beside
             beside = beside or (sure != whole and self._touch(piece, whole) is not None)
@@ -145,7 +141,6 @@ def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
     for first, last in zip(*((p[:2] - corner) / lattice.cell_size for p in (a, b)), strict=True):
         edges = np.arange(np.floor(min(first, last)) + 1, np.ceil(max(first, last)))
         times = np.append(times, (edges - first) / (last - first or 1.0))
-    # a line through a corner of cells is in none of those beside
     times = np.unique(times)
-    kept: Float = times[np.diff(times, append=2.0) > CORNER / np.hypot(*(b - a)[:2])]
-    return kept
+    # a line through a corner of cells is in none of those beside
+    return np.asarray(times[np.diff(times, append=2.0) > CORNER / np.hypot(*(b - a)[:2])])

@@ -51,10 +51,9 @@ def verify(
 ) -> VerifyReport:
     """Compare a grid with its scene, cell by cell.
 
-    MuJoCo and FCL put the volume over a cell into the scene, and tell what it touches. MuJoCo's
-    rays tell whether each floor is a surface, and whether there are places to stand that no level
-    has. Nothing of it is shared with the code that baked the grid, but the loading of the scene.
-    `docs/verify.md` says what agreement means.
+    MuJoCo and FCL say what the volume over a cell touches, and MuJoCo's rays whether each floor is
+    a surface, and whether a place to stand is on no level. It shares the loading of the scene
+    alone with the code that baked the grid. `docs/verify.md` says what agreement means.
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
@@ -96,17 +95,9 @@ def verify(
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
     source = find_source(content, scene, path, force=force, data=data)
-    return verify_scene(
-        content,
-        source.scene,
-        source.config,
-        sample=sample,
-        seed=seed,
-        radius=radius,
-        paths=paths,
-        tolerance=tolerance,
-        notes=source.notes,
-    )
+    options: Any = {"sample": sample, "seed": seed, "radius": radius, "paths": paths}
+    options |= {"tolerance": tolerance, "notes": source.notes}
+    return verify_scene(content, source.scene, source.config, **options)
 
 
 def verify_scene(
@@ -126,7 +117,7 @@ def verify_scene(
     Notes come first in the report. Raises as `verify`.
     """
     content: Any = grid.without_blocks()
-    agent, doors = Agent.of(content), pose_doors(scene, content)
+    agent, doors, notes = Agent.of(content), pose_doors(scene, content), list(notes)
     most = min(content.levels[0].lattice.cell_size, agent.height - agent.step) / 4
     if tolerance > most:
         raise QueryError(
@@ -134,7 +125,6 @@ def verify_scene(
             "smaller by it on all sides, and half of a cell's width and of the height has to stay"
         )
     with_floors = [states_floors(level) for level in content.levels]
-    notes = list(notes)
     content, cylinder, reach, by_centres = inflate_for(content, radius, notes)
     if reach > 0 and config is not None and config.grid.bounds is not None:
         notes.append(
@@ -185,12 +175,11 @@ def verify_scene(
         inflated = content if cylinder is not None else content.inflate(width)
         try:
             swept, touching = Sweep(inflated, probes, agent, width, tolerance).run(paths, seed)
-        except FormatError as error:
-            notes.append(f"no paths were swept: {error}")
-        else:
             findings += touching
             if swept.paths < paths:
                 notes.append(f"only {swept.paths} paths were found between random places")
+        except FormatError as error:
+            notes.append(f"no paths were swept: {error}")
     findings.sort(key=lambda found: (found.level, found.cell or (-1, -1), found.kind))
     report = VerifyReport(
         content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes

@@ -1,4 +1,4 @@
-"""Describes a grid, and one of its cells, in values that JSON can hold; from the file alone."""
+"""Describes a grid, and one of its cells, as JSON; from the file alone."""
 
 import numpy as np
 
@@ -26,16 +26,15 @@ INFLATION = ("radius", "clearance", "mode")
 
 
 def describe(grid: NavGrid) -> Json:
-    """Summarise a grid in values that JSON can hold.
+    """Summarise a grid as JSON.
 
     ``agent`` and ``made_by`` are the agent's settings, and the versions and digests, as far as the
     file has them; ``levels`` begin with the lowest, in cells, m and m2, heights are world z, None
     without floor; ``inflated`` has radius and clearance [m] and mode of each inflation since the
     bake. For ``doors`` see `navbake.navgrid.doors.Door.to_json`.
     """
-    islands = find_islands(grid)
+    islands, levels = find_islands(grid), []
     stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")
-    levels = []
     for name, level, island in zip(grid.level_names, grid.levels, islands, strict=True):
         area = level.lattice.cell_size**2
         floor = level.floor[np.isfinite(level.floor)]
@@ -87,24 +86,20 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
         (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
         ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
-        (from 1, the largest; None where it isn't free), ``doors``, ``objects``, ``walls``: names
-        of what stands in the cell; ``blockers``: names of what blocks it, as far as the file
-        states them.
+        (from 1, the largest; None where it isn't free); names of what stands in the cell:
+        ``doors``, ``objects``, ``walls``, and of what blocks it, if stated: ``blockers``.
     """
     place = place_at(grid, (x, y), level)
     if place is None:
         x0, y0, x1, y1 = grid.levels[level or 0].lattice.bounds
-        raise QueryError(
-            f"{x:g}, {y:g} lies beside level {level or 0}: "
-            f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        )
+        span = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {span}")
     number, row, col = place.cell
     here = grid.levels[number]
-    cell = row * here.width + col
+    cell, index = row * here.width + col, int(here.room_index[row, col])
     entry = here.user_data.get(cell, {})
     names = {key: sorted(names_in(entry, key)) for key in NAMES}
     standing = sorted(set().union(*names.values()))
-    index = int(here.room_index[row, col])
     rooms = (room.to_json() for room in grid.rooms if (room.level, room.index) == (number, index))
     return {
         "level": number,

@@ -1,8 +1,7 @@
 """What a picture shows of each level: a colour or a value for every cell, names and doors.
 
-The colours of values are viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its
-dark end, which would look like what is occupied. It gets lighter all the way, so that a picture
-reads in grey and for the colour-blind.
+Values are coloured by viridis, by Nathaniel Smith and Stéfan van der Walt (CC0), without its dark
+end, which would look occupied. It gets lighter all the way, for grey and for the colour-blind.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.auditor.report import count_of
 from navbake.errors import QueryError
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
@@ -86,7 +86,7 @@ class Label(NamedTuple):
     x: float  # of its middle, world frame [m]
     y: float
     width: float  # of what it names at this place [m]; 0 for a point
-    height: float  # of the same [m]
+    height: float
     number: int = 0  # written where there is no space for the name
 
 
@@ -120,9 +120,12 @@ def make_panel(
         raise QueryError(f"expected one of {', '.join(LAYERS)} as layer, got {layer!r}")
     else:
         panel = LAYERS[layer](grid, number)
-    if len(grid.levels) == 1:
-        return panel
-    return panel._replace(title=f"{grid.level_names[number]}: {panel.title}")
+    title = panel.title
+    if panel.scale is not None and len(panel.scale.ticks) == 1:
+        title = f"{title}: {panel.scale.ticks[0].text}"
+    if len(grid.levels) > 1:
+        title = f"{grid.level_names[number]}: {title}"
+    return panel._replace(title=title)
 
 
 def paint(panel: Panel) -> NDArray[np.uint8]:
@@ -141,12 +144,11 @@ def paint(panel: Panel) -> NDArray[np.uint8]:
 
 
 def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
-    """How the light falls on floors, from -1, in shade, to 1, lit: shape (height, width).
+    """Relief shading of floors, from -1, in shade, to 1, lit: shape (height, width).
 
     The light comes from the upper left, as on maps. A cell that is higher than its neighbours
-    above and to the left is lit, one that is lower lies in shade, by 3/4 where it is higher or
-    lower by `step`. Where there is no floor beside it, it is neither. So a step of 2 cm shows as
-    a line, whatever the scale of colours spans.
+    above and to the left is lit, a lower one lies in shade, by 3/4 at a difference of `step`;
+    neighbours without a floor don't count.
     """
     finite = np.where(np.isfinite(heights), heights, np.nan)
     beside = np.float32(np.nan)
@@ -159,10 +161,9 @@ def light_of(heights: NDArray[Any], step: float) -> NDArray[np.float32]:
 
 
 def linear_scale(values: NDArray[Any], label: str, *, dark_high: bool = False) -> ColorScale:
-    """A scale from the least to the largest of some finite values, shape (n,).
+    """A scale of finite values, shape (n,); its ticks are round numbers, or the only value.
 
-    The largest is the lightest, or the darkest if `dark_high`. Its ticks are round numbers, or the
-    value itself where there is one alone.
+    The largest is the lightest, or the darkest if `dark_high`.
     """
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, MIN_RANGE)
     ticks = [(low, f"{low:g}")]
@@ -186,10 +187,9 @@ def nice_step(least: float) -> float:
 def height_scale(heights: NDArray[Any], label: str) -> ColorScale:
     """A scale that tells floors 2 cm apart and 3 m apart in one picture.
 
-    Finite heights, shape (n,) [m], are rounded to centimetres. Where there are floors at all
-    heights, as on a ramp, the scale is even. Where there are none from one height to the next, it
-    shrinks to the cube root of the gap: 3 m take 5 times as much of it as 2 cm, not 150 times. It
-    has ticks at the height of the largest area, at the ends, then at the next largest areas.
+    Finite heights, shape (n,) [m], are rounded to centimetres. Gaps without floors shrink to their
+    cube root: 3 m take 5 times as much of it as 2 cm, not 150 times. Ticks are at the height of the
+    largest area, at the ends, then at the next largest areas.
     """
     if not heights.size:
         return linear_scale(heights, label)
@@ -229,9 +229,9 @@ def _occupancy(level: SceneGrid2D) -> tuple[NDArray[np.uint8], Legend]:
 def _show_occupancy(grid: NavGrid, number: int) -> Panel:
     level = grid.levels[number]
     area = np.count_nonzero(level.free) * level.lattice.cell_size**2
-    title = f"occupancy, {area:.1f} m\N{SUPERSCRIPT TWO} free"
     rgb, legend = _occupancy(level)
-    return Panel(title, rgb, legend=legend, doors=find_door_lines(grid, number))
+    lines = find_door_lines(grid, number)
+    return Panel(f"occupancy, {area:.1f} m² free", rgb, legend=legend, doors=lines)
 
 
 def _show_floor(grid: NavGrid, number: int) -> Panel:
@@ -241,71 +241,56 @@ def _show_floor(grid: NavGrid, number: int) -> Panel:
     scale = height_scale(metres[np.isfinite(metres)], "z [m]")
     legend = (("no floor", colors.NO_FLOOR),) if np.isnan(metres).any() else ()
     step = max(RELIEF, RELIEF_SLOPE * level.lattice.cell_size)
-    return Panel(_titled("floor height [m]", scale), rgb, metres, scale, legend, relief=step)
+    return Panel("floor height [m]", rgb, metres, scale, legend, relief=step)
 
 
-def _titled(title: str, scale: ColorScale) -> str:
-    """A title, with the value where there is only one."""
-    return f"{title}: {scale.ticks[0].text}" if len(scale.ticks) == 1 else title
-
-
-def _show_free(
-    title: str, label: str, values_of: Callable[[SceneGrid2D], NDArray[Any]]
-) -> Callable[[NavGrid, int], Panel]:
-    """Shows values where an agent can stand, and what is there elsewhere; high costs are dark."""
-
-    def show(grid: NavGrid, number: int) -> Panel:
-        level, is_cost = grid.levels[number], "cost" in label
-        values = values_of(level)
-        finite = values[level.free].astype(np.float32)
-        scale = linear_scale(finite[np.isfinite(finite)], label, dark_high=is_cost)
-        # the usual cost looks like free floor
-        is_shown = level.free & ~(is_cost & (values == 1))
-        shown = np.where(is_shown, values, np.nan).astype(np.float32)
-        rgb, legend = _occupancy(level)
-        usual = (("cost 1", colors.FREE),) if is_cost else ()
-        return Panel(_titled(title, scale), rgb, shown, scale, (*usual, *legend[1:]))
-
-    return show
-
-
-def _clearance(level: SceneGrid2D) -> NDArray[Any]:
-    """As it is in the file, or as it is found [m]."""
+def _show_clearance(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
     stored = level.attributes.get("clearance")
-    return clearance(level) if stored is None else stored * level.unit
+    values = clearance(level) if stored is None else stored * level.unit
+    values = np.where(level.free, values, np.nan).astype(np.float32)
+    scale = linear_scale(values[np.isfinite(values)], "to the nearest obstacle [m]")
+    rgb, legend = _occupancy(level)
+    return Panel("clearance [m]", rgb, values, scale, legend[1:])
+
+
+def _show_weights(grid: NavGrid, number: int) -> Panel:
+    level = grid.levels[number]
+    values = np.where(level.free, level.weights, np.nan).astype(np.float32)
+    scale = linear_scale(values[np.isfinite(values)], "cost of a cell", dark_high=True)
+    values[level.weights == 1] = np.nan  # the usual cost looks like free floor
+    rgb, legend = _occupancy(level)
+    return Panel("weights", rgb, values, scale, (("cost 1", colors.FREE), *legend[1:]))
 
 
 def _show_islands(grid: NavGrid, number: int) -> Panel:
-    islands = islands_of(grid)
-    level, island = grid.levels[number], islands[number]
+    islands, level = islands_of(grid), grid.levels[number]
     count = max(int(each.max(initial=0)) for each in islands)
     reach = math.ceil(colors.WALL / level.lattice.cell_size)
     # an island may span several levels, and has one colour on all of them
     pairs = set().union(*(colors.find_neighbours(each, reach) for each in islands))
     palette = np.array([colors.rgb_of(color) for color in colors.ROOMS], dtype=np.uint8)
+    color = colors.choose_colors(count, pairs, len(palette))[islands[number][level.free]]
     rgb, legend = _occupancy(level)
-    rgb[level.free] = palette[colors.choose_colors(count, pairs, len(palette))[island[level.free]]]
+    rgb[level.free] = palette[color]
     return Panel("islands", rgb, legend=legend[1:])
 
 
 def paint_rooms(grid: NavGrid, number: int) -> NDArray[np.uint8]:
-    """The colours of a level's cells by their rooms, darker where occupied, shape (rows, cols, 3).
-
-    Doors that stand in the way and doorways have a colour of their own.
-    """
+    """Colours of cells by room, darker where occupied, and of doors, shape (height, width, 3)."""
     level = grid.levels[number]
     rooms = colors.color_rooms(grid, number)
     palette = np.stack([colors.darkened(rooms), rooms], axis=1).reshape(-1, 3)
     palette[:2] = colors.rgb_of(colors.OCCUPIED), colors.rgb_of(colors.FREE)
     rgb = palette.take(level.room_index.astype(np.uint32) * 2 + level.free, axis=0)
     rgb[np.isnan(level.floor_height)] = colors.rgb_of(colors.NO_FLOOR)
-    return _paint_doors(rgb, grid, number)
+    _paint_doors(rgb, grid, number)
+    return rgb
 
 
-def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> NDArray[np.uint8]:
+def _paint_doors(rgb: NDArray[np.uint8], grid: NavGrid, number: int) -> None:
     for color, blocked in ((colors.DOORWAY, False), (colors.DOOR, True)):
         rgb[doorway_cells(grid, number, blocked=blocked)] = colors.rgb_of(color)
-    return rgb
 
 
 def _show_rooms(grid: NavGrid, number: int) -> Panel:
@@ -328,12 +313,14 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
 
 
 def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
-    """The names of a level's rooms.
-
-    Each is in the middle of the runs of its cells through the centre of the largest disc that fits
-    into the room.
-    """
+    """The names of rooms, each in the middle of the runs of cells through its largest disc."""
     from scipy import ndimage  # takes longer to load than most pictures to draw
+
+    def ends_of_run(line: NDArray[np.bool_], at: int) -> list[int]:
+        """The first and the last of the true values in a row round one of them."""
+        part = ndimage.label(line)[0]
+        ends: list[int] = np.flatnonzero(part == part[at])[[0, -1]].tolist()
+        return ends
 
     level, labels = grid.levels[number], []
     boxes = dict(enumerate(ndimage.find_objects(level.room_index.astype(np.int32)), 1))
@@ -346,8 +333,8 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
         mask, edge = mask[::stride, ::stride], level.lattice.cell_size * stride
         space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
         row, col = (int(v) for v in np.unravel_index(np.argmax(space), space.shape))
-        first, last = _ends_of_run(mask[row], col)
-        top, bottom = _ends_of_run(mask[:, (first + last) // 2], row)
+        first, last = ends_of_run(mask[row], col)
+        top, bottom = ends_of_run(mask[:, (first + last) // 2], row)
         across = box[1].start + (first + last) / 2 * stride
         x, y = level.lattice.positions(box[0].start + row * stride, across).tolist()
         half = min(row - top, bottom - row)  # the name's middle is in this row
@@ -357,35 +344,25 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
     return tuple(labels)
 
 
-def _ends_of_run(line: NDArray[np.bool_], at: int) -> tuple[int, int]:
-    """The first and the last of the true values in a row round one of them."""
-    gaps = np.flatnonzero(~line)
-    after = int(np.searchsorted(gaps, at))
-    first = int(gaps[after - 1]) + 1 if after else 0
-    return first, (int(gaps[after]) if after < len(gaps) else len(line)) - 1
-
-
 def _show_doors(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
     legend = (("door", colors.DOOR), ("doorway", colors.DOORWAY), *legend)
-    lines = find_door_lines(grid, number)
-    labels = []
+    lines, labels = find_door_lines(grid, number), []
     for place, line in enumerate(lines, 1):
         width = f"{line.width:.1f} m"
         labels.append(Label(f"{line.id} {width}", width, *line.middle, 0.0, 0.0, place))
-    rgb = _paint_doors(rgb, grid, number)
+    _paint_doors(rgb, grid, number)
     return Panel("doors", rgb, legend=legend, labels=tuple(labels), doors=lines)
 
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
-    level = grid.levels[number]
-    rgb, legend = _occupancy(level)
+    rgb, legend = _occupancy(grid.levels[number])
     ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
     ways = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
     for color, way in zip(ways.values(), (1, -1, 0), strict=True):
         cells = ends[np.sign(ends[:, 2] - number) == way, 1]
-        rgb[np.divmod(cells, level.width)] = colors.rgb_of(color)
+        rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
     return Panel("links", rgb, legend=(*ways.items(), *legend))
 
 
@@ -399,8 +376,7 @@ def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding])
         row, col = finding.cell or level.lattice.rows_cols(finding.position)
         if 0 <= row < level.height and 0 <= col < level.width:
             rgb[row, col] = colors.rgb_of(kinds[finding.kind])
-    title = f"{len(here)} disagreement{'' if len(here) == 1 else 's'}"
-    return Panel(title, rgb, legend=(*kinds.items(), *legend))
+    return Panel(count_of(len(here), "disagreement"), rgb, legend=(*kinds.items(), *legend))
 
 
 def color_kinds(kinds: Iterable[str]) -> dict[str, str]:
@@ -413,9 +389,9 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "floor": _show_floor,
     "rooms": _show_rooms,
     "doors": _show_doors,
-    "clearance": _show_free("clearance [m]", "to the nearest obstacle [m]", _clearance),
+    "clearance": _show_clearance,
     "island": _show_islands,
-    "weights": _show_free("weights", "cost of a cell", lambda level: level.weights),
+    "weights": _show_weights,
     "links": _show_links,
 }
 """How each layer of a level is shown, by the layer's name."""

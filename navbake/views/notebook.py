@@ -1,7 +1,4 @@
-"""Small pictures of a grid, for notebooks and for pages of many grids.
-
-Pillow draws them, which navbake has for textures anyway, so no extra is needed.
-"""
+"""Small pictures of a grid, for notebooks and for pages of many grids; Pillow draws them."""
 
 from __future__ import annotations
 
@@ -13,10 +10,10 @@ from base64 import b64encode
 import numpy as np
 from PIL import Image, ImageDraw
 
+from navbake.auditor.report import count_of
 from navbake.errors import printable
 from navbake.navgrid.colors import ROUTE
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import Lattice
 from navbake.runtime.paths import Path
 from navbake.views.layers import paint_rooms
 from navbake.voxels.grid import VoxelGrid
@@ -32,9 +29,8 @@ THUMBNAIL_COLORS = 64  # of which each pixel has one: a byte a pixel, a third of
 def show_html(grid: NavGrid) -> str:
     """A line of facts, and the levels beside each other, lowest first: for a notebook.
 
-    Rooms each have their own colour, darker where something stands in them; doors are red, open
-    doorways orange. The pictures are inside, and at most `LEVEL_SIDE` pixels long; names are
-    escaped. The same grid gives the same text.
+    Colours are those of `paint_rooms`. The pictures are inside, and at most `LEVEL_SIDE` pixels
+    long; names are escaped. The same grid gives the same text.
     """
     scale = _scale_for(grid, LEVEL_SIDE)
     num_rooms = [int(np.count_nonzero(np.bincount(v.room_index.ravel())[1:])) for v in grid.levels]
@@ -47,15 +43,15 @@ def show_html(grid: NavGrid) -> str:
             f'<figure style="margin:0"><img style="image-rendering:pixelated" alt="{name}" '
             f'src="data:image/png;base64,{picture}"><figcaption><b>{name}</b>: '
             f"{level.width} × {level.height} cells, ground {level.ground:.2f} m, "
-            f"{_counted(num_rooms[number], 'room')}, {areas[number]:.1f} m² free"
+            f"{count_of(num_rooms[number], 'room')}, {areas[number]:.1f} m² free"
             "</figcaption></figure>"
         )
     count = len(grid.levels)
     if count > MAX_LEVELS:
         figures.append(f"and {count - MAX_LEVELS} more")
     whole = (
-        f"{_counted(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
-        f"{_counted(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
+        f"{count_of(count, 'level')}, cells of {grid.levels[0].lattice.cell_size:g} m, "
+        f"{count_of(sum(num_rooms), 'room')}, {sum(areas):.1f} m² free, "
         f"agent of {grid.agent_radius:g} m radius, {grid.agent_height:g} m high"
     )
     return (
@@ -111,10 +107,7 @@ def draw_levels(grid: NavGrid, side: int, path: Path | None = None) -> Image.Ima
     # a gap of one hundredth between levels
     gap = max(side // 100, 1) if count > 1 else 0
     scale = _scale_for(grid, (side - (columns - 1) * gap) // columns)
-    levels = [_draw_level(grid, number, scale) for number in range(count)]
-    if path is not None:
-        for number, picture in enumerate(levels):
-            _lay_path(picture, grid.levels[number].lattice, path, number)
+    levels = [_draw_level(grid, number, scale, path) for number in range(count)]
     width = max(level.width for level in levels) + gap
     height = max(level.height for level in levels) + gap
     size = (columns * width - gap, math.ceil(count / columns) * height - gap)
@@ -133,10 +126,6 @@ def encode_png(image: Image.Image) -> bytes:
     return content.getvalue()
 
 
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
 def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
     """How many pixels a cell has, and how many cells a pixel; one of them is 1.
 
@@ -146,26 +135,25 @@ def _scale_for(grid: NavGrid, side: int) -> tuple[int, int]:
     return max(side // longest, 1), -(-longest // side)
 
 
-def _draw_level(grid: NavGrid, number: int, scale: tuple[int, int]) -> Image.Image:
-    """Draw a level; where a pixel has several cells, it has their mean colour."""
-    pixels, cells = scale
-    image = Image.fromarray(paint_rooms(grid, number)).reduce(cells)
-    return image.resize((image.width * pixels, image.height * pixels), Image.Resampling.NEAREST)
-
-
-def _lay_path(picture: Image.Image, lattice: Lattice, path: Path, number: int) -> None:
-    """Draw what a path has on a level on the level's picture."""
-    col = (path.positions[:, 0] - lattice.x_min) / lattice.cell_size
-    row = (lattice.y_max - path.positions[:, 1]) / lattice.cell_size
-    scale = picture.width / lattice.width, picture.height / lattice.height
-    pixels = (np.stack([col, row], axis=1) * scale).tolist()
-    pencil = ImageDraw.Draw(picture)
+def _draw_level(
+    grid: NavGrid, number: int, scale: tuple[int, int], path: Path | None = None
+) -> Image.Image:
+    """Draw a level and its part of a path; a pixel of several cells has their mean colour."""
+    size, lattice = scale[0], grid.levels[number].lattice
+    image = Image.fromarray(paint_rooms(grid, number)).reduce(scale[1])
+    image = image.resize((image.width * size, image.height * size), Image.Resampling.NEAREST)
+    if path is None:
+        return image
+    corner, pencil = np.array([lattice.x_min, lattice.y_max]), ImageDraw.Draw(image)
+    shares = (path.positions[:, :2] - corner) / (lattice.cell_size * np.array(lattice.shape[::-1]))
+    pixels = (shares * (image.width, -image.height)).tolist()
     for color, width in (("white", 5), (ROUTE, 3)):
         for k in range(len(pixels) - 1):
             if path.levels[k] == path.levels[k + 1] == number:
                 pencil.line([*pixels[k], *pixels[k + 1]], fill=color, width=width)
     if path.levels[0] == number:
         pencil.circle(pixels[0], 5, fill=ROUTE, outline="white")
+    return image
 
 
 def _short(name: str) -> str:

@@ -20,7 +20,7 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.views.layers import ColorScale, Label, Panel, color_kinds, make_panel, paint
+from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -60,10 +60,7 @@ class Mark(NamedTuple):
 
 
 def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
-    """Write a picture, whole or not at all, and return the path that was written.
-
-    It is an SVG if the name ends in ``.svg``, else a PNG; see `render_picture` for the arguments.
-    """
+    """Write the picture of `render_picture`, an SVG if the name says so, else a PNG."""
     path = Path(path)
     form = "svg" if path.name.lower().endswith(".svg") else "png"
     write_bytes(render_picture(grid, form, **drawn), path)
@@ -91,11 +88,10 @@ def render_picture(
     route: Route | None = None,
     marks: Sequence[Mark] = (),
 ) -> bytes:
-    """Draw a grid as PNG, or as SVG, which stays sharp at any size; the same grid, the same bytes.
+    """Draw a grid as PNG or SVG; the same grid, the same bytes.
 
     A level has a row, the lowest is on top, and a layer a column; levels of one layer lie beside
-    each other. All panels have one scale and show the same part of the world. Up is the world's
-    +y. It is made to be read 830 pixels wide, as in a README.
+    each other. All panels have one scale and show the same part of the world, +y up.
 
     Args:
         grid: a grid of one or several levels.
@@ -143,8 +139,12 @@ def render_picture(
         figure.suptitle(name, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, (number, panel) in zip(axes, shown, strict=True):
             _draw_panel(ax, panel, grid.levels[number].lattice.bounds)
-            if route is not None:
-                _draw_route(ax, route, number)
+            if route is not None:  # its parts on the level, and its ends
+                x, y = np.where(route.levels == number, route.positions[:, :2].T, np.nan)
+                ax.plot(x, y, **_strokes("path, from o to x"), solid_joinstyle="round")
+                style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8}
+                for end, marker in ((0, "o"), (-1, "X")):
+                    ax.plot(x[end], y[end], marker, clip_on=False, **style)
             for mark in marks:
                 if mark.level in (number, -1):
                     style = {"color": kinds[mark.kind], "markersize": 5, "mew": 1.2}
@@ -202,10 +202,9 @@ def wrap(text: str, width: float, lines: int = 3) -> str:
 def add_axes(
     figure: Any, view: tuple[float, float, float, float], panels: Sequence[Panel], num_layers: int
 ) -> list[Any]:
-    """Give a figure its size and each panel a place: the layers of a level in a row, if they fit.
+    """Give a figure its size and each panel a place, as `render_picture` says.
 
-    Levels of one layer lie beside each other. Corridors lie below each other, as wide as the
-    picture.
+    Maps much wider than high lie below each other, as wide as the picture.
     """
     sides = np.array([view[2] - view[0], view[3] - view[1]])
     wide, high = sides = np.maximum(sides, max(sides.max() / LONGEST, 1e-3))
@@ -237,8 +236,10 @@ def add_axes(
 
 def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]) -> None:
     """Draw title, cells and doors, and the colour bar of a panel."""
-    title = wrap(panel.title, ax.panel_width)
-    ax.set_title(title, loc="left", fontsize=TITLE_POINTS, pad=5)
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap
+
+    ax.set_title(wrap(panel.title, ax.panel_width), loc="left", fontsize=TITLE_POINTS, pad=5)
     ax.tick_params(labelsize=TICK_POINTS, length=2.5, width=0.6, color=FAINT, labelcolor=INK, pad=2)
     ax.spines[:].set(edgecolor=FAINT, linewidth=0.6)
     x_min, y_min, x_max, y_max = bounds
@@ -249,23 +250,15 @@ def _draw_panel(ax: Any, panel: Panel, bounds: tuple[float, float, float, float]
     ax.imshow(image, extent=(x_min, x_max, y_min, y_max), interpolation=how)
     ax.set(xlim=limits[0], ylim=limits[1])
     if panel.scale is not None and len(panel.scale.ticks) > 1:
-        _draw_bar(ax, panel.scale)
+        colors = ScalarMappable(cmap=ListedColormap(panel.scale.bar(256) / 255))
+        bar = ax.get_figure().colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
+        numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in panel.scale.ticks]
+        bar.set_ticks([tick.position for tick in panel.scale.ticks], labels=numbers)
+        bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
+        bar.outline.set_visible(False)
     for door in panel.doors:
         x, y = zip(door.start, door.end, strict=True)
         ax.plot(x, y, **_strokes(_door_line(door.state)), solid_capstyle="butt")
-
-
-def _draw_bar(ax: Any, scale: ColorScale) -> None:
-    """Draw a colour scale to the right of a map, the highest value on top."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap
-
-    colors = ScalarMappable(cmap=ListedColormap(scale.bar(256) / 255))
-    bar = ax.get_figure().colorbar(colors, ax=ax, fraction=0.05, pad=0.02, aspect=30)
-    numbers = [tick.text.replace("-", "\N{MINUS SIGN}") for tick in scale.ticks]
-    bar.set_ticks([tick.position for tick in scale.ticks], labels=numbers)
-    bar.ax.tick_params(labelsize=TICK_POINTS, length=2, width=0.6, color=FAINT, pad=2)
-    bar.outline.set_visible(False)
 
 
 def _strokes(name: str) -> dict[str, Any]:
@@ -280,22 +273,11 @@ def _door_line(state: str) -> str:
     return "door, closed" if state == "closed" else "door, open"
 
 
-def _draw_route(ax: Any, route: Route, level: int) -> None:
-    """Draw the parts of a path that are on a level, and its ends."""
-    on_level = route.levels == level
-    x, y = np.where(on_level, route.positions[:, :2].T, np.nan)
-    ax.plot(x, y, **_strokes("path, from o to x"), solid_joinstyle="round")
-    for end, marker in ((0, "o"), (-1, "X")):
-        style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8, "clip_on": False}
-        ax.plot(x[end], y[end], marker, **style)
-
-
 def write_names(ax: Any, labels: Sequence[Label]) -> Iterator[str]:
     """Write names on a map, those of large rooms first, none over another; yields the key.
 
-    A name stands in the middle of its room, in one line or two, as large as fits; that of a point
-    stands beside it. Where it doesn't fit, a number does, which the key explains. Where not even
-    that fits, nothing does.
+    A name stands in the middle of its room, in one line or two, as large as fits, or beside its
+    point. Where it doesn't fit, a number does, which the key explains; else nothing.
     """
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox

@@ -1,4 +1,4 @@
-"""Tables of what is known of a grid: the command line prints them, and a report shows them."""
+"""Tables of a grid's facts: the command line prints them, and a report shows them."""
 
 from __future__ import annotations
 
@@ -23,23 +23,16 @@ LEVEL_COLUMNS = {
     "islands": "{num_islands}",
     "largest m2": "{largest_island_area:.2f}",
 }
-"""Headings, and how the cells under them are made from what is known of a level."""
+"""Headings, and the format of their cells by the facts of a level."""
 
 
 class Table(NamedTuple):
-    """Rows of as many cells as there are headings.
+    """Rows of as many cells as there are headings."""
 
-    Attributes:
-        headings: one a column; all empty for a table without a line of them.
-        rows: cells as text, control characters escaped: names may hold what moves a cursor.
-        numbers: headings of the columns that are aligned on the right.
-        gap: spaces between printed columns.
-    """
-
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: frozenset[str] = frozenset()
-    gap: int = 2
+    headings: Sequence[str]  # one a column; all empty for a table without a line of them
+    rows: Sequence[Sequence[str]]  # cells as text, control characters escaped
+    numbers: frozenset[str] = frozenset()  # headings of the columns that are aligned on the right
+    gap: int = 2  # spaces between printed columns
 
     def without_empty_columns(self) -> Table:
         """The table without the columns in which no row has anything."""
@@ -88,10 +81,7 @@ def level_table(facts: Json) -> Table:
 
 
 def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
-    """A row for each room; `levels` are the levels' names. Columns that say nothing are left out.
-
-    That is the level where there is but one, and the index of rooms whose ids hold it.
-    """
+    """A row for each room, without empty columns; `levels` are the levels' names."""
     rows = []
     for room in rooms:
         opens_to = []
@@ -108,10 +98,7 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
 
 
 def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
-    """A row for each door; `levels` are the levels' names. Columns that say nothing are left out.
-
-    That is the level where there is but one, and the joints where they are called as the doors.
-    """
+    """A row for each door, without empty columns; `levels` are the levels' names."""
     has_joints = any(door.joint != door.id for door in doors)
     rows = [
         (
@@ -130,7 +117,7 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
 
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:
-    """What `navbake.views.describe.describe_cell` says of a cell, as text or lists of names."""
+    """The facts of `navbake.views.describe.describe_cell`, as text or lists of names."""
     room, weight, floor = facts["room"], facts["weight"], facts["floor"]
     return {
         "level": str(facts["level"]),

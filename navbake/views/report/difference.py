@@ -25,8 +25,7 @@ MOST_ADDED = 4  # times the cells of two levels that a lattice over both may hav
 ALWAYS = 4_000_000  # as many cells at least
 SAME_FLOOR = 1e-3  # by how much floors differ that are taken for the same [m]
 
-# what became of a cell, in the order of what a reader wants to know first; colours are told apart
-# by hue and by lightness, whatever colours one sees
+# what became of a cell, most telling first; colours differ by hue and by lightness
 COLORS = {
     "became free": "#009e73",
     "became blocked": "#d55e00",
@@ -52,10 +51,10 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     pairs = match_levels(first, second)
     levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
     called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
-    cells = [
-        (*both, *map(level.counts().get, CHANGES, [0] * len(CHANGES)))
-        for both, level in zip(called, levels, strict=True)
+    counts = [
+        np.bincount(level.change.ravel(), minlength=len(COLORS))[: len(CHANGES)] for level in levels
     ]
+    cells = [(*both, *count.tolist()) for both, count in zip(called, counts, strict=True)]
     alone = [
         (ONLY[side], *("" if side else name, name if side else ""))
         for side, grid in enumerate(grids)
@@ -81,8 +80,8 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
         sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
         for grid in grids
     )
-    num_changed = sum(sum(level.counts().values()) for level in levels)
-    facts = {"first": names[0], "second": names[1], "cells that changed": f"{num_changed:,}"}
+    changed = f"{sum(int(count.sum()) for count in counts):,}"
+    facts = {"first": names[0], "second": names[1], "cells that changed": changed}
     facts["free area"] = f"{before:.2f} to {after:.2f} m² ({after - before:+.2f})"
     return {
         "name": "difference",
@@ -132,29 +131,22 @@ class LevelDifference(NamedTuple):
     change: NDArray[np.uint8]  # of each cell: the number of its entry in `COLORS`
     rooms: list[tuple[int, int, float]]  # that are the same, and intersection over union
 
-    def counts(self) -> dict[str, int]:
-        """Cells by what became of them, for the changes that there are."""
-        count = np.bincount(self.change.ravel(), minlength=len(CHANGES))
-        return {name: int(count[i]) for i, name in enumerate(CHANGES) if count[i]}
-
 
 def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
     """Pair the levels of two grids whose grounds are the nearest, at most `MOST_APART` apart.
 
-    Levels that lie too far from each other to be drawn together, so that a lattice over both has
-    far more cells than they have, are no pair; see `MOST_ADDED`.
+    Levels too far from each other to be drawn together are no pair; see `MOST_ADDED`.
     """
-    apart = [
-        (abs(one.ground - other.ground), i, j)
-        for i, one in enumerate(first.levels)
-        for j, other in enumerate(second.levels)
-    ]
+    apart = []
+    for i, one in enumerate(first.levels):
+        for j, other in enumerate(second.levels):
+            both, own = _cover_both(one.lattice, other.lattice), one.free.size + other.free.size
+            distance = abs(one.ground - other.ground)
+            is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
+            apart += [(distance, i, j)] if distance <= MOST_APART and is_near else []
     pairs: dict[int, int] = {}
-    for distance, i, j in sorted(apart):
-        one, other = first.levels[i], second.levels[j]
-        both, own = _cover_both(one.lattice, other.lattice), one.weights.size + other.weights.size
-        is_near = both.width * both.height <= max(ALWAYS, MOST_ADDED * own)
-        if distance <= MOST_APART and is_near and i not in pairs and j not in pairs.values():
+    for _, i, j in sorted(apart):
+        if i not in pairs and j not in pairs.values():
             pairs[i] = j
     return sorted(pairs.items())
 
@@ -162,11 +154,9 @@ def match_levels(first: NavGrid, second: NavGrid) -> list[tuple[int, int]]:
 def compare_levels(
     first: SceneGrid2D, second: SceneGrid2D, pair: tuple[int, int]
 ) -> LevelDifference:
-    """Compare two levels at the centres of the first one's cells.
+    """Compare two levels at the centres of the first one's cells, of both or beyond its edges.
 
-    Its lattice goes on beyond its edges as far as the second one reaches. So grids with cells of
-    the same size that lie on each other are compared cell by cell, and others by the cell of the
-    second that holds the centre.
+    Each is compared with the cell of the second level that holds it.
     """
     lattice = _cover_both(first.lattice, second.lattice)
     there, free, floor, room, weight = zip(
@@ -177,9 +167,8 @@ def compare_levels(
     same_room[0, 0] = True
     for a, b, _ in rooms:
         same_room[a, b] = True
-    # NaN, no floor, differs from every height, and not from itself
     has_none = [np.isnan(heights) for heights in floor]
-    moved = ~(np.abs(floor[0] - floor[1]) <= SAME_FLOOR) & ~(has_none[0] & has_none[1])
+    moved = ~np.isclose(*floor, rtol=0, atol=SAME_FLOOR, equal_nan=True)
     happened = [
         free[1] & ~free[0] & there[0],
         free[0] & ~free[1] & there[1],
@@ -196,10 +185,7 @@ def compare_levels(
 
 
 def _sample(level: SceneGrid2D, lattice: Lattice) -> tuple[NDArray[Any], ...]:
-    """A level at the centres of a lattice's cells, arrays of the lattice's shape.
-
-    That is whether the level has a cell there; free; floor [m], NaN for none; room; weight.
-    """
+    """Whether a level has a cell at the centres of a lattice's; free; floor [m]; room; weight."""
     own = level.lattice
     rows = np.floor((own.y_max - lattice.center_y()) / own.cell_size).astype(np.int64)
     cols = np.floor((lattice.center_x() - own.x_min) / own.cell_size).astype(np.int64)
@@ -262,9 +248,8 @@ def list_rooms(first: NavGrid, second: NavGrid, levels: list[LevelDifference]) -
 def settings_of(grid: NavGrid) -> dict[str, str]:
     """The settings and digests of a grid, by their path in the metadata."""
     own = {key: grid.navbake.get(key) for key in ("settings", "sceneDigest")}
-    own["cell size"] = f"{grid.cell_size * grid.unit:g} m"
     own |= {"radius": f"{grid.agent_radius:g} m", "inflation": grid.metadata.get("inflation")}
-    return flatten(own)
+    return flatten({**own, "cell size": f"{grid.cell_size * grid.unit:g} m"})
 
 
 def list_differing(one: dict[str, str], other: dict[str, str]) -> list[Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -81,9 +81,8 @@ def render_report(
 ) -> bytes:
     """Make a report as one HTML page: maps to zoom, and tables. The same grids, the same bytes.
 
-    Each level has its layers, and what is known of the cell under the pointer; floors and
-    clearances are rounded to a millimetre. Of levels of more than `MAX_SHOWN` cells, every
-    n-th row and column is shown. With two grids, a third sheet shows what differs.
+    Floors and clearances are rounded to a millimetre. Of levels of more than `MAX_SHOWN` cells,
+    every n-th row and column is shown. With two grids, a third sheet shows what differs.
 
     Args:
         grids: one or more.
@@ -108,9 +107,8 @@ def render_report(
         name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
         for i, name in enumerate(called)
     ]
-    sheets = [
-        _describe_grid(*each) for each in zip(grids, called, audits, verifications, strict=True)
-    ]
+    each = zip(grids, called, audits, verifications, strict=True)
+    sheets = [_describe_grid(*of_one) for of_one in each]
     if num == 2:
         sheets.append(describe_changes(grids[0], grids[1], called))
     return make_page(", ".join(called), {"sheets": sheets}, "navbake.views.report", "report")
@@ -136,7 +134,6 @@ def _describe_grid(
 ) -> Json:
     """A sheet of the page: everything that it shows of a grid."""
     facts = describe(grid)
-    names = {room.id: room.name or room.id for room in grid.rooms}
     remarks: list[tuple[list[Json], tuple[str, Table]]] = []
     if audit is not None:
         found: list[Remarked] = [
@@ -145,26 +142,29 @@ def _describe_grid(
         otherwise = f"{len(audit.checks)} checks, nothing to say"
         remarks.append(_show_remarks("audit", "Audit", "how bad", found, otherwise))
     if verification is not None:
-        _check_is_of(grid, verification)
+        cells, num = sum(level.free.size for level in grid.levels), len(grid.levels)
+        stated = verification.get("sceneId"), verification["cells"]
+        if stated != (grid.scene_id, cells):
+            raise QueryError(
+                f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
+                f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
+            )
+        for level in (finding["level"] for finding in verification["findings"]):
+            if not 0 <= level < num:
+                raise FormatError(f"expected levels below {num} in the verification, got {level}")
         keys = ("kind", "level", "position", "geom", "text")
         found = [tuple(map(each.get, keys)) for each in verification["findings"]]
         looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
         title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
         remarks.append(_show_remarks("verify", title, "geom", found, looked_at))
-    marks = [mark for of_one, _ in remarks for mark in of_one]
-    levels = [
-        {
-            **describe_map(grid, number),
-            "marks": [mark for mark in marks if mark["level"] in (number, None)],
-            "rooms": {str(r.index): names[r.id] for r in grid.rooms if r.level == number},
-        }
-        for number in range(len(grid.levels))
-    ]
-    timings = [
-        (key.removesuffix("Millis"), f"{value:.1f}")
-        for key, value in grid.timings.items()
-        if isinstance(value, int | float)
-    ]
+    marks, levels, timings = [mark for of_one, _ in remarks for mark in of_one], [], []
+    for number in range(len(grid.levels)):
+        own = [mark for mark in marks if mark["level"] in (number, None)]
+        rooms = {str(r.index): r.name or r.id for r in grid.rooms if r.level == number}
+        levels.append({**describe_map(grid, number), "marks": own, "rooms": rooms})
+    for key, value in grid.timings.items():
+        if isinstance(value, int | float):
+            timings.append((key.removesuffix("Millis"), f"{value:.1f}"))
     settings = flatten(grid.navbake.get("settings")).items()
     tables = {
         "Levels": level_table(facts),
@@ -185,9 +185,7 @@ def _describe_grid(
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            show_table(title, made, folded=title in FOLDED)
-            for title, made in tables.items()
-            if made.rows
+            show_table(*one, folded=one[0] in FOLDED) for one in tables.items() if one[1].rows
         ],
     }
 
@@ -214,19 +212,6 @@ def _place(position: Iterable[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in position)
 
 
-def _check_is_of(grid: NavGrid, verification: Json) -> None:
-    cells, num = sum(level.free.size for level in grid.levels), len(grid.levels)
-    stated = verification.get("sceneId"), verification["cells"]
-    if stated != (grid.scene_id, cells):
-        raise QueryError(
-            f"expected the verification of {grid.scene_id!r}, {cells} cells, got one of "
-            f"{stated[0]!r}, {stated[1]} cells: give them in the order of the grids"
-        )
-    for level in (finding["level"] for finding in verification["findings"]):
-        if not 0 <= level < num:
-            raise FormatError(f"expected levels below {num} in the verification, got {level}")
-
-
 def _show_remarks(
     source: str, title: str, more: str, found: list[Remarked], otherwise: str
 ) -> tuple[list[Json], tuple[str, Table]]:
@@ -244,10 +229,9 @@ def _show_remarks(
 def describe_map(grid: NavGrid, number: int) -> Json:
     """The map of one level: its place, its layers, and its cells.
 
-    ``cells`` is JSON, packed by `pack`, with a list of all cells, row by row, for each: ``floor``
-    and ``clearance`` [m], to a millimetre, ``weight``, ``room`` and ``island``; null stands for no
-    floor and for blocked. ``names`` are numbers into the list ``nameLists``, -1 for none: the names
-    of what stands in a cell, and of what blocks it, by `KINDS`.
+    ``cells`` is JSON, packed by `pack`, with a list of all cells, row by row, for each fact; null
+    stands for no floor and for blocked. ``names`` are numbers into the list ``nameLists``, -1 for
+    none: the names of what stands in a cell, and of what blocks it, by `KINDS`.
     """
     level = grid.levels[number]
     place = describe_place(grid.level_names[number], level.lattice)
@@ -291,16 +275,13 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
     return numbers.reshape(level.shape), lists
 
 
-def _name_rooms(grid: NavGrid, number: int) -> Iterator[tuple[str, str]]:
-    """The rooms of a level and their colours, for the legend."""
-    rgb = color_rooms(grid, number)
-    for room in grid.rooms:
-        if room.level == number and not room.outdoors and room.index < len(rgb):
-            yield room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"
-
-
 def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
-    panel, scale = make_panel(grid, layer, number), None
+    panel, scale, rooms = make_panel(grid, layer, number), None, []
+    if layer == "rooms":
+        rgb = color_rooms(grid, number)
+        for room in grid.rooms:
+            if room.level == number and not room.outdoors and room.index < len(rgb):
+                rooms.append((room.name or room.id, f"#{bytes(rgb[room.index]).hex()}"))
     if panel.scale is not None:
         scale = {
             "label": panel.scale.label,
@@ -311,7 +292,7 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "name": layer,
         "title": panel.title.removeprefix(f"{grid.level_names[number]}: "),
         "png": to_url(paint(panel)[::every, ::every]),
-        "legend": [*_name_rooms(grid, number)] * (layer == "rooms") + [*panel.legend],
+        "legend": [*rooms, *panel.legend],
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],

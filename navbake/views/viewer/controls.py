@@ -47,11 +47,7 @@ SCALES_SHOWN = 3
 
 
 class Controls:
-    """The panel for an exhibit.
-
-    `change` is called with how the choices change, whenever the reader changes them, and `verify`
-    when the reader wants a verification.
-    """
+    """The panel for an exhibit; calls `change` with how the reader changes choices, or `verify`."""
 
     def __init__(
         self,
@@ -65,14 +61,17 @@ class Controls:
         self._handles: dict[str, Any] = {}
         gui.reset()
         self._status = gui.add_markdown("", visible=False)
-        gui.add_markdown(say_grid(exhibit))
+        grid, size = exhibit.grid, plain(f"{exhibit.grid.levels[0].lattice.cell_size:g}")
+        storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
+        text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {size} m"
+        gui.add_markdown(f"{text}\n\n{plain(exhibit.note)}")
         with gui.add_folder("Layer"):
             self._add_layers(chosen, verify)
         with gui.add_folder("Agent"):
             self._add_agent(chosen)
         with gui.add_folder("Click"):
             click = gui.add_dropdown("A click", CLICKS, initial_value=chosen.click)
-            self._keep("click", click, "click")
+            self._keep("click", click, _set("click"))
             self._keep("told", gui.add_markdown(""))
             self._keep("route", gui.add_markdown(""))
             self._keep("clear", gui.add_button("Clear", visible=False))
@@ -87,30 +86,20 @@ class Controls:
                 which = gui.add_dropdown("Episode", names, initial_value=first)
 
                 def choose(name: str) -> Change:
-                    return lambda now: replace(now, episode="" if name == NO_EPISODE else name)
+                    return _set("episode")("" if name == NO_EPISODE else name)
 
                 self._keep("episode", which, choose)
                 self._keep("task", gui.add_markdown(""))
         with gui.add_folder("Picture"):
             self._add_picture(chosen)
 
-    def _keep(
-        self, name: str, handle: Any, make: str | Callable[[Any], Change] | None = None
-    ) -> None:
-        """Keep an input; when the reader, and not this program, sets it, the choices change.
-
-        `make` is the field of the choices that it sets, or makes the change of its value.
-        """
+    def _keep(self, name: str, handle: Any, make: Callable[[Any], Change] | None = None) -> None:
+        """Keep an input, whose value makes a change when the reader, not this program, sets it."""
         self._handles[name] = handle
 
         def update(event: Any) -> None:
-            if event.client is not None:
-                value = event.target.value
-                self._change(
-                    (lambda now: replace(now, **{make: value}))
-                    if isinstance(make, str)
-                    else make(value)  # type: ignore[misc]
-                )
+            if event.client is not None and make is not None:
+                self._change(make(event.target.value))
 
         if make is not None:
             handle.on_update(update)
@@ -118,7 +107,7 @@ class Controls:
     def _add_layers(self, chosen: Choices, verify: Callable[[], None]) -> None:
         gui, grid, layers = self._gui, self._exhibit.grid, self._exhibit.layers
         layer = gui.add_dropdown("Layer", layers, initial_value=chosen.layer)
-        self._keep("layer", layer, "layer")
+        self._keep("layer", layer, _set("layer"))
         if grid.levels[1:]:
             names = [ALL_LEVELS, *_unique(grid.level_names)]
 
@@ -144,8 +133,7 @@ class Controls:
         }
 
         def inflate(_: Any) -> Change:
-            radius, clearance = (float(self._handles[name].value) for name in hints)
-            return lambda now: replace(now, inflation=(radius, clearance))
+            return _set("inflation")(tuple(float(self._handles[name].value) for name in hints))
 
         self._keep("free", gui.add_markdown(""))
         for (name, hint), size in zip(hints.items(), sizes, strict=True):
@@ -154,8 +142,7 @@ class Controls:
             self._keep(name, slider, inflate)
         hint = "Show the grid as it is in the file, not inflated here."
         self._keep("as baked", gui.add_button("As baked", hint=hint))
-        reset: Change = lambda now: replace(now, inflation=None)  # noqa: E731
-        self._handles["as baked"].on_click(lambda _: self._change(reset))
+        self._handles["as baked"].on_click(lambda _: self._change(_set("inflation")(None)))
 
     def _add_doors(self) -> None:
         gui, grid, at = self._gui, self._exhibit.grid, self._handles
@@ -184,29 +171,27 @@ class Controls:
             low, high, cut = round(low, 2), round(high, 2), round(cut, 2)
 
             def cut_at(height: float) -> Change:
-                top = height >= high - CUT_STEP / 2
-                return lambda now: replace(now, cut=None if top else height)
+                return _set("cut")(None if height >= high - CUT_STEP / 2 else height)
 
             hint = "The scene is drawn up to here, so that one sees into storeys."
             slider = gui.add_slider("Cut height [m]", low, high, CUT_STEP, cut, hint=hint)
             self._keep("cut", slider, cut_at)
-            self._keep("scene", gui.add_checkbox("Scene", chosen.with_scene), "with_scene")
+            self._keep("scene", gui.add_checkbox("Scene", chosen.with_scene), _set("with_scene"))
             if drawing.has_hidden:
                 hint = "What MuJoCo's own viewers hide: the geom groups from 3 on."
                 hidden = gui.add_checkbox("Hidden geoms", chosen.with_hidden, hint=hint)
-                self._keep("hidden", hidden, "with_hidden")
+                self._keep("hidden", hidden, _set("with_hidden"))
         names = _unique(exhibit.grid.level_names)
         for number, name in enumerate(names if 1 < len(names) <= MOST_SWITCHES else ()):
 
-            def switch(on: bool, own: frozenset[int] = frozenset((number,))) -> Change:
-                return lambda now: replace(
-                    now, levels=tuple(sorted((own if on else set()) | ({*now.levels} - own)))
-                )
+            def switch(on: bool, own: int = number) -> Change:
+                added = {own} if on else set()
+                return lambda now: replace(now, levels=tuple(sorted({*now.levels} - {own} | added)))
 
             self._keep(f"level {number}", gui.add_checkbox(name, number in chosen.levels), switch)
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
-        self._keep("opacity", opacity, "opacity")
-        self._keep("names", gui.add_checkbox("Names", chosen.with_names), "with_names")
+        self._keep("opacity", opacity, _set("opacity"))
+        self._keep("names", gui.add_checkbox("Names", chosen.with_names), _set("with_names"))
         dark = gui.add_checkbox("Dark page", False)
         dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
 
@@ -236,9 +221,8 @@ class Controls:
         at["as baked"].disabled = chosen.inflation is None
         if "level" in at:
             at["level"].value = _level(list(at["level"].options), chosen)
-        for number in range(len(grid.levels)):
-            if f"level {number}" in at:
-                at[f"level {number}"].value = number in chosen.levels
+        for number in range(len(grid.levels) if "level 0" in at else 0):
+            at[f"level {number}"].value = number in chosen.levels
         if "cut" in at:
             cut = at["cut"].max if chosen.cut is None else chosen.cut
             at["cut"].value = float(min(max(cut, at["cut"].min), at["cut"].max))
@@ -252,6 +236,11 @@ class Controls:
         """Write a line at the top of the panel; none if empty."""
         self._status.content = text
         self._status.visible = bool(text)
+
+
+def _set(field: str) -> Callable[[Any], Change]:
+    """Makes changes that set a field of the choices to a value."""
+    return lambda value: lambda now: replace(now, **{field: value})
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
@@ -274,10 +263,9 @@ def _unique(names: list[str]) -> list[str]:
 
 
 def plain(text: object) -> str:
-    """Text as it is, on one line, whatever Markdown and HTML would make of it.
+    """Text for Markdown as it is, on one line: the page takes HTML in Markdown, scripts included.
 
-    The page takes HTML in Markdown as it stands, scripts included. A line's end would begin a new
-    block, in which other rules hold.
+    A line's end would begin a new block, in which other rules hold.
     """
     return MARKED.sub(r"\\\1", " ".join(str(text).split()))
 
@@ -289,14 +277,6 @@ def say_counts(now: Counts, before: Counts) -> str:
     if now != before:
         return f"{text} — as baked: {before[0]:,}"
     return f"{text} — {free / cells:.0%} of the floor" if cells else text
-
-
-def say_grid(exhibit: Exhibit) -> str:
-    """What is shown: its name, its size, and a note."""
-    grid, size = exhibit.grid, f"{exhibit.grid.levels[0].lattice.cell_size:g}"
-    storeys = f"{len(grid.levels)} levels" if grid.levels[1:] else "one level"
-    text = f"**{plain(grid.scene_id or 'grid')}** — {storeys}, cells of {plain(size)} m"
-    return f"{text}\n\n{plain(exhibit.note)}" if exhibit.note else text
 
 
 def say_route(chosen: Choices, route: Path | str | None) -> str:
@@ -334,11 +314,7 @@ def say_cell(facts: Json | None, inflation: tuple[float, float] | None) -> str:
 
 
 def _listed(names: Sequence[str], between: str) -> str:
-    """Names in the letters of code.
-
-    Not between backquotes: there a backslash guards nothing, so that a table's cell, and the code
-    with it, would end at a ``|`` in the name.
-    """
+    """Names as code; not between backquotes, where a ``|`` in a name would end a table's cell."""
     shown = between.join(f"<code>{plain(name)}</code>" for name in names[:NAMES_SHOWN])
     return f"{shown} and {len(names) - NAMES_SHOWN} more" if names[NAMES_SHOWN:] else shown
 
@@ -349,18 +325,15 @@ def say_episode(episode: Episode | None) -> str:
         return ""
     goal = episode.goals[0].name or episode.goals[0].category or episode.goals[0].room
     lines = [f"**{plain(episode.task)}**" + (f" {_listed([goal], '')}" if goal else "")]
-    lines += (
-        [] if episode.distance is None else [f"shortest path {plain(f'{episode.distance:.2f}')} m"]
-    )
-    lines += [plain(episode.instruction)] if episode.instruction else []
+    if episode.distance is not None:
+        lines.append(f"shortest path {plain(f'{episode.distance:.2f}')} m")
+    if episode.instruction:
+        lines.append(plain(episode.instruction))
     return "\n\n".join(lines)
 
 
 def write_legend(panels: Sequence[Panel], marked: Mapping[str, str] | None = None) -> str:
-    """The legend of a layer's levels: their scales of values, and what colours mean.
-
-    Levels have scales of their own; those of the highest levels are written.
-    """
+    """The legend of a layer's levels: the scales of the highest levels, and what colours mean."""
     scales = [(panel.title, panel.scale) for panel in panels[::-1] if panel.scale is not None]
     parts = []
     for title, scale in scales[:SCALES_SHOWN]:
@@ -389,13 +362,10 @@ def write_legend(panels: Sequence[Panel], marked: Mapping[str, str] | None = Non
 
 def say_report(exhibit: Exhibit) -> str:
     """What a verification found; "" before one."""
-    report = exhibit.report
-    if report is None:
+    if (report := exhibit.report) is None:
         return ""
-    share = f"{report.checked:,} of {report.num_cells:,} cells"
-    if report.ok:
-        return f"Grid and scene agree, at {share}."
-    return f"Grid and scene **disagree at {len(report.findings)} places**, at {share}."
+    verdict = "agree" if report.ok else f"**disagree at {len(report.findings)} places**"
+    return f"Grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells."
 
 
 def say_error(error: Exception) -> str:

@@ -70,12 +70,10 @@ class Choices:
 
     def with_door(self, grid: NavGrid, names: Sequence[str], state: str) -> Choices:
         """Put doors into a state; those that can't be in it stay as they are."""
-        states = dict(self.doors)
-        for door in grid.doors:
-            if door.id in names and state in door.states:
-                states.pop(door.id, None)
-                states |= {} if state == door.state else {door.id: state}
-        return replace(self, doors=tuple(sorted(states.items())))
+        own = {door.id: door.state for door in grid.doors}
+        able = [door.id for door in grid.doors if door.id in names and state in door.states]
+        states = {**dict(self.doors), **dict.fromkeys(able, state)}
+        return replace(self, doors=tuple(sorted(states.items() - own.items())))
 
     def without_clicks(self) -> Choices:
         """Forget what was clicked."""
@@ -107,21 +105,17 @@ def keep_choices(chosen: Choices, grid: NavGrid) -> Choices:
         cell = grid.cell_at(found.position, found.cell.level)
         return None if cell is None else found._replace(cell=cell, geom=None)
 
-    levels = tuple(number for number in chosen.levels if number < len(grid.levels))
-    states = {door.id: door.states for door in grid.doors}
+    everything = range(len(grid.levels))
+    states = {(door.id, state) for door in grid.doors for state in door.states}
     start = on_grid(chosen.start)
     return replace(
         chosen,
-        levels=levels or tuple(range(len(grid.levels))),
-        doors=tuple((name, state) for name, state in chosen.doors if state in states.get(name, ())),
+        levels=tuple(n for n in chosen.levels if n in everything) or tuple(everything),
+        doors=tuple(door for door in chosen.doors if door in states),
         inspected=on_grid(chosen.inspected),
         start=start,
         goal=on_grid(chosen.goal) if start else None,
     )
-
-
-Counts: TypeAlias = tuple[int, int, float]
-"""How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
 
 
 def kept(*fields: str) -> Callable[[Callable[..., Made]], Callable[..., Made]]:
@@ -143,6 +137,8 @@ def kept(*fields: str) -> Callable[[Callable[..., Made]], Callable[..., Made]]:
     return decorate
 
 
+Counts: TypeAlias = tuple[int, int, float]
+"""How much of a grid is free: cells of all levels, those with a floor, and free area [m²]."""
 Runs: TypeAlias = dict[str, tuple[Episode | None, Trajectory | None]]
 """Episodes, and where an agent was in them, by the episodes' ids."""
 
@@ -150,13 +146,12 @@ Runs: TypeAlias = dict[str, tuple[Episode | None, Trajectory | None]]
 def list_runs(
     grid: NavGrid, episodes: EpisodeSet | None, trajectories: Sequence[Trajectory]
 ) -> Runs:
-    """The episodes of a grid's scene, and trajectories; without a set, of all trajectories."""
-    own = () if episodes is None else episodes.episodes
-    runs: Runs = {each.id: (each, None) for each in own if each.scene == scene_of(grid)}
-    for each in trajectories:
-        if episodes is None or each.episode in runs:
-            runs[each.episode] = runs.get(each.episode, (None, None))[0], each
-    return runs
+    """The episodes of a grid's scene with their trajectories; all trajectories without a set."""
+    if episodes is None:
+        return {each.episode: (None, each) for each in trajectories}
+    driven = {each.episode: each for each in trajectories}
+    own = [each for each in episodes.episodes if each.scene == scene_of(grid)]
+    return {each.id: (each, driven.get(each.id)) for each in own}
 
 
 class Name(NamedTuple):
@@ -168,11 +163,10 @@ class Name(NamedTuple):
 
 
 class Exhibit:
-    """A grid, its scene, and what follows from them for what is chosen.
+    """A grid, its scene if it has one, and what follows from them for what is chosen.
 
-    Without the scene that it was baked from, the grid is shown alone. `config` are the settings of
-    the bake, where they are known; `note` is what the reader should know, in one line; `runs` are
-    episodes and trajectories that can be shown.
+    `config` are the settings of the bake, where they are known; `note` is one line for the reader;
+    `runs` are episodes and trajectories that can be shown.
     """
 
     def __init__(
@@ -217,10 +211,9 @@ class Exhibit:
     def count(self, chosen: Choices) -> Counts:
         """How much of the shown levels is free."""
         levels = [self.shown_grid(chosen).levels[number] for number in chosen.levels]
-        free = [int(np.count_nonzero(level.free)) for level in levels]
+        free = sum(int(np.count_nonzero(level.free)) for level in levels)
         cells = sum(int(np.count_nonzero(~np.isnan(level.floor_height))) for level in levels)
-        areas = [n * level.lattice.cell_size**2 for n, level in zip(free, levels, strict=True)]
-        return sum(free), cells, sum(areas)
+        return free, cells, free * self.grid.levels[0].lattice.cell_size ** 2
 
     @kept("doors", "inflation", "layer")
     def panel(self, chosen: Choices, number: int) -> Panel:
@@ -241,9 +234,9 @@ class Exhibit:
         return meshes.draw_overlay(self.carpets[number], rgb, chosen.opacity)
 
     def names(self, chosen: Choices) -> list[Name]:
-        """Names on the shown levels, none over another, but for those below another floor.
+        """Names on the shown levels, those of the largest rooms first.
 
-        Seen from above, a name lies in its room; those of the largest rooms come first.
+        None lies over another of its level, or below another floor.
         """
         found, levels = [], chosen.levels if chosen.with_names else ()
         for number in levels:
@@ -267,15 +260,14 @@ class Exhibit:
         """The scene as triangles, its doors as chosen; None without a scene."""
         if self.scene is None:
             return None
-        if not chosen.doors:
-            return meshes.draw_scene(self.scene, with_hidden=chosen.with_hidden)
-        from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
+        moved: dict[str, Any] = {}
+        if chosen.doors:
+            from navbake.verifier.source import pose_doors  # loads MuJoCo, which moves the doors
 
-        grid: Any = self.grid.with_doors(dict(chosen.doors))
-        posed, hidden = pose_doors(self.scene, grid), chosen.with_hidden
-        return meshes.draw_scene(
-            self.scene, data=posed.data, removed=posed.removed, with_hidden=hidden
-        )
+            grid: Any = self.grid.with_doors(dict(chosen.doors))
+            posed = pose_doors(self.scene, grid)
+            moved = {"data": posed.data, "removed": posed.removed}
+        return meshes.draw_scene(self.scene, with_hidden=chosen.with_hidden, **moved)
 
     @kept("doors", "with_hidden", "with_scene", "cut")
     def surfaces(self, chosen: Choices) -> tuple[Surface, ...]:
@@ -314,11 +306,10 @@ class Exhibit:
             return str(error)
 
     def tell(self, chosen: Choices) -> Json | None:
-        """What `describe_cell` says of the inspected cell, and the name of what was ``clicked``.
+        """What `describe_cell` says of the inspected cell, None for none, and more.
 
-        ``lit``: the triangles of what blocks the cell, or else was clicked, as far as they are
-        drawn, shape (n, 3, 3) [m]; ``outline``: the cell's corners, shape (5, 3) [m]. None where
-        no cell is inspected.
+        ``clicked`` is the name of what was; ``lit`` the drawn triangles of what blocks the cell, or
+        else was clicked, shape (n, 3, 3) [m]; ``outline`` the cell's corners, shape (5, 3) [m].
         """
         found = chosen.inspected
         if found is None or chosen.click != INSPECT:
@@ -333,11 +324,9 @@ class Exhibit:
             if not geoms and found.geom is not None and clicked in standing:
                 geoms = [found.geom]
             lit = triangles_of(self.surfaces(chosen), geoms)
+        around = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)])
         half = self.grid.levels[0].lattice.cell_size / 2
-        around = [(-half, -half), (half, -half), (half, half), (-half, half), (-half, -half)]
-        outline = np.column_stack(
-            [facts["center"] + np.array(around), np.full(5, found.position[2])]
-        )
+        outline = np.array([*facts["center"], found.position[2]]) + half * around
         return {**facts, "clicked": clicked, "lit": lit, "outline": outline}
 
     def verify(self) -> None:

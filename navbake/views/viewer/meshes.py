@@ -1,7 +1,7 @@
 """What the viewer draws as triangles: a MuJoCo scene, the layers of levels; what a click meets.
 
-The geoms of a scene are merged by how they look. All is sent as binary glTF (GLB). Source: Khronos
-Group, glTF 2.0 Specification, and its extension ``KHR_materials_unlit``.
+All is sent as binary glTF (GLB). Source: Khronos Group, glTF 2.0 Specification, and its extension
+``KHR_materials_unlit``.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def draw_scene(
 
     Drawn is what MuJoCo's viewers draw: geoms of the groups 0 to 2 that aren't clear; all groups
     where these hold nothing, or with hidden ones. Geoms whose ids are `removed` are left out.
-    Textures of meshes are drawn; other geoms have the mean colour of theirs.
+    Textures of meshes are drawn; other geoms have the mean colour of theirs. Geoms that look alike
+    are one surface.
     """
     model, data = scene.model, scene.data if data is None else data
     plain, textured, texture = _find_looks(model)
@@ -118,7 +119,7 @@ def draw_scene(
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
     looks = [(plain[piece.owners[0], 3] < 1, piece.is_round, piece.texture) for piece in pieces]
-    surfaces = []
+    surfaces, textures = [], {}
     for look in sorted(set(looks)):
         some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
         _, is_round, number = look
@@ -126,18 +127,16 @@ def draw_scene(
             [piece.vertices for piece in some], [piece.faces for piece in some]
         )
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
-        uv = [piece.uv for piece in some if piece.uv is not None]
-        colors = (textured if uv else plain)[geom]
-        triangles = vertices.astype(np.float32), faces.astype(np.uint32)
-        places = np.concatenate(uv) if uv else None
-        surfaces.append(Surface(*triangles, geom, colors, places, number, is_round))
-    used = {one.texture for one in surfaces if one.texture >= 0}
-    textures = {number: _read_texture(model, number) for number in used}
+        triangles = vertices.astype(np.float32), faces.astype(np.uint32), geom
+        colors, uv = plain[geom], None
+        if number >= 0:
+            colors, textures[number] = textured[geom], _read_texture(model, number)
+            uv = np.concatenate([piece.uv for piece in some if piece.uv is not None])
+        surfaces.append(Surface(*triangles, colors, uv, number, is_round))
     solid = (model.geom_type >= SPHERE) & (model.geom_type <= BOX)
-    roots = model.body_rootid[model.geom_bodyid].tolist()
     names = [  # as grids name geoms: by the topmost body, or itself where it hangs on the world
         model.body(root).name or f"body {root}" if root else model.geom(geom).name or f"geom {geom}"
-        for geom, root in enumerate(roots)
+        for geom, root in enumerate(model.body_rootid[model.geom_bodyid].tolist())
     ]
     return Drawing(tuple(surfaces), textures, _bounds_of(pieces), tuple(names), solid, has_hidden)
 
@@ -187,13 +186,12 @@ def _draw_others(scene: Scene, data: Any, drawn: Bool, textures: Int) -> Iterato
             continue
         if kind == HFIELD:  # its upper side
             rows, cols = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-            first, size = int(model.hfield_adr[number]), model.hfield_size[number]
-            z = model.hfield_data[first : first + rows * cols].astype(np.float64) * size[2]
+            heights = model.hfield_data[int(model.hfield_adr[number]) :][: rows * cols]
             y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (rows, cols)), indexing="ij")
-            vertices = np.stack([x.ravel() * size[0], y.ravel() * size[1], z], axis=1)
+            unit = np.stack([x.ravel(), y.ravel(), heights.astype(np.float64)], axis=1)
+            vertices = unit * model.hfield_size[number, :3]
             corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-            quads = corner[:, None] + np.array([0, 1, cols + 1, cols])
-            faces = quads[:, QUAD].reshape(-1, 3)
+            faces = (corner[:, None] + np.array([0, 1, cols + 1, cols]))[:, QUAD].reshape(-1, 3)
         elif kind >= MESH and number >= 0:
             mesh, has_uv = model.mesh(number), int(textures[geom]) >= 0
             first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
@@ -221,16 +219,14 @@ def coarsen(vertices: Float, faces: NDArray[Any], most: int) -> tuple[Float, NDA
 
     Vertices in one cell of a lattice become one (Rossignac and Borrel 1993, vertex clustering).
     """
-    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    unit = (vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     for steps in (64, 48, 32, 24, 16, 12, 8, 6, 4):
-        cells = np.round((vertices - low) * (steps / max(size, 1e-9))).astype(np.int64)
-        _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        made = number.reshape(-1)[faces]
-        made = made[(made != np.roll(made, 1, axis=1)).all(axis=1)]
-        made = made[np.unique(np.sort(made, axis=1), axis=0, return_index=True)[1]]
-        if len(made) <= most:
+        first, number = trimesh.grouping.unique_rows(np.round(unit * steps).astype(np.int64))
+        made = trimesh.Trimesh(vertices[first], number[faces], process=False)
+        made.update_faces(made.nondegenerate_faces() & made.unique_faces())
+        if len(made.faces) <= most:
             break
-    return vertices[first], made
+    return made.vertices, made.faces
 
 
 def _piece(geom: int, vertices: Float, faces: NDArray[Any]) -> Surface:
@@ -244,9 +240,8 @@ def _draw_plane(model: Any, data: Any, geom: int, bounds: Float) -> Surface:
     reach = ENDLESS * max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1.0)
     half = model.geom_size[geom, :2]
     middle, half = np.where(half <= 0, middle, 0.0), np.where(half <= 0, reach, half)
-    corners = np.zeros((4, 3))
-    corners[:, :2] = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return _piece(geom, corners @ rotation.T + position, QUAD)
+    corners = middle + half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return _piece(geom, corners @ rotation[:, :2].T + position, QUAD)
 
 
 def _bounds_of(pieces: Sequence[Surface]) -> Float:
@@ -258,10 +253,9 @@ def _bounds_of(pieces: Sequence[Surface]) -> Float:
 def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], Int]:
     """How geoms look, as MuJoCo's own viewers have it, by geom id.
 
-    A geom with a material has the material's colour, unless it states one of its own. Returns
-    linear light, times the mean of its texture if it has one, and opacity, shape (n, 4); the same
-    for triangles that lie on their texture; MuJoCo's id of a texture that meshes with coordinates
-    lie on, -1 for none.
+    A geom without a colour of its own has its material's. Returns linear light, times the mean of
+    the texture, and opacity, shape (n, 4); the same without the texture; and MuJoCo's id of a
+    texture that a mesh may lie on, -1 for none.
     """
     rgba = np.array(model.geom_rgba, dtype=np.float32).reshape(-1, 4)
     material = np.array(model.geom_matid, dtype=np.int64)
@@ -275,7 +269,7 @@ def _find_looks(model: Any) -> tuple[NDArray[np.float32], NDArray[np.float32], I
     textured = _to_linear(rgba)
     plain = textured.copy()
     for one in np.unique(texture[texture >= 0]).tolist():
-        mean = _read_texture(model, one)[..., :3].reshape(-1, 3).mean(axis=0) / 255
+        mean = _read_texture(model, one)[..., :3].mean(axis=(0, 1)) / 255
         plain[texture == one, :3] *= _to_linear(mean)
     flat = np.isin(texture, np.flatnonzero(np.asarray(model.tex_type) == FLAT_TEXTURE))
     return plain, textured, np.where(flat, texture, -1)
@@ -308,8 +302,7 @@ def cut_drawing(drawing: Drawing, height: float) -> tuple[Surface, ...]:
     """
     kept: list[Surface] = []
     for surface in drawing.surfaces:
-        z = surface.vertices[:, 2]
-        if not len(z) or float(z.max()) <= height:
+        if (surface.vertices[:, 2] <= height).all():
             kept.append(surface)
         else:
             parts = _cut_surface(surface, height), _close(surface, height, drawing.solid)
@@ -376,8 +369,7 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     heights = np.where(np.isnan(floor), level.ground, floor)
     flatness, span = FLAT, float(np.ptp(heights))
     while True:
-        labels = shown.astype(np.int32)
-        bounds, planes = cover_planes(labels, heights, flatness, STEEPEST * size)
+        bounds, planes = cover_planes(shown.astype(np.int32), heights, flatness, STEEPEST * size)
         if len(bounds) <= most or flatness > span:
             break
         flatness *= 2
@@ -408,9 +400,8 @@ def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) 
 def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
     """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
 
-    The light comes from above, from -x and -y and, weaker, from -y; both sides of a
-    triangle are alike. It is in the colours, so that a browser has only these to draw, which it
-    does smoothly without a graphics card, too.
+    The light, see `LIGHT`, is in the colours, which a browser draws smoothly without a graphics
+    card, too; both sides of a triangle are alike.
     """
     lit = []
     for one in surfaces:
@@ -435,10 +426,9 @@ def make_glb(
 ) -> bytes:
     """Write triangles in their colours as they are, and the pictures that lie on them, as GLB."""
     buffer, primitives, materials = Buffer(), list[Json](), list[Json]()
-    used = sorted({one.texture for one in surfaces if one.uv is not None and len(one.faces)})
+    surfaces = [one for one in surfaces if len(one.faces)]
+    used = sorted({one.texture for one in surfaces if one.uv is not None})
     for one in surfaces:
-        if not len(one.faces):
-            continue
         is_clear = one.opacity < 1
         attributes = {"POSITION": buffer.add_positions(one.vertices)}
         if one.colors is not None:
@@ -451,9 +441,8 @@ def make_glb(
             look["baseColorTexture"] = {"index": used.index(one.texture)}
         material: Json = {"alphaMode": "BLEND" if is_clear else "OPAQUE", "doubleSided": True}
         material |= {"pbrMetallicRoughness": look, "extensions": {"KHR_materials_unlit": {}}}
-        indices = buffer.add_indices(one.faces)
-        primitive = {"attributes": attributes, "indices": indices, "material": len(materials)}
-        primitives.append(primitive)
+        primitive = {"attributes": attributes, "indices": buffer.add_indices(one.faces)}
+        primitives.append({**primitive, "material": len(materials)})
         materials.append(material)
     document: Json = {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{}]}
     if primitives:
@@ -498,9 +487,16 @@ def pick(
     origin, direction = (np.asarray(each, dtype=np.float64) for each in ray)
     distance, geom = np.inf, -1
     for surface in surfaces:
-        found, triangle = _meet(origin, direction, surface.vertices[surface.faces])
-        if found <= distance and np.isfinite(found):
-            distance, geom = found, int(surface.owners[triangle])
+        corners = surface.vertices[surface.faces].astype(np.float64)
+        normals = trimesh.triangles.cross(corners)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
+            away = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
+            places = origin + away[:, None] * direction
+            shares = trimesh.triangles.points_to_barycentric(corners, places)
+            met = np.flatnonzero((shares >= -1e-9).all(axis=1) & (away > 0) & (away <= distance))
+        if len(met):
+            nearest = met[np.argmin(away[met])]
+            distance, geom = float(away[nearest]), int(surface.owners[nearest])
     if not np.isfinite(distance):
         return None
     x, y, z = (origin + distance * direction).tolist()
@@ -516,19 +512,3 @@ def pick(
         return None
     _, cell, under = min(ranked)
     return Pick(cell, (x, y, under), None if geom < 0 else geom)
-
-
-def _meet(origin: Float, direction: Float, corners: NDArray[np.float32]) -> tuple[float, int]:
-    """How far the nearest of some triangles is on a ray, and which it is; infinite for none."""
-    if not len(corners):
-        return np.inf, -1
-    corners = corners.astype(np.float64)
-    normals = trimesh.triangles.cross(corners)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a triangle that the ray runs along
-        distance = ((corners[:, 0] - origin) * normals).sum(axis=1) / (normals @ direction)
-        places = origin + distance[:, None] * direction
-        shares = trimesh.triangles.points_to_barycentric(corners, places)
-        met = (shares >= -1e-9).all(axis=1) & (distance > 0)
-    distance = np.where(met, distance, np.inf)
-    nearest = int(np.argmin(distance))
-    return float(distance[nearest]), nearest

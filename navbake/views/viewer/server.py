@@ -13,10 +13,11 @@ import sys
 import threading
 import urllib.request
 from collections.abc import Collection
+from concurrent.futures import Future
 from contextlib import redirect_stdout, suppress
 from email.message import Message
 from email.parser import BytesHeaderParser
-from importlib.util import find_spec
+from functools import partial
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -41,10 +42,10 @@ PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection
 class PageServer:
     """Serves an empty page at an address of this machine; port 0 is any that is free.
 
-    viser has no setting for whom it answers, so it listens at an address of the loopback network
-    that is drawn at random, and this server passes on what may reach it. A request has to name the
-    page's own address (Host), so that no name of another site leads here (DNS rebinding), and it
-    has to come from a page of that address (Origin). `allowed` are further origins.
+    viser answers everybody, so it listens at a random address of the loopback network, and this
+    server passes on what may reach it. A request has to name the page's own address (Host), which
+    no name of another site leads to (DNS rebinding), and to come from a page of that address
+    (Origin). `allowed` are further origins.
 
     Attributes:
         viser: the viser.ViserServer.
@@ -57,36 +58,31 @@ class PageServer:
     """
 
     def __init__(
-        self, host: str = HOST, port: int = PORT, *, allowed: Collection[str] = (), title: str = ""
+        self, host: str = HOST, port: int = PORT, *, allowed: Collection[str] = ()
     ) -> None:
-        is_there = False
-        with suppress(ImportError, ValueError):  # something keeps it from being found
-            is_there = find_spec("viser") is not None
-        if not is_there:
-            raise MissingDependencyError(MISSING)
+        try:
+            import viser  # of the extra [view], and slow to load
+        except ImportError as error:
+            raise MissingDependencyError(MISSING) from error
         self._names = {*LOCAL, socket.gethostname().lower()} if host in EVERYWHERE else {host}
         self._names |= {*LOCAL} if host in LOCAL else set()
         self._is_open, self._allowed = host in EVERYWHERE, {check_origin(one) for one in allowed}
-        self.title = title or "navbake"
+        self.title = "navbake"
         self._inner, self._page = (HOST, 0), b""  # until viser is there
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="server", daemon=True)
+        listening: Future[int] = Future()
+        serve = partial(asyncio.run, self._serve(host, port, listening))
+        self._thread = threading.Thread(target=serve, name="server", daemon=True)
         self._thread.start()
-        start = asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
         try:
-            self._server = asyncio.run_coroutine_threadsafe(start, self._loop).result()
+            self.port = listening.result()
         except (OSError, UnicodeError, OverflowError) as error:
-            self._stop()
             text = f"{host!r}, port {port}, is no address of this machine"
             if isinstance(error, OSError) and not isinstance(error, socket.gaierror):
                 text = f"cannot listen at {host}, port {port}: {error.strerror}"
                 text = TAKEN.format(host, port) if error.errno == errno.EADDRINUSE else text
             raise NavbakeError(text) from error
-        self.port = self._server.sockets[0].getsockname()[1]
         shown = "localhost" if host in EVERYWHERE else f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{self.port}"
-        import viser  # of the extra [view], and slow to load
-
         # a stranger's message is no traceback on the terminal
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         inner = HOST
@@ -100,11 +96,23 @@ class PageServer:
         with urllib.request.urlopen("http://{}:{}/".format(*self._inner)) as page:
             self._page = page.read()
 
+    async def _serve(self, host: str, port: int, listening: Future[int]) -> None:
+        """Serve until `close`; `asyncio.run` cancels the connections that are open then."""
+        self._loop, self._closing = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            server = await asyncio.start_server(self._answer, host or None, port, limit=MAX_HEAD)
+        except Exception as error:
+            listening.set_exception(error)
+            return
+        listening.set_result(server.sockets[0].getsockname()[1])
+        await self._closing.wait()
+        server.close()
+
     def close(self) -> None:
         """Stop serving, and free the port."""
-        if not self._loop.is_closed():
-            asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
-            self._stop()
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join()
             with redirect_stdout(io.StringIO()):
                 self.viser.stop()
 
@@ -113,18 +121,6 @@ class PageServer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    async def _end(self) -> None:
-        self._server.close()
-        tasks = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-    def _stop(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
 
     def is_allowed(self, headers: Message) -> bool:
         """Whether a request names this page's address, and comes from one of its pages."""

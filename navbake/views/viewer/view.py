@@ -63,10 +63,7 @@ PERIOD = 0.5  # between two looks at files [s]
 
 
 def find_camera(bounds: Float, aspect: float) -> Float:
-    """Where a box, shape (2, 3) [m], fills the page, seen from -y and above: shape (3,) [m].
-
-    `aspect` is the width of the page by its height.
-    """
+    """Where a box, (2, 3) [m], fills a page of an aspect, seen from -y and above: (3,) [m]."""
     middle = bounds.mean(axis=0)
     away = np.array([0.0, -math.cos(ELEVATION), math.sin(ELEVATION)])
     up = np.array([0.0, math.sin(ELEVATION), math.cos(ELEVATION)])
@@ -78,157 +75,11 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     return place
 
 
-class Stage:
-    """What is on the page of an exhibit; only what has changed is sent."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server, self._scene = server, server.scene
-        self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
-        self._drawn: Any = None  # what the scene was drawn for
-        self._scene.set_up_direction("+z")
-        self._scene.world_axes.visible = False
-        self._scene.configure_default_lights(cast_shadow=False)
-
-    def place_camera(self, bounds: Float) -> None:
-        """Look at a box from -y and above, so that it fills the page."""
-        camera = self._server.initial_camera
-        place = find_camera(bounds, USUAL_ASPECT)
-        camera.fov = FIELD_OF_VIEW
-        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
-        camera.look_at = bounds.mean(axis=0)
-        camera.position = place
-
-        def fit(client: viser.ClientHandle) -> None:
-            """Move the first camera of a page that is narrower than usual."""
-            if client.camera.aspect < USUAL_ASPECT:
-                client.camera.position = find_camera(bounds, client.camera.aspect)
-                client.camera.look_at = bounds.mean(axis=0)
-
-        self._server.on_client_connect(fit)
-
-    def clear(self) -> None:
-        """Take everything away."""
-        for name in list(self._shown):
-            self._put(name, None, list)
-        self._drawn = None
-
-    def show(
-        self, exhibit: Exhibit, chosen: Choices, route: Route | str | None, told: Json | None
-    ) -> None:
-        """Bring all but the scene up to date."""
-        for number in range(len(exhibit.grid.levels)):
-            overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
-            self._put_glb(f"/grid/{number}", overlay)
-        names = exhibit.names(chosen)
-        self._put("/names", names, lambda: map(self._write_name, names))
-        low, high = exhibit.bounds
-        radius = float(np.clip(np.linalg.norm(high - low) * MARK, *MARK_RADII))
-        clicks = (chosen.start, START), (chosen.goal, GOAL)
-        ends = [(found.position, color) for found, color in clicks if found is not None]
-        path = route.positions if isinstance(route, Route) else np.empty((0, 3))
-        drawn = ends, [(path, GOAL)], radius
-        self._put("/path", repr(drawn), lambda: self._draw_ways("/path", *drawn))
-        episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
-        ends, ways = [], []
-        if episode is not None:
-            places = [
-                goal.position or goal.view_points[0].position
-                for goal in episode.goals
-                if goal.position or goal.view_points
-            ]
-            ends = [(episode.start, START), *((place, GOAL) for place in places)]
-            ways = [(np.array(episode.path).reshape(-1, 3), GOAL)]
-        if trajectory is not None:
-            ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
-        self._put(
-            "/run",
-            (id(exhibit), chosen.episode),
-            lambda: self._draw_ways("/run", ends, ways, radius),
-        )
-        lit, cell = (np.empty((0, 3)), np.empty((0, 3)))
-        if told is not None:
-            lit, cell = told["lit"].reshape(-1, 3), told["outline"]
-        self._put("/lit", lit.tobytes(), lambda: self._light(lit))
-        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
-
-    def show_scene(self, exhibit: Exhibit, chosen: Choices, say: Callable[[str], None]) -> None:
-        """Bring the scene up to date, which takes longer than all else; `say` is told of it."""
-        key = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
-        if key != self._drawn:
-            say("Drawing the scene…")
-            self._server.flush()
-            self._put_glb("/scene", exhibit.scene_glb(chosen))
-            self._drawn = key
-            say("")
-
-    def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
-        """Put other nodes under a name, where the key is another than before."""
-        before, nodes = self._shown.get(name, (None, []))
-        if before != key:
-            for node in nodes:
-                node.remove()
-            self._shown[name] = key, list(make())
-
-    def _put_glb(self, name: str, content: bytes) -> None:
-        """Put a GLB on the page, where it is another than before; empty content takes it away."""
-        before, nodes = self._shown.get(name, (b"", []))
-        if content and nodes and content is not before:  # the node stays: nothing flickers
-            nodes[0].glb_data = content
-            self._shown[name] = content, nodes
-        else:
-            add = self._scene.add_glb
-            self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
-
-    def _write_name(self, name: Name) -> Any:
-        """A name as high as fits its room, hidden by what stands before it."""
-        return self._scene.add_label(
-            "/names/{}/{}/{}".format(*name.position),
-            name.text,
-            position=name.position,
-            anchor="center-center",
-            font_size_mode="scene",
-            font_scene_height=name.height,
-            depth_test=True,
-        )
-
-    def _draw_ways(
-        self, name: str, ends: list[tuple[Any, str]], ways: list[tuple[Float, str]], radius: float
-    ) -> Iterable[Any]:
-        """Draw places as balls of a radius [m], and lines from position to position."""
-        for number, ((x, y, z), color) in enumerate(ends):
-            at, rgb = (x, y, z + radius), rgb_of(color)
-            yield self._scene.add_icosphere(f"{name}/{number}", radius, rgb, position=at, **PLAIN)
-        for number, (positions, color) in enumerate(ways):
-            if len(positions) > 1:
-                lifted = positions + np.array([0, 0, PATH_LIFT])
-                points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
-                style: Any = {"thickness": PATH_WIDTH, "thickness_units": "screen"}
-                where = f"{name}/line {number}"
-                yield self._scene.add_line_segments(where, points, rgb_of(color), **style)
-
-    def _light(self, corners: Float) -> Iterable[Any]:
-        """Draw triangles, each three corners, over what they are triangles of."""
-        if len(corners):
-            middle = corners.mean(axis=0)
-            half = np.maximum(np.abs(corners - middle).max(axis=0), GROWN)
-            yield self._scene.add_mesh_simple(
-                "/lit/0",
-                middle + (corners - middle) * (1 + GROWN / half),
-                np.arange(len(corners)).reshape(-1, 3),
-                color=rgb_of(LIT),
-                opacity=0.75,
-                flat_shading=True,
-                side="double",
-                **PLAIN,
-            )
-
-
 class Viewer:
     """A page that shows a grid, until it is closed; also as a context manager.
 
-    What the reader does comes from threads of the server. It is collected, and one thread works on
-    all that has come, then shows the result once. So a slider that is dragged shows its latest
-    place, not all that it passed.
+    Changes come from threads of the server into a queue. One thread applies all that wait, then
+    shows the result once, so that a dragged slider shows its latest place alone.
 
     Attributes:
         url: where the page is.
@@ -239,11 +90,16 @@ class Viewer:
         self._exhibit, self._chosen = exhibit, first_choices(exhibit.grid)
         self._changes: SimpleQueue[Change | None] = SimpleQueue()  # None at the end
         self._closed = threading.Event()
+        self._scene = self._server.scene
+        self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
+        self._drawn: Any = None  # what the scene was drawn for
+        self._scene.set_up_direction("+z")
+        self._scene.world_axes.visible = False
+        self._scene.configure_default_lights(cast_shadow=False)
         set_theme(self._server.gui, dark=False)
-        self._stage = Stage(self._server)
         self._set_up()
-        self._stage.place_camera(exhibit.bounds)
-        self._server.scene.on_click()(self._click)
+        self._place_camera(exhibit.bounds)
+        self._scene.on_click()(self._click)
         forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
         forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
@@ -285,13 +141,26 @@ class Viewer:
         self.close()
 
     def _set_up(self) -> None:
-        gui = self._server.gui
-        name = self._exhibit.grid.scene_id
+        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
         gui.set_panel_label(name or "navbake")
         self._page.title = f"{name} – navbake" if name else "navbake"
-        change = self._changes.put
         self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
         gui.main_panel.dock_right()  # beside the scene, not over it
+
+    def _place_camera(self, bounds: Float) -> None:
+        """Look at a box from -y and above, so that it fills the page."""
+        camera, place = self._server.initial_camera, find_camera(bounds, USUAL_ASPECT)
+        camera.fov = FIELD_OF_VIEW
+        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
+        camera.look_at, camera.position = bounds.mean(axis=0), place
+
+        def fit(client: viser.ClientHandle) -> None:
+            """Move the first camera of a page that is narrower than usual."""
+            if client.camera.aspect < USUAL_ASPECT:
+                client.camera.position = find_camera(bounds, client.camera.aspect)
+                client.camera.look_at = bounds.mean(axis=0)
+
+        self._server.on_client_connect(fit)
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         ray = event.ray_origin, event.ray_direction
@@ -311,7 +180,9 @@ class Viewer:
 
         def take(chosen: Choices) -> Choices:
             self._exhibit, self._chosen = exhibit, keep_choices(chosen, exhibit.grid)
-            self._stage.clear()
+            for node in list(self._shown):
+                self._put(node, None, list)
+            self._drawn = None
             self._set_up()
             return self._chosen
 
@@ -332,12 +203,102 @@ class Viewer:
                 changes.append(self._changes.get())
 
     def _show(self, chosen: Choices) -> Choices:
-        route, told = self._exhibit.route(chosen), self._exhibit.tell(chosen)
+        """Bring the page up to date; only what has changed is sent."""
+        exhibit = self._exhibit
+        route, told = exhibit.route(chosen), exhibit.tell(chosen)
         with self._server.atomic():
-            self._stage.show(self._exhibit, chosen, route, told)
+            self._draw(chosen, route, told)
             self._controls.show(chosen, route, told)
-        self._stage.show_scene(self._exhibit, chosen, self._controls.say)
+        scene = id(exhibit), chosen.doors, chosen.with_hidden, chosen.with_scene, chosen.cut
+        if scene != self._drawn:  # takes longer than all else
+            self._controls.say("Drawing the scene…")
+            self._server.flush()
+            self._put_glb("/scene", exhibit.scene_glb(chosen))
+            self._drawn = scene
+            self._controls.say("")
         return chosen
+
+    def _draw(self, chosen: Choices, route: Route | str | None, told: Json | None) -> None:
+        """Draw all but the scene."""
+        exhibit = self._exhibit
+        for number in range(len(exhibit.grid.levels)):
+            overlay = exhibit.overlay(chosen, number) if number in chosen.levels else b""
+            self._put_glb(f"/grid/{number}", overlay)
+        names = exhibit.names(chosen)
+        self._put("/names", names, lambda: map(self._write_name, names))
+        low, high = exhibit.bounds
+        radius = float(np.clip(np.linalg.norm(high - low) * MARK, *MARK_RADII))
+        clicks = (chosen.start, START), (chosen.goal, GOAL)
+        ends = [(found.position, color) for found, color in clicks if found is not None]
+        path = route.positions if isinstance(route, Route) else np.empty((0, 3))
+        drawn = ends, [(path, GOAL)], radius
+        self._put("/path", repr(drawn), lambda: self._draw_ways("/path", *drawn))
+        episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
+        ends, ways = [], []
+        if episode is not None:
+            ends = [(episode.start, START)]
+            for goal in episode.goals:
+                if goal.position or goal.view_points:
+                    ends.append((goal.position or goal.view_points[0].position, GOAL))
+            ways = [(np.array(episode.path).reshape(-1, 3), GOAL)]
+        if trajectory is not None:
+            ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
+        run = "/run", ends, ways, radius
+        self._put("/run", (id(exhibit), chosen.episode), lambda: self._draw_ways(*run))
+        told = told or {"lit": np.empty((0, 3)), "outline": np.empty((0, 3))}
+        lit, cell = told["lit"].reshape(-1, 3), told["outline"]
+        self._put("/lit", lit.tobytes(), lambda: self._light(lit))
+        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
+
+    def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
+        """Put other nodes under a name, where the key is another than before."""
+        before, nodes = self._shown.get(name, (None, []))
+        if before != key:
+            for node in nodes:
+                node.remove()
+            self._shown[name] = key, list(make())
+
+    def _put_glb(self, name: str, content: bytes) -> None:
+        """Put a GLB on the page, where it is another than before; empty content takes it away."""
+        before, nodes = self._shown.get(name, (b"", []))
+        if content and nodes and content is not before:  # the node stays: nothing flickers
+            nodes[0].glb_data = content
+            self._shown[name] = content, nodes
+        else:
+            add = self._scene.add_glb
+            self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
+
+    def _write_name(self, name: Name) -> Any:
+        """A name as high as fits its room, hidden by what stands before it."""
+        size: Any = {"font_size_mode": "scene", "font_scene_height": name.height}
+        style: Any = {"position": name.position, "anchor": "center-center", "depth_test": True}
+        where = "/names/{}/{}/{}".format(*name.position)
+        return self._scene.add_label(where, name.text, **size, **style)
+
+    def _draw_ways(
+        self, name: str, ends: list[tuple[Any, str]], ways: list[tuple[Float, str]], radius: float
+    ) -> Iterable[Any]:
+        """Draw places as balls of a radius [m], and lines from position to position."""
+        for number, ((x, y, z), color) in enumerate(ends):
+            at, rgb = (x, y, z + radius), rgb_of(color)
+            yield self._scene.add_icosphere(f"{name}/{number}", radius, rgb, position=at, **PLAIN)
+        for number, (positions, color) in enumerate(ways):
+            if len(positions) > 1:
+                lifted = positions + np.array([0, 0, PATH_LIFT])
+                points = np.stack([lifted[:-1], lifted[1:]], axis=1).astype(np.float32)
+                style: Any = {"thickness": PATH_WIDTH, "thickness_units": "screen"}
+                where = f"{name}/line {number}"
+                yield self._scene.add_line_segments(where, points, rgb_of(color), **style)
+
+    def _light(self, corners: Float) -> Iterable[Any]:
+        """Draw triangles, each three corners, over what they are triangles of."""
+        if len(corners):
+            middle = corners.mean(axis=0)
+            half = np.maximum(np.abs(corners - middle).max(axis=0), GROWN)
+            grown = middle + (corners - middle) * (1 + GROWN / half)
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            style: Any = {"opacity": 0.75, "flat_shading": True, "side": "double", **PLAIN}
+            yield self._scene.add_mesh_simple("/lit/0", grown, faces, color=rgb_of(LIT), **style)
 
     def _watch(self, watch: Watch) -> None:
         """Read again whatever has changed; what can't be read is said, and the last stays."""
@@ -371,11 +332,10 @@ def view(
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
 ) -> Viewer:
-    """Show a grid in its scene, in the browser.
+    """Show a grid in its scene, in the browser; see ``docs/viewer.md``.
 
-    The page has the levels, layers, doors, paths between clicks, and what blocks a cell; see
-    ``docs/viewer.md``. It is served on this machine alone unless `host` says otherwise, and asks
-    for nothing from anywhere else.
+    The page is served on this machine alone unless `host` says otherwise, and asks for nothing
+    from anywhere else.
 
     Args:
         grid: a grid of one or several levels, or the path of its file.
@@ -453,19 +413,16 @@ def watch_grid(grid: str | PathLike[str], scene: str | PathLike[str] | None, **m
 
 
 def find_files(paths: Iterable[Path]) -> list[Path]:
-    """Files and, of scenes among them, all that these name: includes, meshes, textures, ….
-
-    Of a file that isn't there, all places where it is looked for: somebody may put it there.
-    """
+    """Files and all that scenes among them name; of a missing file, all places it may be at."""
     found = (find_inputs(path, looks=True, missing=True) for path in paths)
     return [*dict.fromkeys(path for of_one in found for path in of_one)]
 
 
 class Watch:
-    """Notices when files have changed and rest again: whoever writes them may take some time.
+    """Notices when files have changed and rest again, from when it is made.
 
-    Made before the files are read first, it misses no change meanwhile. `read` reads or bakes the
-    exhibit; `list_files` is called again after each change, for a scene may name others then.
+    `read` reads or bakes the exhibit; `list_files` is called again after each change, for a scene
+    may name others then.
     """
 
     def __init__(

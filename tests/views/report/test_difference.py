@@ -150,7 +150,7 @@ def test_a_door_in_another_state(doors):
     assert list_differing(*map(states, (first, second))) == [(name, "modelled", "closed")]
     level = compare_levels(first.levels[0], second.levels[0], (0, 0))
     blocked = np.count_nonzero(first.levels[0].free & ~second.levels[0].free)
-    assert level.counts().get("became blocked", 0) == blocked
+    assert np.count_nonzero(level.change == NAMES.index("became blocked")) == blocked
 
 
 def test_rooms_that_changed_are_listed():

@@ -19,7 +19,8 @@ LAB = "https://lab.example.org"
 
 @pytest.fixture(scope="module")
 def server():
-    server = PageServer(port=0, allowed=[LAB], title="a <b> – navbake")
+    server = PageServer(port=0, allowed=[LAB])
+    server.title = "a <b> – navbake"
     yield server
     server.close()
 
