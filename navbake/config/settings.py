@@ -465,7 +465,7 @@ class BakeConfig(Settings):
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """The scene or settings at a path; those of a sample at its bare name, if no file has it.
+    """The scene or settings at a path; of a sample's bare name, what `samples.find` gives.
 
     Raises:
         ConfigError: it is a grid.
@@ -481,10 +481,10 @@ def find_source(path: str | PathLike[str]) -> Path:
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is taken for a scene; the bare name of a sample, where
-    there is no such file, for its settings. `scene.path` is relative to the
-    YAML file. Each override, ``a.b=value``, replaces a setting of the file. Whatever is wrong with
-    a setting is a ConfigError.
+    A path that does not end in .yaml or .yml is taken for a scene; the bare name of a sample as
+    `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each override,
+    ``a.b=value``, replaces a setting of the file. Whatever is wrong with a setting is a
+    ConfigError.
     """
     path = find_source(path)
     if path.suffix.lower() not in YAML_SUFFIXES:
