@@ -27,7 +27,8 @@ def find_near(name: object, known: Iterable[str], most: int = 1) -> list[str]:
 def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED) -> str:
     """The nearest of the known names, if one is near, and the first `limit` of them all."""
     names = list(dict.fromkeys(known))
-    near = find_near(name, names)
+    folded = str(name).casefold()
+    near = find_near(name, names) or [n for n in names if _is_two_slips(folded, n.casefold())]
     hint = f"did you mean {near[0]!r}? " if near else ""
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
     return f"{hint}it has {', '.join(names[:limit]) or 'none'}{more}"
@@ -42,6 +43,15 @@ def _is_one_slip(name: str, other: str) -> bool:
         same += 1
     a, b = name[same:], other[same:]
     return a[1:] == b[1:] or a[1:] == b or a == b[1:] or (a[:2] == b[1::-1] and a[2:] == b[2:])
+
+
+def _is_two_slips(name: str, other: str) -> bool:
+    """Whether one of the names without a character is one edit from the other; of four or more."""
+    return min(len(name), len(other)) >= 4 and any(
+        _is_one_slip(a[:k] + a[k + 1 :], b)
+        for a, b in ((name, other), (other, name))
+        for k in range(len(a))
+    )
 
 
 def _words(name: str) -> set[str]:

@@ -35,11 +35,15 @@ def path(name: str) -> Path:
 
 
 def find(given: str | PathLike[str]) -> Path:
-    """The settings of a sample if a path is its bare name and no file, else the path itself."""
+    """What a path means that is the bare name of a sample and no file; else the path itself.
+
+    That is ``NAME.yaml`` in the current folder, or else the settings of the installed sample.
+    """
     found = Path(given)
     if found.suffix or found.name != str(given) or found.exists() or found.name not in names():
         return found
-    return path(found.name)
+    own = Path(f"{found.name}.yaml")
+    return own if own.exists() else path(found.name)
 
 
 def copy(name: str, folder: Path | str = ".") -> list[Path]:

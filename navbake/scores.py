@@ -348,7 +348,8 @@ def score_set(
         first = next(e.id for e in content.episodes if e.id not in by_id)
         raise QueryError(
             f"{len(content) - len(chosen)} of {len(content)} episodes have no trajectory, as "
-            f"{first!r}: a run that failed counts as an empty one, or score a part of the set"
+            f"{first!r}: a run that failed counts as an empty one, or score a part of the set "
+            "(--partial, partial=True)"
         )
     agent = content.header.agent
     finders: dict[str, PathFinder] = {}

@@ -18,6 +18,7 @@ import navbake
 from command_line import run_command
 from navbake.cli.main import app
 from navbake.config.settings import SECTIONS, parse_config
+from navbake.scores import read_trajectories
 from project_paths import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -131,6 +132,29 @@ def test_the_commands_of_the_page_of_formats_run_in_an_empty_folder(tmp_path, mo
     for words in commands_of(page):
         assert run_command(capsys, *words)[0] == 0, words
     assert {file.suffix for file in tmp_path.iterdir()} >= {".pgm", ".npz", ".xml", ".yaml"}
+
+
+def test_the_page_of_episodes_scores_what_its_lines_make(tmp_path, monkeypatch, capsys):
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "episodes.md"
+    bake, episodes, score = commands_of(page)[:3]
+    for words in (bake, episodes):
+        assert run_command(capsys, *words)[0] == 0, words
+    run_block(page, 0, blocks_of(page, "py")[0], {})
+    status, out, err = run_command(capsys, *score)
+    assert (status, err) == (0, "") and "success  1.000" in out
+    (line,) = blocks_of(page, "json")
+    (tmp_path / "runs.jsonl").write_text(line)
+    assert read_trajectories("runs.jsonl")[0].stop is False
+
+
+def test_the_readme_verifies_with_the_settings_of_its_bake(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words in commands_of(ROOT / "README.md"):
+        if words[0] in ("samples", "bake", "verify"):
+            status, out, _ = run_command(capsys, *words)
+            assert status == 0 and "settings are others" not in out
 
 
 def test_commands_that_are_wrong_do_not_parse():

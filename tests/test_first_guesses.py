@@ -5,9 +5,11 @@ from __future__ import annotations
 import pytest
 
 import navbake
-from navbake import samples
-from navbake.errors import ConfigError
+from navbake import PathFinder, samples
+from navbake.errors import ConfigError, FormatError, QueryError
+from project_paths import GOLDEN
 
+GRID = navbake.load(GOLDEN / "apartment.grid.json.gz")
 APARTMENT = str(samples.path("apartment"))
 
 
@@ -16,6 +18,9 @@ APARTMENT = str(samples.path("apartment"))
     [
         (lambda: navbake.load_grid("a.json"), AttributeError, r"'load_grid': write navbake\.load"),
         (lambda: navbake.bake("a.grid.json"), ConfigError, r"a grid, not a scene: .*navbake\.load"),
+        (lambda: navbake.load(APARTMENT), FormatError, r"`navbake bake \S*apartment.yaml` makes"),
+        (lambda: GRID.tensors(goals="room:kitchen"), QueryError, r"a list of goals.*\['room:kit"),
+        (lambda: PathFinder(GRID).room_of("sopha"), QueryError, "did you mean 'sofa'"),
         (lambda: navbake.loads, AttributeError, "no attribute 'loads'$"),
         *(
             (lambda given=given: navbake.bake(APARTMENT, **given), ConfigError, answer)

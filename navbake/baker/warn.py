@@ -233,7 +233,7 @@ def _warn_interleaved(stages: Stages) -> Iterator[str]:
     if boxes.lost:
         names = ", ".join(repr(stages.floors.levels[number].name) for number in boxes.lost_on)
         yield (
-            f"levels interleave in height: the original client finds a position's level by `bbox` "
+            f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
             f"and misses {boxes.lost} of {boxes.num_free} free cells, on {names}; navbake goes by "
             f"floors and misses none; other grounds in `levels` may part them"
         )

@@ -181,11 +181,19 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         pieces.append(episodes)
     grids = [grid for header in headers for grid in header.grids]
     again = [scene for scene, count in Counter(grid.scene for grid in grids).items() if count > 1]
-    if len({header.agent for header in headers}) > 1 or again:
-        why = (
-            f"two scenes are called {again[0]!r}" if again else "the scenes' agents differ in size"
+    if again:
+        raise NavbakeError(
+            f"the scenes' episodes are no set, as two scenes are called {again[0]!r}: use those of "
+            "each scene"
         )
-        raise NavbakeError(f"the scenes' episodes are no set, as {why}: use those of each scene")
+    by_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
+    if len(by_agent) > 1:
+        sizes = [f"{a.radius:g} x {a.height:g} m in {id!r}" for a, id in by_agent.items() if a]
+        raise NavbakeError(
+            f"the scenes' episodes are no set, as agents differ in size ({' and '.join(sizes[:2])})"
+            ": `--set agent.radius=… --set agent.height=…` gives all scenes one, or use those of "
+            "each scene"
+        )
     rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
     merged = msgspec.structs.replace(
         headers[0],

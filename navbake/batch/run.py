@@ -158,7 +158,10 @@ def run_batch(
             except FullError as error:
                 result.stopped = result.stopped or str(error)
         if result.stopped is None:
-            write_sets(plan, result.rows)
+            try:
+                write_sets(plan, result.rows)
+            except NavbakeError as error:
+                result.stopped = str(error)
         return result
 
 

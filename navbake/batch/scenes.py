@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias
 
+from navbake import samples
 from navbake.batch.products import OWN
 from navbake.batch.settings import Job, check_shared, nest, of_id
 from navbake.batch.store import (
@@ -159,7 +160,9 @@ def _expand(source: str) -> Iterator[Job]:
     name = shown(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
     if not is_url(source) and not is_pattern and not os.path.exists(source):
-        raise ConfigError(f"{WANTED} {source}: there is no such file")
+        settings = str(samples.find(source))
+        hint = "" if settings == source else f"; the settings of that name are {settings}"
+        raise ConfigError(f"{WANTED} {source}: there is no such file{hint}")
     if PurePosixPath(name).suffix.lower() in LISTS:
         yield from _read_list(source)
     elif source.endswith("/") or os.path.isdir(source):

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
-from navbake import files
-from navbake.cli.printing import say_unless_quiet, volume
+from navbake import files, samples
+from navbake.cli.printing import VOLUME, print_error, say_unless_quiet, volume
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
 
@@ -57,7 +57,8 @@ def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str,
 
 GridFile = Annotated[Path, Argument(metavar="GRID", help="A NavGrid file.")]
 SceneOrConfig = Annotated[
-    Path, Argument(metavar="SCENE|CONFIG", help="A scene file, or settings (YAML).")
+    Path,
+    Argument(metavar="SCENE|CONFIG", help="A scene file, settings (YAML), or a sample's name."),
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -157,6 +158,12 @@ def beside_output(path: Path | None) -> AbstractContextManager[Any]:
     return redirect_stdout(sys.stderr) if path == STDOUT else nullcontext()
 
 
+def say_if_sample(path: Path) -> None:
+    """Print on stderr that a bare name is an installed sample's; with --quiet nothing."""
+    if not VOLUME.quiet and (found := samples.find(path)) not in (path, Path(f"{path}.yaml")):
+        print_error(f"{path} is the installed sample {found}: `navbake samples {path}` copies it")
+
+
 def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
     """Refuse options without effect: name, whether it is given, whether it applies, its purpose."""
     for name, is_given, applies, purpose in uses:
@@ -240,9 +247,8 @@ def parse_place(text: str, option: str) -> GivenPlace:
     """Parse a place given to an option; raises a BadParameter."""
     found = SPELLED.fullmatch(text)
     if not found:
-        hint = (
-            f"; a room is written room:{text}" if text.isidentifier() and option != "--at" else ""
-        )
+        name = text if text.isidentifier() else "NAME"
+        hint = f"; a room is written room:{name}" if option != "--at" else ""
         raise BadParameter(
             f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}",
             param_hint=option,

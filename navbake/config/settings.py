@@ -447,7 +447,7 @@ class BakeConfig(Settings):
 
 
 def find_source(path: str | PathLike[str]) -> Path:
-    """The scene or settings at a path, or a sample's settings by its name if there is no such file.
+    """The scene or settings at a path; of a sample's bare name, what `samples.find` gives.
 
     Raises a ConfigError for a grid.
     """
@@ -462,9 +462,9 @@ def find_source(path: str | PathLike[str]) -> Path:
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is a scene, or the name of a sample if there is no
-    such file. `scene.path` is relative to the YAML file. Each override, ``a.b=value``, replaces a
-    setting of the file. Raises a ConfigError for any fault.
+    A path that does not end in .yaml or .yml is a scene, or the bare name of a sample as
+    `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each override,
+    ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
     """
     path = find_source(path)
     if path.suffix.lower() not in YAML_SUFFIXES:

@@ -11,7 +11,13 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from navbake.config.settings import YAML_SUFFIXES, BakeConfig, load_config, parse_config
+from navbake.config.settings import (
+    YAML_SUFFIXES,
+    BakeConfig,
+    find_source,
+    load_config,
+    parse_config,
+)
 from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, SceneError
 from navbake.files import write_whole
@@ -51,8 +57,10 @@ def write_template(
 
 def template_for(scene: Path, folder: Path) -> tuple[str, str]:
     """The name and the text of a scene's YAML template, for a folder."""
-    if scene.suffix.lower() in YAML_SUFFIXES:
-        raise ConfigError(f"expected a scene, got the settings file {scene}")
+    found = find_source(scene)
+    if found.suffix.lower() in YAML_SUFFIXES:
+        hint = "" if found == scene else f": `navbake samples {scene}` copies the sample"
+        raise ConfigError(f"expected a scene, got the settings file {found}{hint}")
     scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
         raise SceneError(f"no such file: {scene}")

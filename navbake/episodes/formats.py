@@ -58,7 +58,10 @@ def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FormatError(f"{error} in {where}") from error
+        is_unknown = "unknown field" in str(error) and " - at `" not in str(error)
+        fields = ", ".join(getattr(kind, "__struct_fields__", ()))
+        wanted = f", expected {fields}," if is_unknown else ""
+        raise FormatError(f"{error}{wanted} in {where}") from error
 
 
 def _to_yup(p: Sequence[float]) -> Vector3:

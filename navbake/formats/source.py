@@ -138,11 +138,14 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     Returns its text without a byte order mark, the file's size, and the place for errors.
     """
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
-    text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=NAVGRID_REMEDY)
+    remedy, file = NAVGRID_REMEDY, str(source) if isinstance(source, str | os.PathLike) else ""
+    if file.lower().endswith((".yaml", ".yml")):
+        remedy = f"`navbake bake {path_name(file)}` makes one of settings, navbake convert of a map"
+    text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
     num_bytes, top = len(text), JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)
     if _beginning(text)[1:2] != "{":
-        top.fail(f"expected {NAVGRID}, got {_beginning(text)}", NAVGRID_REMEDY)
+        top.fail(f"expected {NAVGRID}, got {_beginning(text)}", remedy)
     return text, num_bytes, top
 
 

@@ -61,6 +61,8 @@ def make_tensors(
     several: list[Any] = [grids] if is_one else list(grids)  # type: ignore[arg-type]
     if not several or not all(hasattr(grid, "levels") for grid in several):
         raise QueryError(f"expected grids, at least one grid, got {several}")
+    if isinstance(goals, str):
+        raise QueryError(f"expected a list of goals, got {goals!r}: write goals=[{goals!r}]")
     per_grid: list[Any] = [goals] if is_one else list(goals) or [()] * len(several)
     if len(per_grid) != len(several) or len({len(g) for g in per_grid}) != 1:
         wanted = f"as many goals for each of {len(several)} grids"

@@ -107,13 +107,20 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
             ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else "",
             # a body that a pattern made a door may stand anywhere
             " - ".join(room or "outside" for room in door.rooms) if any(door.rooms) else "nothing",
-            f"{door.state} ({door.like})" if door.like else door.state,
+            _shown_state(door),
             ", ".join(door.states),
         )
         for door in doors
     ]
     headings = ("door", "joint", "level", "joins", "is", "can be")
     return make_table(headings, rows).without_empty_columns()
+
+
+def _shown_state(door: Door) -> str:
+    """A door's state; of one as modelled also which state that is the same as, if it is known."""
+    is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
+    like = door.like or ("half-open" if is_between else None)
+    return f"{door.state} ({like})" if like else door.state
 
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:

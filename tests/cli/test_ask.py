@@ -199,8 +199,15 @@ def test_doors_are_listed_with_their_states(folder, run):
         assert header.split() == ["door", "joint", "joins", "is", "can", "be"]
         cells = "leaf leaf 0:1 - 0:2 open modelled, open, closed, removed"
         assert " ".join(row.split()) == cells
-        expected_other = "box none nothing modelled (closed) modelled, closed, removed"
+        expected_other = "box none nothing open modelled, open, closed, removed"
         assert " ".join(other.split()) == expected_other
+
+
+def test_a_door_between_closed_and_open_is_half_open(run):
+    out = run("rooms", GOLDEN / "apartment.grid.json.gz")[1]
+    states = {row.split()[0]: row for row in out.splitlines() if row.startswith("door_")}
+    assert "modelled (half-open)" in states["door_kitchen"]
+    assert "modelled (open)" in states["door_bedroom"]
 
 
 def test_a_report_of_two_bakes(folder, run):

@@ -55,6 +55,14 @@ def test_a_batch_prints_a_summary_and_what_failed(folder, run, here):
     assert "navbake: stopped: 1 scenes failed, more than 0" in err
 
 
+def test_scenes_whose_episodes_make_no_set_are_summed_up(folder, run, here):
+    (folder / "list.csv").write_text("scene,id,agent.radius\nroom.xml,a,0.1\nroom.xml,b,0.2\n")
+    made = ("--make", "episodes:point:uniform:3")
+    status, out, err = run("batch", "list.csv", "-o", "out", *COARSE, *made)
+    assert status == 1 and out.startswith("2 baked, ")
+    assert "agents differ in size (0.1 x 1.14 m in 'a' and 0.2 x" in err and err.count("\n") == 1
+
+
 def test_lines_of_json_tell_of_each_scene(folder, run, here):
     (folder / "bad.xml").write_text("<mujoco>")
     status, out, err = run("batch", "room.xml", "room.yaml", "-o", "out", *COARSE)

@@ -123,4 +123,12 @@ def test_another_grid_is_refused(run):
     Path("runs.jsonl").write_text("\n".join(lines[1:]))
     status, _, err = run("score", "set.jsonl", "runs.jsonl")
     assert status == 1 and "1 of 5 episodes have no trajectory, as '0'" in err
+    assert "--partial" in err
     assert run("score", "set.jsonl", "runs.jsonl", "--partial")[0] == 0
+
+
+def test_an_unknown_field_of_a_trajectory_is_named_with_the_known_ones(run):
+    assert run("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "1", "-q")[0] == 0
+    Path("runs.jsonl").write_text('{"id": "0", "positions": []}')
+    status, _, err = run("score", "set.jsonl", "runs.jsonl")
+    assert status == 1 and "unknown field `id`, expected episode, positions, stop, times, in" in err

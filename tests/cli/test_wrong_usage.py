@@ -82,6 +82,7 @@ CASES = [
     # places
     ("path house.json.gz --from abc --to room:1:1", 2, "--from"),
     ("path house.json.gz --from kitchen --to 0,0", 2, "a room is written room:kitchen"),
+    ("path house.json.gz --from object:sofa --to 0,0", 2, "a room is written room:NAME"),
     (f"{PATH} --to kitchen", 2, "a room is written room:kitchen"),
     ("path house.json.gz --from room:nix --to 0,0,L0", 1, "no room 'nix'"),
     ("bake room.yaml --radius -1", 1, "`agent.radius` in --set agent.radius=-1.0"),

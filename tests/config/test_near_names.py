@@ -52,6 +52,7 @@ def test_names_are_near_by_slips_words_and_plurals():
     for name in ("step", "chair", "so", "", "bath", 7):
         assert find_near(name, known) == [], name
     assert suggest("step", ["state"]) == "it has state"
+    assert suggest("Sopha", ["bed", "sofa"]) == "did you mean 'sofa'? it has bed, sofa"
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_an_episode_spec_of_molmospaces(tmp_path):
     [
         (None, "a.txt", SETS["point"], r"ends in \.jsonl, .*got .*a\.txt"),
         ("minos", "a.json", SETS["point"], r"ends in \.csv, got .*a\.json"),
-        ("minosse", "a.csv", SETS["point"], "no format 'minosse': it has .*minos"),
+        ("minosse", "a.csv", SETS["point"], "no format 'minosse': did you mean 'minos'"),
         ("habitat-pointnav", "a.json", SETS["object"], "no task 'object' in habitat-pointnav, as"),
         ("molmospaces", "a.json", SETS["point"], "no task 'point' in molmospaces"),
         ("habitat-vln", "a.json", EpisodeSet(HEADER, (

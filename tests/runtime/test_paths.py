@@ -392,3 +392,12 @@ def test_a_finder_takes_the_file_of_a_grid(tmp_path, apartment):
         assert PathFinder(file).navigable_area == pytest.approx(48.1, abs=0.1)
     with pytest.raises(FormatError, match=r"b\.grid\.json"):
         PathFinder(tmp_path / "b.grid.json")
+
+
+def test_a_cost_counts_steps_between_centres_and_a_length_the_way_itself():
+    finder = PathFinder(from_map(["00000"]))
+    centre, goal = finder.search.flat.positions(np.array([0, 4]))
+    aside = np.array([0.02, 0.0, 0.0])
+    inner, outer = (finder.find_path(start, goal) for start in (centre + aside, centre - aside))
+    assert inner.cost == outer.cost == pytest.approx(inner.length + 0.02)
+    assert outer.cost == pytest.approx(outer.length - 0.02)

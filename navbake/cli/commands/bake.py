@@ -24,6 +24,7 @@ from navbake.cli.options import (
     flag,
     option,
     refuse_unused,
+    say_if_sample,
     write_stdout,
 )
 from navbake.cli.printing import (
@@ -114,6 +115,7 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
     from navbake.config.settings import load_config
 
     settings = load_config(config, overrides or [])
+    say_if_sample(config)
     scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
     if as_json:
@@ -191,6 +193,7 @@ def voxelize(
     from navbake.config.settings import load_config  # loads numpy
 
     settings = load_config(config, overrides or [])
+    say_if_sample(config)
     for output in outputs:
         check_output(output, inputs=settings.inputs)
     voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
@@ -270,7 +273,8 @@ def bake(
     configs: list[Path] = Argument(
         ...,
         metavar="CONFIG",
-        help="Settings (YAML), or a scene file for default settings.",
+        help="Settings (YAML), a scene file for default settings, or the name of a sample where "
+        "no file has it.",
     ),
     output: str | None = option(
         "FILE|FOLDER",
@@ -329,6 +333,7 @@ def bake(
     for path in configs:
         with _going_on(path, failed, len(configs)):
             jobs.append((path, load_config(path, overrides)))
+            say_if_sample(path)
     written: set[Path] = set()
     for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
         with _going_on(path, failed, len(configs)):

@@ -21,6 +21,7 @@ from navbake.cli.options import (
     flag,
     option,
     refuse_unused,
+    say_if_sample,
     write_output,
     write_picture,
 )
@@ -163,7 +164,8 @@ def view(
     source: Path = Argument(
         ...,
         metavar="GRID|SCENE|CONFIG",
-        help="A NavGrid file (.json or .json.gz), or a scene file or settings (YAML) to bake.",
+        help="A NavGrid file (.json or .json.gz), or a scene file, settings (YAML) or the "
+        "name of a sample to bake.",
     ),
     scene: Path | None = option(
         "SCENE|CONFIG",
@@ -201,6 +203,7 @@ def view(
             runs = {"episodes": episodes, "trajectories": trajectories or ()}
             watch = watch_grid(source, scene, force=force, **runs)
         else:
+            say_if_sample(source)
             watch = _baked(source, overrides or [])
         with Viewer(watch.read(), server, watch=watch) as viewer:
             say(f"{viewer.url} (Ctrl-C ends it)")
