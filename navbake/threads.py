@@ -20,6 +20,7 @@ from navbake.errors import ConfigError
 
 Result = TypeVar("Result")
 
+LEAST_CELLS = 4096  # so many cells are worth a call on another thread
 BANDS = 8  # ranges for each thread: enough that all end at about the same time
 _limit = threading.local()  # `count`: the most threads for what this thread starts
 _pool: ThreadPoolExecutor | None = None

@@ -16,10 +16,8 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Float, Int
-
-LEAST_CELLS = 4096  # so many are worth a call on another thread
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
