@@ -1,12 +1,12 @@
 """How well agents did: measures of trajectories against the episodes of a set.
 
-The functions of arrays take numpy's; with `xp` they compute by ``jax.numpy`` or ``torch`` instead,
-without branches on values. `Measures` follows one episode step by step, and `score_set` scores a
-set's trajectories by it.
+`Measures` follows one episode step by step, and `score_set` scores the trajectories of a set. The
+functions of arrays compute by numpy, or by the module `xp`, ``jax.numpy`` or ``torch``, without
+branches on values.
 
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
-of the goal; where a position is in a cell in which no agent can stand, from the nearest place where
-one can, and the way to it. Success and SPL use the same distances.
+of the goal; in a cell where no agent can stand, from the nearest free cell and to it. Success and
+SPL use the same distances.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from navbake.episodes.episode import Episode, EpisodeSet, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import SNAP, find_target, fit_grid, paths_through, points_along
+from navbake.episodes.goals import SNAP, find_stops, fit_grid, path_through
 from navbake.episodes.sampler import EDGES
 from navbake.errors import QueryError
 from navbake.formats.npz import open_archive
@@ -41,10 +41,8 @@ MEANS = (
     "time", "coverage",
 )  # fmt: skip
 """The measures of an episode of which a table has means."""
+REQUIRED = ("episode", "start", "positions")  # arrays of trajectories
 GROUPS = ("all", "distance", "ratio", "room", "scene", "split")
-
-
-# ---------------------------------------------------------------- functions of arrays
 
 
 def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
@@ -54,15 +52,9 @@ def success(distance: Any, radius: Any, stopped: Any, *, xp: Any = np) -> Any:
 
 
 def spl(succeeded: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
-    """Success weighted by path length: S l / max(l, p).
+    """Success S weighted by the agent's path length p and the shortest one's l: S l / max(l, p).
 
-    0 where S is 0, whatever l and p are; S where l is 0; NaN where S is 1 and l is not finite.
-
-    Args:
-        succeeded: S, 0 or 1, float, shape (...).
-        shortest: l, of the shortest path from the start [m].
-        length: p, that the agent went [m].
-        xp: the module that computes.
+    All have the shape (...). 0 where S is 0; S where l is 0; NaN where S is 1 and l is not finite.
 
     Source: Anderson et al., "On Evaluation of Embodied Navigation Agents" (2018).
     """
@@ -72,14 +64,14 @@ def spl(succeeded: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
 def soft_spl(distance: Any, shortest: Any, length: Any, *, xp: Any = np) -> Any:
     """Progress weighted by path length: max(0, 1 - d / l) l / max(l, p).
 
-    d is the distance at the end [m]; the others as in `spl`. Where l is 0, 1 if d is, else 0. NaN
-    where l or d is not known.
+    d is the distance at the end [m]; the others as in `spl`. Where l is 0, 1 if d is 0, else 0;
+    NaN where l or d is not known.
 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
     whole = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
-    share = xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
-    progress = xp.where(share > 1, xp.zeros_like(share), 1.0 - share)
+    left = xp.where(shortest > 0, distance / whole, xp.where(distance > 0, 1.0, distance))
+    progress = xp.where(left > 1, xp.zeros_like(left), 1.0 - left)
     return progress * _efficiency(shortest, length, xp)
 
 
@@ -100,7 +92,7 @@ def path_length(positions: ArrayLike) -> float:
 def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = np) -> Any:
     """exp(-DTW / (n threshold)) of a path and a reference of n points, shapes (m, 3) and (n, 3).
 
-    DTW sums the distances of points in the best order-keeping match; NaN where one has no points.
+    DTW is the least sum of distances over matches that keep the order; NaN without points.
 
     Source: Ilharco et al., "General Evaluation for Instruction Conditioned Navigation using
     Dynamic Time Warping" (2019).
@@ -123,12 +115,12 @@ def ndtw(path: Any, reference: Any, threshold: float = THRESHOLD, *, xp: Any = n
 
 
 class Interval(NamedTuple):
-    """A mean and where it lies with some certainty; NaN for nothing."""
+    """A mean and its confidence interval; NaN of no values."""
 
     mean: float
     low: float
     high: float
-    known: int  #: How many values are known.
+    known: int  #: Number of values that are no NaN.
 
 
 def bootstrap(
@@ -145,17 +137,11 @@ def bootstrap(
     return Interval(float(known.mean()), float(low), float(high), len(known))
 
 
-# ---------------------------------------------------------------- one episode
-
-
 class Measures:
-    """Follows one episode step by step.
-
-    ``step`` takes where the agent is now, ``scores`` says how it did up to now. The way counts from
-    the episode's start, whether or not that is the first position.
+    """Follows one episode step by step, from the episode's start.
 
     Args:
-        finder: asks the grid of the set, inflated for its agent.
+        finder: of the set's grid, inflated for its agent.
         episode: the task.
         threshold: of nDTW [m].
 
@@ -170,35 +156,35 @@ class Measures:
         self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
         goals, in_order = episode.goals, episode.task == "sequence"
         # many episodes of a set have the goals of the last one
-        target = finder.search.keep(
-            "target", (goals, in_order), lambda: find_target(finder, goals, in_order=in_order)
+        stops = finder.search.keep(
+            "stops", (goals, in_order), lambda: find_stops(finder, goals, in_order=in_order)
         )
-        if target is None:
+        if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
-        self._target, self._passed = target, 0
+        self._stops, self._passed = stops, 0
         self._positions, self._times = [np.array(episode.start)], list[float]()
-        self._distances = self._look(self._positions[0][None], "start")
+        self._distances = self._measure(self._positions[0][None], "start")
         self.shortest = self._distances[0]
 
     @property
     def distance(self) -> float:
-        """What is left of the shortest path to the goal, through all that are still ahead [m]."""
+        """Length of the shortest path to the goal, through all that are still ahead [m]."""
         return self._distances[-1]
 
     def step(self, position: ArrayLike, time: float | None = None) -> float:
-        """Take where the agent is now, world x, y, z [m], and when [s]; returns `distance`."""
+        """Add the agent's position, world x, y, z [m], and its time [s]; returns `distance`."""
         self.steps(np.asarray(position, dtype=np.float64)[None], None if time is None else [time])
         return self.distance
 
     def steps(self, positions: ArrayLike, times: Sequence[float] | None = None) -> None:
-        """Take many positions, shape (n, 3)."""
+        """Add many positions, shape (n, 3)."""
         p = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        self._distances += self._look(p, "position")
+        self._distances += self._measure(p, "position")
         self._positions += list(p)
         self._times += [] if times is None else [float(t) for t in times]
 
-    def _look(self, p: Float, what: str) -> list[float]:
-        """The distance at each position; moves on to the next goal where one is reached."""
+    def _measure(self, p: Float, what: str) -> list[float]:
+        """The distance at each position; goes on to the next goal where one is reached."""
         bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
         flat, name = self.finder.search.flat, self.episode.id
         if len(bad):
@@ -208,15 +194,15 @@ class Measures:
             k = int(np.argmax(cells < 0))
             where = ", ".join(f"{v:g}" for v in p[k])
             raise QueryError(f"{what} {k} of episode {name!r}, {where}, lies beside the grid")
-        fields, rest = self._target.fields, self._target.rest
+        fields, rest = self._stops.fields, self._stops.rest
         if not fields:
             return [math.nan] * len(p)
-        aside = np.zeros(len(p))
-        blocked = np.flatnonzero(~flat.free[cells])
+        aside, blocked = np.zeros(len(p)), np.flatnonzero(~flat.free[cells])
         if len(blocked):
             near, found = snap(flat, flat.free, p[blocked], max_distance=SNAP)
             cells[blocked] = np.where(found >= 0, found, cells[blocked])
-            aside[blocked] = np.linalg.norm(near - p[blocked], axis=1)  # NaN where there is none
+            away = np.linalg.norm(near - p[blocked], axis=1)
+            aside[blocked] = np.where(found >= 0, away, math.inf)
         distances = []
         for cell, more in zip(cells.tolist(), aside.tolist(), strict=True):
             left = float(fields[self._passed][cell]) + more
@@ -224,11 +210,11 @@ class Measures:
                 self._passed += 1
                 left = float(fields[self._passed][cell]) + more
             distances.append(left + rest[self._passed])
-        return [math.inf if math.isnan(d) else d for d in distances]
+        return distances
 
     def scores(self, *, stopped: bool) -> Json:
-        """All measures up to now; NaN where one has no meaning for the task."""
-        way, stops, times = np.array(self._positions), self._target.stops, self._times
+        """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
+        way, places, times = np.array(self._positions), self._stops.places, self._times
         length, distance, shortest = (
             np.array(v) for v in (path_length(way), self.distance, self.shortest)
         )
@@ -242,29 +228,29 @@ class Measures:
         else:
             ends_at, best_at = self.distance, np.min(self._distances)
         reached = success(np.array(ends_at), self.radius, stopped)
+        reference = self.episode.path if places else ()
+        if places and not reference:
+            reference = path_through(self.finder, self.episode.start, places).get("path", ())
+        # moves that no agent can make straight, as they begin in or meet a cell that isn't free
+        starts, ends = way[:-1], way[1:]
+        flat = self.finder.search.flat
+        is_free = flat.free[flat.cells_at(starts)]
+        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
+        off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
         found = {
             "success": reached,
-            "spl": spl(reached, shortest, length) if stops else math.nan,
+            "spl": spl(reached, shortest, length) if places else math.nan,
             "soft_spl": soft_spl(distance, shortest, length),
             "distance": distance,
             "oracle_success": success(np.array(best_at), self.radius, True),
-            "ndtw": ndtw(way, self._reference(), self.threshold) if stops else math.nan,
+            "ndtw": ndtw(way, reference, self.threshold),
             "length": length,
-            "collisions": self._collisions(way),
+            "collisions": (~is_free).sum() + (off > ARRIVED).sum(),
             "time": times[-1] - times[0] if times else math.nan,
             "coverage": coverage,
             "shortest": shortest,
         }
         return {key: float(value) for key, value in found.items()}
-
-    def _collisions(self, way: Float) -> int:
-        """Moves that no agent can make straight, as they meet a cell that isn't free."""
-        flat = self.finder.search.flat
-        starts, ends = way[:-1], way[1:]
-        is_free = flat.free[flat.cells_at(starts)]
-        arrived = self.finder.try_step(starts[is_free], ends[is_free], slide=False)
-        off = np.abs(arrived - ends[is_free])[:, :2].max(axis=1, initial=0.0)
-        return int((~is_free).sum() + (off > ARRIVED).sum())
 
     def _coverage(self, way: Float) -> float:
         """Share of the start's island within the radius along the floor of where the agent was."""
@@ -272,39 +258,21 @@ class Measures:
         flat, number = search.flat, search.islands.number
         home = number[flat.cells_at(way[0])]
         cells = np.unique(flat.cells_at(way))
-        cells = cells[number[cells] == home] if home else cells[:0]
+        cells = cells[(number[cells] == home) & (home > 0)]
         if not len(cells):
             return 0.0
         near = (search.field(cells, weighted=False) <= self.radius) & (number == home)
         size = flat.layout.cell_size[flat.level_of(np.flatnonzero(near))]
         return float((size**2).sum() / search.islands.areas[home])
 
-    def _reference(self) -> Float:
-        """The path to compare with: the episode's, or the shortest."""
-        if self.episode.path:
-            return np.array(self.episode.path)
-        stops = self._target.stops
-        paths = paths_through(self.finder, self.episode.start, stops)
-        return points_along(paths) if len(paths) == len(stops) else np.empty((0, 3))
-
-
-# ---------------------------------------------------------------- a set
-
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where an agent was in one episode.
+    """Where an agent was in one episode."""
 
-    Attributes:
-        episode: the episode's id.
-        positions: world x, y, z [m]; maybe none.
-        stop: whether the agent said that it is done.
-        times: of the positions [s].
-    """
-
-    episode: str
-    positions: Sequence[tuple[float, float, float]]
-    stop: bool = True
-    times: Sequence[float] | None = None
+    episode: str  #: The episode's id.
+    positions: Sequence[tuple[float, float, float]]  #: World x, y, z [m]; maybe none.
+    stop: bool = True  #: Whether the agent called stop.
+    times: Sequence[float] | None = None  #: Of the positions [s].
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
@@ -317,21 +285,13 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     Raises:
         FormatError: it is neither.
     """
-    if os.fspath(path).lower().endswith(".npz"):
-        return _read_npz(path)
-    packed, name = read_bytes(path)
-    lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
-    return [
-        decode(line, Trajectory, f"{name}, line {number}")
-        for number, line in enumerate(lines, start=1)
-    ]
-
-
-def _read_npz(path: str | os.PathLike[str]) -> list[Trajectory]:
+    if not os.fspath(path).lower().endswith(".npz"):
+        packed, name = read_bytes(path)
+        lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
+        return [decode(line, Trajectory, f"{name}, line {k}") for k, line in enumerate(lines, 1)]
     wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), wanted) as archive:
-        found = {key: archive.read(key, archive.top) for key in ("episode", "start", "positions")}
-        ids, start, points = found.values()
+        ids, start, points = (archive.read(key, archive.top) for key in REQUIRED)
         stop, times = (
             archive.read(key, archive.top) if key in archive else None for key in ("stop", "times")
         )
@@ -367,14 +327,14 @@ def score_set(
         grids: that the set was made on; they are inflated for its agent if need be.
         threshold: of nDTW [m].
         force: score on other grids, or for another agent.
-        partial: leave out episodes without a trajectory; else they are an error.
+        partial: leave out episodes without a trajectory.
 
     Returns:
         Rows with ``episode``, ``scene``, ``room``, ``split``, ``ratio`` and `Measures.scores`.
 
     Raises:
-        QueryError: a grid isn't the set's, a trajectory has no episode, or the other way round, or
-            leaves the map.
+        QueryError: a grid isn't the set's, an episode has no trajectory, a trajectory has no
+            episode or leaves the map.
     """
     by_id: dict[str, Trajectory] = {}
     for trajectory in trajectories:
@@ -407,43 +367,40 @@ def score_set(
             raise QueryError(f"expected a time for each position of episode {episode.id!r}")
         measures = Measures(finders[episode.scene], episode, threshold=threshold)
         measures.steps(np.array(trajectory.positions, dtype=np.float64), times)
-        facts: Json = {"episode": episode.id, "scene": episode.scene, "room": episode.room}
-        facts |= {"split": episode.split, "ratio": episode.ratio}
-        rows.append(facts | measures.scores(stopped=trajectory.stop))
+        facts = {key: getattr(episode, key) for key in ("scene", "room", "split", "ratio")}
+        found = measures.scores(stopped=trajectory.stop)
+        rows.append({"episode": episode.id} | facts | found)
     return rows
 
 
 def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int = 0) -> list[Json]:
-    """Means with their intervals, of all rows or of classes of them: `Interval` by measure.
+    """Means of groups of rows: the ``group``, its number of ``episodes``, `Interval`s by measure.
 
-    Each has the name of its class as ``group``, and the number of its ``episodes``. ``distance``
-    makes classes of the shortest path's length, ``ratio`` of it over the straight line's. Infinite
-    distances are left out.
-
-    Raises:
-        QueryError: there are no such classes.
+    ``distance`` groups by classes of the shortest path's length, ``ratio`` by classes of that over
+    the straight line's. Infinite values are left out. Raises QueryError for an unknown group.
     """
     if by not in GROUPS:
         raise QueryError(f"expected one of {', '.join(GROUPS)} to group by, got {by!r}")
-    groups: dict[Any, list[Mapping[str, Any]]] = {}
-    edges = {"distance": (0.0, *EDGES["distance"]), "ratio": EDGES["ratio"]}.get(by)
-    for row in rows:
-        name: Any = by if by == "all" else row["shortest" if by == "distance" else by]
-        if edges:
-            is_known = name is not None and not math.isnan(name)
-            name = int(np.searchsorted(edges, name, side="right")) if is_known else 0
-        groups.setdefault(name, []).append(row)
-    if edges:
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    if by in ("distance", "ratio"):
+        edges = {"distance": (0.0, *EDGES["distance"]), "ratio": EDGES["ratio"]}[by]
         unit = " m" if by == "distance" else ""
-        ends = [f"to {edge:g}" for edge in edges[1:]] + ["and more"]
-        names = ["-", *(f"{edge:g} {end}{unit}" for edge, end in zip(edges, ends, strict=True))]
-        groups = {names[number]: groups[number] for number in sorted(groups)}
-    found = []
+        names = [f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
+        names = ["-", *names, f"{edges[-1]:g} and more{unit}"]
+        values = [row["shortest" if by == "distance" else by] for row in rows]
+        numbers = np.array([math.nan if v is None else v for v in values], dtype=float)
+        found = np.searchsorted(edges, numbers, side="right") * ~np.isnan(numbers)
+        for number in np.unique(found).tolist():
+            groups[names[number]] = [row for row, k in zip(rows, found, strict=True) if k == number]
+    else:
+        for row in rows:
+            groups.setdefault("all" if by == "all" else str(row[by]), []).append(row)
+    summaries = []
     for name, members in groups.items():
         columns = {key: np.array([row[key] for row in members], dtype=float) for key in MEANS}
         means = {
             key: bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
             for key, values in columns.items()
         }
-        found.append({"group": str(name), "episodes": len(members), **means})
-    return found
+        summaries.append({"group": name, "episodes": len(members), **means})
+    return summaries

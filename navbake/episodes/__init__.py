@@ -27,22 +27,7 @@ from navbake.episodes.sampler import (
 )
 
 __all__ = [
-    "PRESETS",
-    "Agent",
-    "Episode",
-    "EpisodeSet",
-    "Goal",
-    "GridEntry",
-    "Header",
-    "Rules",
-    "Splits",
-    "Task",
-    "ViewPoint",
-    "digest_of",
-    "make_episodes",
-    "make_rules",
-    "make_splits",
-    "make_task",
-    "read_episodes",
-    "write_episodes",
-]
+    "PRESETS", "Agent", "Episode", "EpisodeSet", "Goal", "GridEntry", "Header", "Rules", "Splits",
+    "Task", "ViewPoint", "digest_of", "make_episodes", "make_rules", "make_splits", "make_task",
+    "read_episodes", "write_episodes",
+]  # fmt: skip

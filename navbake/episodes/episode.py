@@ -5,6 +5,7 @@ World x, y, z [m], z up; headings 0 along x, counted towards y [rad].
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from hashlib import sha256
 from typing import Annotated, Any
 
@@ -24,91 +25,63 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 """A length [m]."""
 
 
-class ViewPoint(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """A place from which an object is in sight.
-
-    Attributes:
-        position: world x, y and floor z [m].
-        heading: towards the object [rad].
-        iou: share of the picture that the object fills, as other programs measure it.
-    """
-
-    position: Vector3
-    heading: float
-    iou: float | None = None
+def check_word(value: str, known: Collection[str], name: str) -> None:
+    """Raise a ValueError for anything but the known words."""
+    if value not in known:
+        raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}")
 
 
-class Goal(
-    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
-):
-    """What is to be reached: a position, one of several objects, a room, or a share of the floor.
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Part of a set, as its file has it."""
 
-    Attributes:
-        position: world x, y, z [m]; of an object its middle, of a room its centroid.
-        radius: how near counts as reached [m]: along the floor, to the position of a point, to the
-            nearest view point of an object; of a room its own cells count.
-        name: of the object, or the room's name.
-        category: of the object.
-        room: the room's id, of a goal that is a room.
-        view_points: of an object.
-        share: of the free area that is to be seen, > 0, of a goal to explore; `radius` is then how
-            far the agent sees.
-    """
+
+class ViewPoint(Record, frozen=True, omit_defaults=True):
+    """A place from which an object is in sight."""
+
+    position: Vector3  #: World x, y and floor z [m].
+    heading: float  #: Towards the object [rad].
+    iou: float | None = None  #: Share of the picture that the object fills, if it was measured.
+
+
+class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """What is to be reached: a point, an object, a room, or a share of the free area."""
 
     position: Vector3 | None = None
+    """World x, y, z [m]; of an object its middle, of a room its centroid."""
     radius: Length = 0.0
-    name: str | None = None
-    category: str | None = None
-    room: str | None = None
-    view_points: tuple[ViewPoint, ...] = ()
-    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    """How near counts as reached [m], along the floor to the point or to the nearest view point;
+    how far the agent sees of what it explores. Of a room its own cells count."""
+    name: str | None = None  #: Of the object, or of the room.
+    category: str | None = None  #: Of the object, or type of the room.
+    room: str | None = None  #: Id of the room.
+    view_points: tuple[ViewPoint, ...] = ()  #: Of the object.
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None  #: Of the area to explore.
 
 
-class Episode(
-    msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
-):
-    """One task.
+class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """One task."""
 
-    Attributes:
-        id: unique in its set.
-        scene: id of the scene, as a grid of the header has it.
-        task: one of `TASKS`.
-        start: world x, y and floor z [m].
-        heading: at the start [rad].
-        goals: any one of them is to be reached; of a ``sequence`` all, in order.
-        distance: of the shortest path over cells, seen from above, to the nearest place of a goal;
-            through all goals of a ``sequence`` [m]. None where there is no such thing or nobody
-            knows it.
-        straight: the same through the air [m].
-        split: ``train`` or another part of the set.
-        room: id of the room of the start.
-        levels: of start and goal.
-        doors, rooms: ids of the doors and rooms along the path, where they were looked for.
-        path: a path to follow, world x, y, z [m].
-        instruction: what the agent is told.
-        extra: what other formats hold besides.
-    """
-
-    id: str
-    scene: str
-    task: str
-    start: Vector3
-    heading: float
-    goals: tuple[Goal, ...]
+    id: str  #: Unique in its set.
+    scene: str  #: Id of the scene, as a grid of the header has it.
+    task: str  #: One of `TASKS`.
+    start: Vector3  #: World x, y and floor z [m].
+    heading: float  #: At the start [rad].
+    goals: tuple[Goal, ...]  #: Any one is to be reached; of a ``sequence`` all, in order.
     distance: Length | None = None
-    straight: Length | None = None
-    split: str | None = None
-    room: str | None = None
-    levels: tuple[int, ...] = ()
-    doors: tuple[str, ...] | None = None
-    rooms: tuple[str, ...] | None = None
-    path: tuple[Vector3, ...] = ()
-    instruction: str | None = None
-    extra: dict[str, Any] = {}
+    """Of the shortest path over cells, seen from above, to the nearest place of a goal, or through
+    all goals of a ``sequence`` [m]; None where it is unknown or has no meaning."""
+    straight: Length | None = None  #: The same through the air [m].
+    split: str | None = None  #: ``train`` or another part of the set.
+    room: str | None = None  #: Id of the room of the start.
+    levels: tuple[int, ...] = ()  #: Of start and goal.
+    doors: tuple[str, ...] | None = None  #: Ids along the path; None where none was planned.
+    rooms: tuple[str, ...] | None = None  #: The same.
+    path: tuple[Vector3, ...] = ()  #: A path to follow, world x, y, z [m].
+    instruction: str | None = None  #: In words.
+    extra: dict[str, Any] = {}  #: Fields of other formats.
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise ValueError(f"expected one of {', '.join(TASKS)} as task, got {self.task!r}")
+        check_word(self.task, TASKS, "task")
         if not self.goals:
             raise ValueError(f"episode {self.id!r} has no goal")
 
@@ -118,39 +91,24 @@ class Episode(
         return self.distance / self.straight if self.distance and self.straight else None
 
 
-class Agent(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """For whom the episodes are: radius and height [m], and the highest speed [m/s], if known."""
+class Agent(Record, frozen=True, kw_only=True):
+    """For whom the episodes are."""
 
     radius: Length
     height: Length
-    speed: float | None = None
+    speed: float | None = None  #: The highest [m/s].
 
 
-class GridEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A grid that episodes were drawn on.
+class GridEntry(Record, frozen=True, kw_only=True):
+    """A grid that episodes were drawn on."""
 
-    Attributes:
-        scene: the scene's id.
-        file: name of the grid's file, None where it was in memory.
-        digest: `digest_of` the grid as the agent uses it, inflated for it if need be.
-    """
-
-    scene: str
-    digest: str
-    file: str | None = None
+    scene: str  #: The scene's id.
+    digest: str  #: `digest_of` the grid, inflated for the agent if need be.
+    file: str | None = None  #: Name of the grid's file; None where it was in memory.
 
 
-class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What made a set.
-
-    Attributes:
-        format, version: of the file.
-        agent: for whom it is, None where nobody knows, as in files of other programs.
-        grids: on which its episodes were drawn; empty where nobody knows.
-        sampler: its rules, by their names.
-        seed: of the draw.
-        rejected: how often which rule refused a draw.
-    """
+class Header(Record, frozen=True, kw_only=True):
+    """What made a set; sets of other programs don't say it."""
 
     format: str = FORMAT
     version: int = VERSION
@@ -158,15 +116,11 @@ class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     grids: tuple[GridEntry, ...] = ()
     sampler: dict[str, Any] = {}
     seed: int | None = None
-    rejected: dict[str, int] = {}
+    rejected: dict[str, int] = {}  #: How many draws each rule refused.
 
 
 class EpisodeSet(msgspec.Struct, frozen=True):
-    """Episodes and what made them.
-
-    Raises:
-        ValueError: two episodes have one id.
-    """
+    """Episodes and what made them; raises a ValueError where two have one id."""
 
     header: Header
     episodes: tuple[Episode, ...]
@@ -183,25 +137,24 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
     def check_grid(self, grid: NavGrid) -> None:
         """Raise a QueryError unless the set was made on this grid, for this agent."""
-        scene, agent = scene_of(grid), self.header.agent
-        entries = {entry.scene: entry for entry in self.header.grids}
-        if not entries:
+        scene, agent, radius = scene_of(grid), self.header.agent, agent_radius(grid)
+        digests = {entry.scene: entry.digest for entry in self.header.grids}
+        if not digests:
             raise QueryError(
                 "the set doesn't say which grid it was made on, as sets of other programs: "
                 "--force takes its distances from the grid given"
             )
-        if scene not in entries:
-            raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, entries)}")
-        if agent is not None and not np.isclose(agent.radius, agent_radius(grid)):
+        if scene not in digests:
+            raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, digests)}")
+        if agent is not None and not np.isclose(agent.radius, radius):
             raise QueryError(
                 f"the set is for an agent of radius {agent.radius:g} m, the grid of {scene!r} for "
-                f"{agent_radius(grid):g} m: inflate the grid it was made on, or force it"
+                f"{radius:g} m: inflate the grid it was made on, or force it"
             )
-        if entries[scene].digest != digest_of(grid):
+        if digests[scene] != (given := digest_of(grid)):
             raise QueryError(
-                f"the set was made on another grid of {scene!r} (digest "
-                f"{entries[scene].digest[:12]}, this one has {digest_of(grid)[:12]}): bake it with "
-                "the settings of then, or force it"
+                f"the set was made on another grid of {scene!r} (digest {digests[scene][:12]}, "
+                f"this one has {given[:12]}): bake it with the settings of then, or force it"
             )
 
 

@@ -8,44 +8,29 @@ as JSON; the header is the schema's metadata ``navbake``. The same set gives the
 from __future__ import annotations
 
 import bz2
+import csv
 import gzip
 import io
 import os
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
 
 import msgspec
 
 from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet, Header
-from navbake.episodes.formats import (
-    decode,
-    encode_habitat,
-    encode_minos,
-    encode_molmospaces,
-    make_set,
-    read_habitat,
-    read_minos,
-    read_molmospaces,
-)
-from navbake.errors import FormatError, MissingDependencyError
+from navbake.episodes.formats import FOREIGN, Fields, Format, decode
+from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
-from navbake.formats.source import path_name, read_bytes, unpack, write_bytes
+from navbake.formats.source import import_extra, path_name, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
 NAME = b"navbake"  # of the header in a Parquet file's metadata
+TEXTS = ("id", "scene", "task", "split", "room")  # fields with a column of their own there
+NUMBERS = ("heading", "distance", "straight", "ratio")
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     ".gz": partial(gzip.compress, compresslevel=6, mtime=0),
     ".bz2": bz2.compress,
 }
-
-
-class Format(NamedTuple):
-    """A format of sets: how names of its files end, its tasks, and what encodes a set."""
-
-    ending: str
-    tasks: tuple[str, ...]
-    encode: Callable[[EpisodeSet], bytes]
 
 
 def read_episodes(
@@ -63,22 +48,16 @@ def read_episodes(
     """
     packed, name = read_bytes(path)
     text, (ending, _) = unpack(packed, name), _endings(path)
-    if ending == ".parquet":
-        return _read_parquet(text, name)
-    if ending in (".csv", ".json"):
-        is_list = text.lstrip()[:1] == b"["
-        read = read_minos if ending == ".csv" else read_molmospaces if is_list else read_habitat
-        return _rename(read(text, name), {there: here for here, there in (scenes or {}).items()})
-    lines = text.splitlines()
-    header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
-    if header.format != FORMAT or header.version > VERSION:
-        got = f"{header.format!r} of version {header.version}"
-        raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {got} in {name}")
-    episodes = [
-        decode(line, Episode, f"{name}, line {number}")
-        for number, line in enumerate(lines[1:], start=2)
-    ]
-    return make_set(header, episodes, name)
+    is_list = ending == ".json" and text.lstrip()[:1] == b"["
+    fitting = [one for one in FORMATS.values() if one.ending == ending] or [FORMATS["jsonl"]]
+    chosen = FORMATS["molmospaces"] if is_list else fitting[0]
+    try:
+        header, episodes = chosen.read(text, name)
+        content = EpisodeSet(header, msgspec.convert(episodes, tuple[Episode, ...]))
+    except (msgspec.ValidationError, csv.Error, ValueError, TypeError) as error:
+        raise FormatError(f"{error} in {name}") from error
+    there = {} if chosen in OWN.values() else scenes or {}
+    return _rename(content, {name: here for here, name in there.items()})
 
 
 def write_episodes(
@@ -103,25 +82,35 @@ def write_episodes(
     """
     if form is not None and form not in FORMATS:
         raise FormatError(f"no format {form!r}: {suggest(form, FORMATS)}")
-    known = FORMATS if form is None else {form: FORMATS[form]}
+    known = [form] if form else list(FORMATS)
     ending, packing = _endings(path)
-    fitting = {name: one for name, one in known.items() if one.ending == ending}
+    fitting = [name for name in known if FORMATS[name].ending == ending]
     if not fitting:
-        endings = ", ".join(dict.fromkeys(one.ending for one in known.values()))
+        endings = ", ".join(dict.fromkeys(FORMATS[name].ending for name in known))
         raise FormatError(f"expected a name that ends in {endings}, got {path_name(path)}")
     tasks = {e.task: e.id for e in reversed(content.episodes)}
-    chosen = next((n for n, one in fitting.items() if tasks.keys() <= {*one.tasks}), None)
+    chosen = next((name for name in fitting if tasks.keys() <= {*FORMATS[name].tasks}), None)
     if chosen is None:
-        task = next(task for task in tasks if task not in next(iter(fitting.values())).tasks)
+        task = next(task for task in tasks if task not in FORMATS[fitting[0]].tasks)
         names = " or ".join(fitting)
         raise FormatError(f"no task {task!r} in {names}, as of episode {tasks[task]!r}")
     written = content if chosen in OWN else _rename(content, scenes or {})
-    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written)), path)
-    return [] if chosen in OWN else _lost(content, read_episodes(path, scenes))
+    write_bytes(PACKERS.get(packing, bytes)(FORMATS[chosen].encode(written, chosen)), path)
+    if chosen in OWN:
+        return []
+    again = read_episodes(path, scenes)
+    lost = {"agent"} if content.header.agent and not again.header.agent else set()
+    for before, after in zip(content.episodes, again.episodes, strict=True):
+        pairs = [(before, after), *zip(before.goals, after.goals, strict=False)]
+        lost |= {
+            k for a, b in pairs for k in a.__struct_fields__ if getattr(a, k) and not getattr(b, k)
+        }
+        lost |= {"further goals"} if len(before.goals) > len(after.goals) else set()
+    return sorted(lost)
 
 
 def _endings(path: str | os.PathLike[str]) -> tuple[str, str]:
-    """How a file's name ends, without what packs it, and that."""
+    """The ending of a file's name that tells its format, and the one that tells its packing."""
     stem, packing = os.path.splitext(os.fspath(path).lower())
     return (os.path.splitext(stem)[1], packing) if packing in PACKERS else (packing, "")
 
@@ -134,56 +123,36 @@ def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
     return EpisodeSet(content.header, tuple(renamed)) if names else content
 
 
-def _lost(content: EpisodeSet, written: EpisodeSet) -> list[str]:
-    """Fields that are there before a set is written, and no longer when it is read again."""
-    lost = {"agent"} if content.header.agent and not written.header.agent else set()
-    for before, after in zip(content.episodes, written.episodes, strict=True):
-        pairs = [(before, after), *zip(before.goals, after.goals, strict=False)]
-        lost |= {
-            k for a, b in pairs for k in a.__struct_fields__ if getattr(a, k) and not getattr(b, k)
-        }
-        lost |= {"further goals"} if len(before.goals) > len(after.goals) else set()
-    return sorted(lost)
-
-
-def _encode_lines(content: EpisodeSet) -> bytes:
+def _encode_lines(content: EpisodeSet, _: str) -> bytes:
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
 
-# ---------------------------------------------------------------- Parquet
+def _read_lines(text: bytes, name: str) -> Fields:
+    lines = text.splitlines()
+    header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
+    if header.format != FORMAT or header.version > VERSION:
+        got = f"{header.format!r} of version {header.version}"
+        raise FormatError(f"expected {FORMAT!r} up to version {VERSION}, got {got} in {name}")
+    numbered = enumerate(lines[1:], start=2)
+    return header, [decode(line, Episode, f"{name}, line {number}") for number, line in numbered]
 
 
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow  # the extra `batch`
-        from pyarrow import parquet  # the extra `batch`
-    except ImportError as error:
-        message = 'Parquet needs pyarrow: pip install "navbake[batch]"'
-        raise MissingDependencyError(message) from error
-    return pyarrow, parquet
-
-
-def _encode_parquet(content: EpisodeSet) -> bytes:
-    pyarrow, parquet = _pyarrow()
-    text, number = pyarrow.string(), pyarrow.float64()
-    columns = {"id": text, "scene": text, "task": text, "split": text, "room": text}
-    columns |= {"heading": number, "distance": number, "straight": number, "ratio": number}
-    rows = [{name: getattr(e, name) for name in columns} for e in content.episodes]
-    for row, episode in zip(rows, content.episodes, strict=True):
-        row |= dict(zip("xyz", episode.start, strict=True))
-        row["episode"] = msgspec.json.encode(episode).decode()
-    columns |= {"x": number, "y": number, "z": number, "episode": text}
-    schema = pyarrow.schema(
-        list(columns.items()), metadata={NAME: msgspec.json.encode(content.header)}
-    )
+def _encode_parquet(content: EpisodeSet, _: str) -> bytes:
+    pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
+    episodes = content.episodes
+    columns = {name: [getattr(e, name) for e in episodes] for name in (*TEXTS, *NUMBERS)}
+    columns |= {axis: [e.start[k] for e in episodes] for k, axis in enumerate("xyz")}
+    columns["episode"] = [msgspec.json.encode(e).decode() for e in episodes]
+    kinds = {name: "string" if name in (*TEXTS, "episode") else "float64" for name in columns}
+    schema = pyarrow.schema(kinds, metadata={NAME: msgspec.json.encode(content.header)})
     file = io.BytesIO()
-    parquet.write_table(pyarrow.Table.from_pylist(rows, schema=schema), file, compression="zstd")
+    parquet.write_table(pyarrow.table(columns, schema=schema), file, compression="zstd")
     return file.getvalue()
 
 
-def _read_parquet(data: bytes, name: str) -> EpisodeSet:
-    pyarrow, parquet = _pyarrow()
+def _read_parquet(data: bytes, name: str) -> Fields:
+    pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
         groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
@@ -194,18 +163,12 @@ def _read_parquet(data: bytes, name: str) -> EpisodeSet:
     except (pyarrow.ArrowException, KeyError, TypeError, ValueError, OSError) as error:
         raise FormatError(f"expected a set of episodes as Parquet in {name}") from error
     episodes = [decode(text or "", Episode, f"{name}, row {row}") for row, text in enumerate(texts)]
-    return make_set(decode(header, Header, name), episodes, name)
+    return decode(header, Header, name), episodes
 
 
 OWN = {
-    "jsonl": Format(".jsonl", TASKS, _encode_lines),
-    "parquet": Format(".parquet", TASKS, _encode_parquet),
+    "jsonl": Format(".jsonl", TASKS, _encode_lines, _read_lines),
+    "parquet": Format(".parquet", TASKS, _encode_parquet, _read_parquet),
 }
-FORMATS = OWN | {
-    "habitat-pointnav": Format(".json", ("point",), partial(encode_habitat, kind="pointnav")),
-    "habitat-objectnav": Format(".json", ("object",), partial(encode_habitat, kind="objectnav")),
-    "habitat-vln": Format(".json", ("point",), partial(encode_habitat, kind="vln")),
-    "molmospaces": Format(".json", ("object",), encode_molmospaces),
-    "minos": Format(".csv", ("point", "object", "room"), encode_minos),
-}
+FORMATS = OWN | FOREIGN
 """Formats of sets by their names; other programs' after navbake's own."""

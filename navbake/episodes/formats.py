@@ -13,8 +13,9 @@ import csv
 import io
 import math
 import re
-from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Container, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -22,7 +23,9 @@ from navbake.episodes.episode import Episode, EpisodeSet, Goal, Header, ViewPoin
 from navbake.errors import FormatError
 from navbake.types import Vector3
 
-Record = TypeVar("Record")
+Kind = TypeVar("Kind")
+Fields: TypeAlias = tuple[Header, list[Any]]
+"""A header, and the fields of each episode, still to be checked."""
 Rotation = tuple[float, float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
 OBJECT_RADIUS, POINT_RADIUS = 0.1, 0.2  # of habitat-lab's success, where a goal has none [m]
@@ -41,19 +44,20 @@ SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 48
 """Of an EpisodeSpec: what no navigation episode says."""
 
 
-def decode(text: bytes | str, kind: type[Record], where: str) -> Record:
+class Format(NamedTuple):
+    """A format of sets."""
+
+    ending: str  #: Of its files' names.
+    tasks: tuple[str, ...]  #: That it can hold.
+    encode: Callable[[EpisodeSet, str], bytes]  #: Takes the format's name, too.
+    read: Callable[[bytes, str], Fields]  #: Takes the file's name, too.
+
+
+def decode(text: bytes | str, kind: type[Kind], where: str) -> Kind:
     """Decode JSON of a known structure; a FormatError names the field and where it stands."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FormatError(f"{error} in {where}") from error
-
-
-def make_set(header: Header, episodes: Iterable[Any], where: str) -> EpisodeSet:
-    """A set of episodes, or of their fields; what makes none is a FormatError."""
-    try:
-        return EpisodeSet(header, tuple(msgspec.convert(list(episodes), list[Episode])))
-    except (msgspec.ValidationError, ValueError, TypeError) as error:
         raise FormatError(f"{error} in {where}") from error
 
 
@@ -138,105 +142,102 @@ class _Content(msgspec.Struct, omit_defaults=True):
     navbake: Header | None = None
 
 
-def encode_habitat(content: EpisodeSet, kind: str) -> bytes:
-    """Encode as habitat-lab's dataset of a kind: ``pointnav``, ``objectnav`` or ``vln``."""
-    whole, seen = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
+def encode_habitat(content: EpisodeSet, form: str) -> bytes:
+    """Encode as a dataset of habitat-lab."""
+    whole, table = _Content([], navbake=content.header), dict[str, tuple[Goal, ...]]()
     for number, e in enumerate(content.episodes):
         rest = _rest(e, HELD)
-        written = _Episode(
-            e.id, e.scene, _to_yup(e.start), _rotation(e.heading), [],
-            info={**e.extra, "geodesic_distance": e.distance, "navbake": rest}, start_room=e.room,
-        )  # fmt: skip
-        if kind == "objectnav":
+        info = {**e.extra, "geodesic_distance": e.distance, "navbake": rest}
+        written = _Episode(e.id, e.scene, _to_yup(e.start), _rotation(e.heading), [], info, e.room)
+        whole.episodes.append(written)
+        if form == "habitat-objectnav":
             written.object_category = e.goals[0].category or e.goals[0].name
             key = written.goals_key
-            if seen.setdefault(key, e.goals) != e.goals:
+            if table.setdefault(key, e.goals) != e.goals:
                 raise FormatError(
                     f"habitat-objectnav has one list of goals for {key!r}, episode {e.id!r} has "
                     "another one: draw objects by category, and give scenes names of their own"
                 )
-        else:
-            written.goals = [_Goal(_to_yup(_position(goal)), goal.radius) for goal in e.goals]
-        if kind == "vln":
+            continue
+        written.goals = [_write_goal(goal) for goal in e.goals]
+        if form == "habitat-vln":
             if not e.path:
                 raise FormatError(f"habitat-vln needs paths, episode {e.id!r} has none: paths=true")
             written.reference_path = [_to_yup(p) for p in rest.pop("path")]
             written.instruction = {"instruction_text": rest.pop("instruction", "")}
             written.trajectory_id = e.extra.get("trajectory_id", number)
-        whole.episodes.append(written)
-    if kind == "objectnav":
+    if form == "habitat-objectnav":
         categories = sorted({str(e.object_category) for e in whole.episodes})
         whole.category_to_task_category_id = {name: k for k, name in enumerate(categories)}
         whole.category_to_scene_annotation_category_id = whole.category_to_task_category_id
-        whole.goals_by_category = {key: _object_goals(goals) for key, goals in seen.items()}
-    elif kind == "vln":
+        whole.goals_by_category = {
+            key: [_write_goal(goal, k) for k, goal in enumerate(goals)]
+            for key, goals in table.items()
+        }
+    elif form == "habitat-vln":
         texts = " ".join(e.instruction or "" for e in content.episodes)
         whole.instruction_vocab = {"word_list": sorted(set(re.findall(r"\w+", texts.lower())))}
     return msgspec.json.encode(whole)
 
 
-def _object_goals(goals: Sequence[Goal]) -> list[_Goal]:
-    return [
-        _Goal(_to_yup(_position(goal)), goal.radius, k, goal.name, goal.category, [
-            _View(_State(_to_yup(v.position), _rotation(v.heading)), v.iou)
-            for v in goal.view_points
-        ])
-        for k, goal in enumerate(goals)
-    ]  # fmt: skip
-
-
-def read_habitat(text: bytes, name: str) -> EpisodeSet:
-    """Read a dataset of habitat-lab; whether it is ObjectNav or VLN its episodes tell."""
-    content = decode(text, _Content, name)
-    # episodes share goals, of which there may be thousands
-    table = {
-        key: _read_goals(goals, OBJECT_RADIUS)
-        for key, goals in (content.goals_by_category or {}).items()
-    }
-    episodes = (_read_habitat_episode(e, table) for e in content.episodes)
-    return make_set(content.navbake or Header(), episodes, name)
-
-
-def _read_goals(goals: Sequence[_Goal], radius: float) -> tuple[Goal, ...]:
-    return tuple(
-        Goal(
-            position=_from_yup(g.position), radius=radius if g.radius is None else g.radius,
-            name=g.object_name, category=g.object_category,
-            view_points=tuple(
-                ViewPoint(
-                    _from_yup(v.agent_state.position), _heading(v.agent_state.rotation), v.iou
-                )
-                for v in g.view_points or ()
-            ),
-        )
-        for g in goals
+def _write_goal(goal: Goal, number: int | None = None) -> _Goal:
+    """A point; with a number, an object of ObjectNav's table."""
+    views = [
+        _View(_State(_to_yup(v.position), _rotation(v.heading)), v.iou) for v in goal.view_points
+    ]
+    return _Goal(
+        _to_yup(_position(goal)), goal.radius, number, goal.name, goal.category,
+        None if number is None else views,
     )  # fmt: skip
 
 
-def _read_habitat_episode(e: _Episode, table: Mapping[str, tuple[Goal, ...]]) -> dict[str, Any]:
-    extra, is_object = dict(e.info or {}), e.object_category is not None
-    own = extra.pop("navbake", None)
-    known: dict[str, Any] = {**(own or {})}
-    if e.start_room is not None:
-        known["room"] = str(e.start_room)
-    if e.reference_path is not None:
-        known["path"] = [_from_yup(p) for p in e.reference_path]
-    if e.instruction is not None:
-        known["instruction"] = e.instruction.get("instruction_text") or None
-        extra |= {"trajectory_id": e.trajectory_id} if own is None else {}
-    inline = _read_goals(e.goals, OBJECT_RADIUS if is_object else POINT_RADIUS)
-    return known | {
-        "id": str(e.episode_id), "scene": e.scene_id, "task": "object" if is_object else "point",
-        "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation),
-        "goals": table.get(e.goals_key, inline),
-        "distance": extra.pop("geodesic_distance", None), "extra": extra,
-    }  # fmt: skip
+def _read_goal(goal: _Goal, radius: float) -> Goal:
+    """A goal, with a radius where it says none [m]."""
+    states = [(view.agent_state, view.iou) for view in goal.view_points or ()]
+    return Goal(
+        position=_from_yup(goal.position), radius=radius if goal.radius is None else goal.radius,
+        name=goal.object_name, category=goal.object_category,
+        view_points=tuple(
+            ViewPoint(_from_yup(state.position), _heading(state.rotation), iou)
+            for state, iou in states
+        ),
+    )  # fmt: skip
+
+
+def read_habitat(text: bytes, name: str) -> Fields:
+    """Read a dataset of habitat-lab: PointNav, ObjectNav or VLN, by the fields of its episodes."""
+    content, episodes = decode(text, _Content, name), []
+    # episodes share goals, of which there may be thousands
+    table = {
+        key: tuple(_read_goal(goal, OBJECT_RADIUS) for goal in goals)
+        for key, goals in (content.goals_by_category or {}).items()
+    }
+    for e in content.episodes:
+        extra, is_object = dict(e.info or {}), e.object_category is not None
+        is_foreign = "navbake" not in extra
+        known: dict[str, Any] = {**extra.pop("navbake", {})}
+        if e.start_room is not None:
+            known["room"] = str(e.start_room)
+        if e.reference_path is not None:
+            known["path"] = [_from_yup(p) for p in e.reference_path]
+        if e.instruction is not None:
+            known["instruction"] = e.instruction.get("instruction_text") or None
+            extra |= {"trajectory_id": e.trajectory_id} if is_foreign else {}
+        radius = OBJECT_RADIUS if is_object else POINT_RADIUS
+        goals = table.get(e.goals_key) or [_read_goal(goal, radius) for goal in e.goals]
+        episodes.append(known | {
+            "id": str(e.episode_id), "scene": e.scene_id, "goals": goals,
+            "task": "object" if is_object else "point",
+            "start": _from_yup(e.start_position), "heading": _heading(e.start_rotation),
+            "distance": extra.pop("geodesic_distance", None), "extra": extra,
+        })  # fmt: skip
+    return content.navbake or Header(), episodes
 
 
 # ---------------------------------------------------------------- MINOS
 
 
-def encode_minos(content: EpisodeSet) -> bytes:
+def encode_minos(content: EpisodeSet, _: str) -> bytes:
     """Encode as MINOS's table of episode states, a row an episode."""
     file = io.StringIO()
     table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
@@ -246,7 +247,7 @@ def encode_minos(content: EpisodeSet) -> bytes:
         rooms = [room.rsplit(":", 1)[-1] for room in e.rooms or ()]
         row: dict[str, Any] = {
             "sceneId": e.scene, "split": e.split, "roomId": e.room,
-            "level": e.levels[0] if e.levels else 0,
+            "level": e.levels[0] if e.levels else 0, "startTilt": 0, "goalAngle": 0, "goalTilt": 0,
             "startAngle": math.remainder(e.heading - math.pi / 2, 2 * math.pi),
             "goalRoomId": goal.room, "goalObjectId": None if goal.room else goal.name,
             "goalRoomType" if goal.room else "goalObjectType": goal.category,
@@ -254,55 +255,47 @@ def encode_minos(content: EpisodeSet) -> bytes:
             "pathDist": -1.0 if e.distance is None else e.distance,
             "pathNumDoors": len(doors), "pathDoorIds": ":".join(doors),
             "pathNumRooms": len(rooms), "pathRoomIndices": ":".join(rooms),
-        } | dict.fromkeys(("startTilt", "goalAngle", "goalTilt"), 0)  # fmt: skip
+        }  # fmt: skip
         for end, p in (("start", e.start), ("goal", _position(goal))):
             row |= {f"{end}{axis}": v for axis, v in zip("XYZ", _to_yup(p), strict=True)}
         table.writerow({k: f"{v:.3f}" if isinstance(v, float) else v for k, v in row.items()})
     return file.getvalue().encode()
 
 
-def read_minos(text: bytes, name: str) -> EpisodeSet:
+def read_minos(text: bytes, _: str) -> Fields:
     """Read MINOS's episode states."""
-    try:
-        rows = list(csv.DictReader(io.StringIO(text.decode(), newline="")))
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise FormatError(f"{error} in {name}") from error
-    return make_set(Header(), (_read_row(row, k) for k, row in enumerate(rows)), name)
+    rows = csv.DictReader(io.StringIO(text.decode(), newline=""))
+    return Header(), [_read_row(row, k) for k, row in enumerate(rows)]
 
 
 def _read_row(row: Mapping[str, str], k: int) -> dict[str, Any]:
     def number(column: str, default: str | None = None) -> float:
         text = row.get(column) or default
-        try:
-            value = float(text or "")
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise ValueError(f"expected a number as {column}, got {text!r} in row {k + 1}")
-        return value
+        with suppress(ValueError):
+            if math.isfinite(value := float(text or "nan")):
+                return value
+        raise ValueError(f"expected a number as {column}, got {text!r} in row {k + 1}")
+
+    def words(column: str) -> list[str]:
+        return [word for word in (row.get(column) or "").split(":") if word]
 
     start, goal = (_from_yup([number(end + axis) for axis in "XYZ"]) for end in ("start", "goal"))
     straight, distance = number("dist", "-1"), number("pathDist", "-1")
-    level = int(number("level", "0"))
-    doors, rooms = (
-        [word for word in (row.get(key) or "").split(":") if word]
-        for key in ("pathDoorIds", "pathRoomIndices")
-    )
-    name, room = row.get("goalObjectId") or None, row.get("goalRoomId") or None
-    kind = row.get("goalRoomType" if room else "goalObjectType") or None
+    level, name, room = int(number("level", "0")), row.get("goalObjectId"), row.get("goalRoomId")
     return {
         "id": str(k), "scene": row.get("sceneId"),
         "task": "room" if room else "object" if name else "point",
         "start": start, "heading": math.remainder(number("startAngle") + math.pi / 2, 2 * math.pi),
         "goals": [{
             "position": goal, "radius": 0.0 if room else MINOS_RADIUS,
-            "name": name, "room": room, "category": kind,
+            "name": name or None, "room": room or None,
+            "category": row.get("goalRoomType" if room else "goalObjectType") or None,
         }],
         "distance": None if distance < 0 else distance,
         "straight": None if straight < 0 else straight,
         "split": row.get("split") or None, "room": row.get("roomId") or None,
-        "levels": [level, level], "doors": doors or None,
-        "rooms": [f"{level}:{r}" if r.isdigit() else r for r in rooms] or None,
+        "levels": [level, level], "doors": words("pathDoorIds") or None,
+        "rooms": [f"{level}:{r}" if r.isdigit() else r for r in words("pathRoomIndices")] or None,
     }  # fmt: skip
 
 
@@ -327,30 +320,29 @@ class _Spec(msgspec.Struct, omit_defaults=True):
     navbake: dict[str, Any] = {}
 
 
-def encode_molmospaces(content: EpisodeSet) -> bytes:
+def encode_molmospaces(content: EpisodeSet, _: str) -> bytes:
     """Encode as a list of EpisodeSpec; scenes are called ``DATASET/INDEX`` there."""
     specs = []
     for e in content.episodes:
-        is_indexed = INDEXED.search(e.scene) is not None
-        dataset, _, index = e.scene.rpartition("/") if is_indexed else (e.scene, "", "0")
+        dataset, _, index = (e.scene if INDEXED.search(e.scene) else f"{e.scene}/0").rpartition("/")
         goal, half = e.goals[0], e.heading / 2
         task = _NavTask(
             (*e.start, math.cos(half), 0.0, 0.0, math.sin(half)), goal.name or "",
             [g.name or "" for g in e.goals], (*_position(goal), 1.0, 0.0, 0.0, 0.0),
             goal.radius if e.extra.get("success") == "planar" else PLANAR,
         )  # fmt: skip
-        said = {"task_description": e.instruction or f"go to the {goal.category or goal.name}"}
+        text = {"task_description": e.instruction or f"go to the {goal.category or goal.name}"}
         rest = _rest(e, ("task", "start", "heading"))
-        spec = _Spec(dataset, int(index), task, said, e.split or "val", rest)
+        spec = _Spec(dataset, int(index), task, text, e.split or "val", rest)
         specs.append(SPEC | msgspec.to_builtins(spec))
     return msgspec.json.encode(specs)
 
 
-def read_molmospaces(text: bytes, name: str) -> EpisodeSet:
-    """Read a list of EpisodeSpec of ways to objects."""
+def read_molmospaces(text: bytes, name: str) -> Fields:
+    """Read a list of EpisodeSpec whose tasks are to get to objects."""
     episodes = []
     for k, spec in enumerate(decode(text, list[_Spec], name)):
-        task, scene = spec.task, f"{spec.scene_dataset}/{spec.house_index}"
+        task = spec.task
         if "nav" not in task.task_cls.lower():
             raise FormatError(f"expected a way to an object, got {task.task_cls!r} in {name}, {k}")
         x, y, z, qw, qx, qy, qz = task.robot_base_pose
@@ -358,8 +350,8 @@ def read_molmospaces(text: bytes, name: str) -> EpisodeSet:
         pose, radius = task.pickup_obj_start_pose, task.succ_pos_threshold
         goals = [Goal(name=task.pickup_obj_name, position=pose and pose[:3], radius=radius)]
         foreign: dict[str, Any] = {
-            "id": str(k), "scene": scene, "split": spec.data_split,
-            "instruction": spec.language.get("task_description"),
+            "id": str(k), "scene": f"{spec.scene_dataset}/{spec.house_index}",
+            "split": spec.data_split, "instruction": spec.language.get("task_description"),
             "goals": goals + [Goal(name=other, radius=radius) for other in others],
             "extra": {"success": "planar"},
         }  # fmt: skip
@@ -367,4 +359,14 @@ def read_molmospaces(text: bytes, name: str) -> EpisodeSet:
         episodes.append(
             (spec.navbake or foreign) | {"task": "object", "start": (x, y, z), "heading": heading}
         )
-    return make_set(Header(), episodes, name)
+    return Header(), episodes
+
+
+FOREIGN = {
+    "habitat-pointnav": Format(".json", ("point",), encode_habitat, read_habitat),
+    "habitat-objectnav": Format(".json", ("object",), encode_habitat, read_habitat),
+    "habitat-vln": Format(".json", ("point",), encode_habitat, read_habitat),
+    "molmospaces": Format(".json", ("object",), encode_molmospaces, read_molmospaces),
+    "minos": Format(".csv", ("point", "object", "room"), encode_minos, read_minos),
+}
+"""Other programs' formats by their names."""

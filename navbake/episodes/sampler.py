@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -20,17 +20,18 @@ from navbake.episodes.episode import (
     GridEntry,
     Header,
     Length,
+    Record,
+    check_word,
     digest_of,
     scene_of,
 )
 from navbake.episodes.goals import (
     GoalFinder,
-    Target,
+    Stops,
     Task,
-    find_target,
+    find_stops,
     fit_grid,
-    paths_through,
-    points_along,
+    path_through,
 )
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
@@ -38,14 +39,12 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
-from navbake.types import Bool, Float, Int32
+from navbake.types import Bool, Float, Int
 
+Kind = TypeVar("Kind")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
-BARREN = 200  # goals in a row that may give no episode before the draw ends
-NEAR_STRAIGHT = 0.98  # of habitat's rule: pairs with a ratio r are kept with 20 (r - 0.98)²
-STEEPNESS = 20.0
-MEASURES = ("distance", "ratio", "doors", "rooms", "levels")
+MAX_FAILURES = 200  # goals in a row without an episode, after which a scene's draw ends
 EDGES: dict[str, tuple[float, ...]] = {
     "distance": (1.0, 3.0, 6.0, 10.0, 20.0, 40.0),
     "ratio": (1.0, 1.1, 1.25, 1.5, 2.0),
@@ -53,52 +52,34 @@ EDGES: dict[str, tuple[float, ...]] = {
     "rooms": (1.0, 2.0, 3.0, 4.0, 6.0),
     "levels": (0.0, 1.0, 2.0),
 }
-HEADINGS = ("random", "goal", "away")
+"""What strata may be of, and the lower edges of their classes."""
 
 
-class Rules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The rules of a sampler.
+class Rules(Record, frozen=True, kw_only=True):
+    """The rules of a sampler."""
 
-    Attributes:
-        name: of the preset that they began as.
-        min_distance, max_distance: of the shortest path [m]; the first also of each leg between
-            points or objects of a sequence.
-        max_rise: between the floors of start and goal [m].
-        same_level: start and goal are on one level.
-        min_ratio: of the path's length to the straight line's, >= 1.
-        soft_ratio: pairs with a smaller ratio r are kept with probability 20 (r - 0.98)².
-        min_island: radius of the disc round the island's middle that holds it [m].
-        tries: starts drawn for a goal until one is accepted.
-        goals: how many goals are drawn for a scene, at most and as far as enough are accepted; an
-            episode a goal where fewer episodes are asked for. Starts share a goal's field.
-        paths: keep each path, and the doors and rooms along it.
-        headings: at the start, one of `HEADINGS`: at random, towards the goal, or away from it.
-        strata: draw as many episodes in each class of this measure; one of `MEASURES`.
-        edges: lower edges of the classes.
-    """
-
-    name: str = "uniform"
+    name: str = "uniform"  #: Of the preset.
     min_distance: Length = 1.0
-    max_distance: Length | None = None
-    max_rise: Length | None = None
-    same_level: bool = False
-    min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0
+    """Of the shortest path, and of each leg between points or objects of a sequence [m]."""
+    max_distance: Length | None = None  #: Of the shortest path [m].
+    max_rise: Length | None = None  #: Between the floors of start and goal [m].
+    same_level: bool = False  #: Start and goal are on one level.
+    min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0  #: Of path and straight line.
     soft_ratio: Annotated[float, msgspec.Meta(ge=1)] | None = None
-    min_island: Length = 0.0
-    tries: Annotated[int, msgspec.Meta(ge=1)] = 10
+    """Pairs with a smaller ratio r are kept with probability 20 (r - 0.98)²."""
+    min_island: Length = 0.0  #: Radius of the disc round the island's middle that holds it [m].
+    tries: Annotated[int, msgspec.Meta(ge=1)] = 10  #: Starts drawn for an episode, at most.
     goals: Annotated[int, msgspec.Meta(ge=1)] = 100
-    paths: bool = False
-    headings: str = "random"
-    strata: str | None = None
-    edges: tuple[float, ...] = ()
+    """Goals that share the episodes of a scene; more are drawn where rules refuse starts. Starts
+    share a goal's distance field."""
+    paths: bool = False  #: Keep each path, and the doors and rooms along it.
+    headings: str = "random"  #: Of starts: ``random``, to the ``goal``, or ``away`` from it.
+    strata: str | None = None  #: A key of `EDGES`: as many episodes in each of its classes.
+    edges: tuple[float, ...] = ()  #: Lower edges of the classes.
 
     def __post_init__(self) -> None:
-        for name, value, known in (
-            ("strata", self.strata or MEASURES[0], MEASURES),
-            ("headings", self.headings, HEADINGS),
-        ):
-            if value not in known:
-                raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}")
+        check_word(self.headings, ("random", "goal", "away"), "headings")
+        check_word(self.strata or "distance", EDGES, "strata")
         if list(self.edges) != sorted(set(self.edges)):
             raise ValueError(f"expected ascending edges, got {self.edges}")
 
@@ -114,10 +95,10 @@ PRESETS = {
 """Samplers by their names."""
 
 
-class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parts of a set: their shares, and whether a scene or a room of the start is in one whole."""
+class Splits(Record, frozen=True, kw_only=True):
+    """Parts of a set by their shares; a scene, or a room with its starts, is in one part."""
 
-    shares: dict[str, Annotated[float, msgspec.Meta(gt=0)]] = {}
+    shares: dict[str, Annotated[float, msgspec.Meta(gt=0)]] = msgspec.field(default_factory=dict)
     by: str = "scene"
 
     def __post_init__(self) -> None:
@@ -125,7 +106,7 @@ class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"expected scene or room to split by, got {self.by!r}")
 
     def of(self, seed: int, scene: str, room: str | None) -> str | None:
-        """The part that a scene or a room is in: by its name and the seed alone."""
+        """The part of a scene or a room, which follows from its name and the seed alone."""
         if not self.shares:
             return None
         key = repr((seed, scene, room if self.by == "room" else None))
@@ -147,25 +128,22 @@ def make_rules(sampler: str | Rules = "uniform", **changes: Any) -> Rules:
     for key in changes:
         if key not in known:
             raise ConfigError(f"no rule {key!r} of a sampler: {suggest(key, known, len(known))}")
-    rules: Rules = _convert({**msgspec.to_builtins(before), **changes}, Rules)
-    return rules
+    return _convert({**msgspec.to_builtins(before), **changes}, Rules)
 
 
 def make_task(name: str = "point", **given: Any) -> Task:
     """A task; raises a ConfigError for what doesn't fit, see `Task`."""
-    task: Task = _convert({"name": name, **given}, Task)
-    return task
+    return _convert({"name": name, **given}, Task)
 
 
 def make_splits(shares: Mapping[str, float | str], by: str = "scene") -> Splits:
     """Parts of a set; raises a ConfigError for what doesn't fit, see `Splits`."""
-    splits: Splits = _convert({"shares": shares, "by": by}, Splits)
-    return splits
+    return _convert({"shares": shares, "by": by}, Splits)
 
 
-def _convert(values: Mapping[str, Any], kind: Any) -> Any:
+def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
     try:
-        return msgspec.convert(dict(values), kind, strict=False)
+        return msgspec.convert(values, kind, strict=False)
     except (msgspec.ValidationError, ValueError) as error:
         raise ConfigError(str(error)) from error
 
@@ -189,16 +167,16 @@ def make_episodes(
 
     Args:
         grids: one or several, of different scenes.
-        task: what is to be done; the name of one is that with its defaults.
-        sampler: by which rules.
-        count: episodes in all, as many of each scene, >= 1. There may be fewer where the rules
-            refuse too much: 200 goals in a row without an episode end a scene.
+        task: what is to be done, or its name.
+        sampler: the rules, or the name of a preset.
+        count: episodes in all, as many of each scene, >= 1; fewer where the rules refuse too much:
+            200 goals in a row without an episode end a scene.
         seed: of the draw, >= 0.
         radius: of the agent; grids are inflated for it if need be [m].
         height: of the agent, at most the grids' [m].
-        speed: of the agent, as a note in the header [m/s].
+        speed: of the agent, for the header [m/s].
         splits: parts of the set.
-        files: the grids' names in the header.
+        files: the grids' names, for the header.
 
     Raises:
         QueryError: there is no episode, no such object or room, the agent is too high, or two
@@ -245,37 +223,35 @@ def make_episodes(
 class _Draw:
     """The draw of one scene's episodes."""
 
-    def __init__(self, grid: NavGrid, task: Task, rules: Rules, seed: int, parts: Splits) -> None:
-        self.task, self.rules, self.seed, self.parts = task, rules, seed, parts
-        self.scene = scene_of(grid)
-        self.finder = PathFinder(grid)
+    def __init__(self, grid: NavGrid, task: Task, rules: Rules, seed: int, splits: Splits) -> None:
+        self.task, self.rules, self.seed, self.splits = task, rules, seed, splits
+        self.scene, self.finder = scene_of(grid), PathFinder(grid)
         self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
-        self.rejected = Counter[str]()
-        self.radii = _island_radii(self.finder)
-        self.strata = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
+        self.rejected, self.radii = Counter[str](), _island_radii(self.finder)
+        self.edges = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
 
     def run(self, count: int) -> list[Episode]:
         """Draw so many episodes, as yet without ids."""
         found: list[Episode] = []
         if not self.finder.search.flat.free.any():
             raise QueryError(f"no agent can stand anywhere in {self.scene!r}")
-        each, parts, barren = math.ceil(count / self.rules.goals), len(self.strata), 0
-        # how many more each class takes; the first have what is left over
-        self.left = [count // parts + (k < count % parts) for k in range(parts)]
-        while len(found) < count and barren < BARREN:
-            target = self._draw_target()
-            new = [] if target is None else self._draw_starts(target, each)
-            barren = 0 if new else barren + 1
+        per_goal, classes, failures = math.ceil(count / self.rules.goals), len(self.edges), 0
+        # episodes still to be drawn in each class; the first have the remainder
+        self.missing = [count // classes + (k < count % classes) for k in range(classes)]
+        while len(found) < count and failures < MAX_FAILURES:
+            stops = self._draw_stops()
+            new = [] if stops is None else self._draw_starts(stops, per_goal)
+            failures = 0 if new else failures + 1
             found += new
         return found
 
-    def _draw_target(self) -> Target | None:
-        """Draw what is to be reached; None where it can't be, which is counted."""
+    def _draw_stops(self) -> Stops | None:
+        """Draw goals; None, counted as rejected, where no episode can have them."""
         task, rng, finder = self.task, self.rng, self.finder
         if task.name == "explore":
-            return find_target(finder, [Goal(share=task.share, radius=task.reach)])
+            return Stops((Goal(share=task.share, radius=task.reach),))
         in_order = task.name == "sequence"
         stages = task.length if in_order else 1
         if task.kind == "point":
@@ -290,20 +266,20 @@ class _Draw:
             goals = options[0]
             if in_order:  # each stage is one object or room
                 goals = [each[int(rng.integers(len(each)))] for each in options if each]
-        target = find_target(finder, goals, in_order=in_order) if len(goals) >= stages else None
-        if target is None:
+        stops = find_stops(finder, goals, in_order=in_order) if len(goals) >= stages else None
+        if stops is None:
             why = "not in sight" if task.kind == "object" else "no place in the room"
-            self.rejected[why] += 1
-        elif not math.isfinite(target.rest[0]):
-            self.rejected["no path"] += 1
-        elif task.kind != "room" and (-np.diff(target.rest) < self.rules.min_distance).any():
-            self.rejected["too near"] += 1
+        elif not math.isfinite(stops.rest[0]):
+            why = "no path"
+        elif task.kind != "room" and (-np.diff(stops.rest) < self.rules.min_distance).any():
+            why = "too near"
         else:
-            return target
+            return stops
+        self.rejected[why] += 1
         return None
 
-    def _draw_starts(self, target: Target, count: int) -> list[Episode]:
-        """Draw starts for a target: `tries` for each of `count` episodes, the first that fits."""
+    def _draw_starts(self, stops: Stops, count: int) -> list[Episode]:
+        """Draw starts for goals: `tries` for each of `count` episodes, the first that fits."""
         rules, search = self.rules, self.finder.search
         flat, rooms = search.flat, search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
@@ -312,45 +288,37 @@ class _Draw:
         )
         cells, goals = flat.cells_at(starts), starts
         distance = straight = np.full(len(starts), np.nan)
-        if target.stops:
-            air, nearest = spatial.cKDTree(target.stops[0]).query(starts)
-            goals = target.stops[0][nearest]
-            distance, straight = target.fields[0][cells] + target.rest[0], air
-            for one, other in pairwise(target.stops):
+        if stops.places:
+            straight, nearest = spatial.cKDTree(stops.places[0]).query(starts)
+            goals = stops.places[0][nearest]
+            distance = stops.fields[0][cells] + stops.rest[0]
+            for one, other in pairwise(stops.places):
                 straight = straight + spatial.cKDTree(one).query(other)[0].min()
             if rules.headings != "random":
                 ahead = goals - starts if rules.headings == "goal" else starts - goals
                 headings = np.arctan2(ahead[:, 1], ahead[:, 0])
         levels = np.stack([flat.level_of(cells), flat.level_of(flat.cells_at(goals))], axis=1)
-        # a start at the goal goes straight; on a stair the line through the air may be longer
-        ratio = np.where(straight == 0, 1.0, np.nan)
-        np.divide(distance, straight, out=ratio, where=straight > 0)
-        refused = self._refuse(
-            search.islands.number[cells], distance, np.maximum(ratio, 1.0), chance
-        ) | {
-            "too steep": np.abs(starts - goals)[:, 2] > _limit(rules.max_rise),
-            "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
-        }  # fmt: skip
+        refused = self._refuse(cells, levels, starts - goals, distance, straight, chance)
         found = []
         for row in np.arange(len(starts)).reshape(count, rules.tries):
-            if not any(self.left):
+            if not any(self.missing):
                 break
             for k in row.tolist():
                 if why := next((reason for reason, mask in refused.items() if mask[k]), None):
                     self.rejected[why] += 1
                     continue
-                x, y, z = starts[k].tolist()
                 room = rooms.id_of(int(rooms.number[cells[k]]))
                 episode = Episode(
-                    id="", scene=self.scene, task=self.task.name, start=(x, y, z),
-                    heading=float(headings[k]), goals=target.goals,
-                    distance=float(distance[k]) if target.stops else None,
-                    straight=float(straight[k]) if target.stops else None,
-                    split=self.parts.of(self.seed, self.scene, room), room=room,
+                    id="", scene=self.scene, task=self.task.name, start=tuple(starts[k].tolist()),
+                    heading=float(headings[k]), goals=stops.goals,
+                    distance=float(distance[k]) if stops.places else None,
+                    straight=float(straight[k]) if stops.places else None,
+                    split=self.splits.of(self.seed, self.scene, room), room=room,
                     levels=tuple(levels[k].tolist()),
                 )  # fmt: skip
                 if rules.paths or rules.strata in ("doors", "rooms"):
-                    episode = self._with_path(episode, target)
+                    along = path_through(self.finder, episode.start, stops.places)
+                    episode = msgspec.structs.replace(episode, **along)
                 if self._fits_strata(episode):
                     found.append(episode)
                     break
@@ -358,47 +326,40 @@ class _Draw:
         return found
 
     def _refuse(
-        self, island: Int32, distance: Float, ratio: Float, chance: Float
+        self, cells: Int, levels: Int, apart: Float, distance: Float, straight: Float, chance: Float
     ) -> dict[str, Bool]:
-        """Which starts each rule refuses, by its name, in the order in which they are asked."""
-        rules = self.rules
-        by_chance = chance > STEEPNESS * (ratio - NEAR_STRAIGHT) ** 2
+        """Which starts each rule refuses, by its name, in the order in which they are counted."""
+        rules, island = self.rules, self.finder.search.islands.number[cells]
+        farthest, steepest = (
+            math.inf if most is None else most for most in (rules.max_distance, rules.max_rise)
+        )
+        # 1 of a start at the goal, and on a stair, where the line through the air may be longer
+        ratio = np.where(straight == 0, 1.0, np.nan)
+        ratio = np.maximum(np.divide(distance, straight, out=ratio, where=straight > 0), 1.0)
+        by_chance = chance > 20.0 * (ratio - 0.98) ** 2
         return {
             "island too small": self.radii[island] < rules.min_island,
             "no path": np.isinf(distance),
             "too near": distance < rules.min_distance,
-            "too far": distance > _limit(rules.max_distance),
+            "too far": distance > farthest,
             "too straight": ratio < rules.min_ratio,
             "straight, by chance": (ratio < (rules.soft_ratio or 0.0)) & by_chance,
+            "too steep": np.abs(apart[:, 2]) > steepest,
+            "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
         }
 
-    def _with_path(self, episode: Episode, target: Target) -> Episode:
-        """The episode with its path, and the doors and rooms along it."""
-        paths = paths_through(self.finder, episode.start, target.stops)
-        rooms: list[str] = []
-        for path in paths:
-            rooms += path.rooms[rooms[-1:] == path.rooms[:1] :]
-        return msgspec.structs.replace(
-            episode, doors=tuple(door for path in paths for door in path.doors),
-            rooms=tuple(rooms), path=tuple(map(tuple, points_along(paths).tolist())),
-        )  # fmt: skip
-
     def _fits_strata(self, episode: Episode) -> bool:
-        """Whether its class takes one more; then it is counted."""
+        """Whether its class still misses episodes; then it is counted."""
         value = {
             None: 0.0, "distance": episode.distance or 0.0, "ratio": episode.ratio or 1.0,
             "doors": len(episode.doors or ()), "rooms": len(episode.rooms or ()),
             "levels": abs(episode.levels[0] - episode.levels[-1]),
         }[self.rules.strata]  # fmt: skip
-        number = int(np.searchsorted(self.strata, value, side="right")) - 1
-        if number < 0 or not self.left[number]:
+        number = int(np.searchsorted(self.edges, value, side="right")) - 1
+        if number < 0 or not self.missing[number]:
             return False
-        self.left[number] -= 1
+        self.missing[number] -= 1
         return True
-
-
-def _limit(value: float | None) -> float:
-    return math.inf if value is None else value
 
 
 def _island_radii(finder: PathFinder) -> Float:

@@ -234,6 +234,14 @@ def test_objects_by_patterns(objects, names):
         assert all(len(e.goals) == 2 for e in found.episodes)
 
 
+def test_an_object_of_two_categories_has_the_one_that_an_episode_asks_for():
+    by_category = {"flat": ("rug*", "table*"), "any": ("*",)}
+    found = make_episodes(plan(), make_task("object", objects=by_category), count=20)
+    categories = [{goal.category for goal in e.goals} for e in found.episodes]
+    assert {"flat"} in categories and {"any"} in categories and len(set.union(*categories)) == 2
+    assert all(len(each) == 1 for each in categories)
+
+
 def test_rooms_and_exploring():
     found = make_episodes(plan(), make_task("room", rooms=("kit*",)), count=10)
     assert {(e.goals[0].room, e.goals[0].name) for e in found.episodes} == {("0:2", "kitchen")}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -26,9 +25,7 @@ SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", 
 class Goals(NamedTuple):
     """Options that say what is to be reached."""
 
-    task: str = option(
-        "TASK", "point, object, room, sequence or explore.", "--task", default="point"
-    )
+    task: str = option("TASK", "point, object, room, sequence or explore.", default="point")
     objects: list[str] | None = option(
         "PATTERN", "Objects by name. May be repeated.  [default: all, by category]", "--object"
     )
@@ -82,32 +79,36 @@ def episodes(
     if drawn.total is not None and drawn.per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
     check_output(output, *SETS, inputs=grids)
-    from navbake.episodes import sampler  # loads numpy
-    from navbake.episodes.files import write_episodes  # loads numpy
+    from msgspec import DecodeError, yaml  # --help does without it
 
-    given: dict[str, Any] = {
-        "objects": goals.objects or (), "rooms": goals.rooms or (), "radius": goals.reach,
-        "length": goals.length, "of": goals.of, "share": goals.share,
-    }  # fmt: skip
-    if goals.categories is not None:
+    from navbake import episodes as sets  # loads numpy
+
+    given = goals._asdict()
+    given |= {"name": given.pop("task"), "radius": given.pop("reach")}
+    given |= {"objects": goals.objects or (), "rooms": goals.rooms or ()}
+    if (path := given.pop("categories")) is not None:
+        try:
+            found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
+        except (OSError, DecodeError) as error:
+            raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
         kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
-        given[kind] = _read_categories(goals.categories)
-    values: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
-    if "edges" in values:
-        values["edges"] = values["edges"].split(",")
+        given[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
+    rules: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
+    if "edges" in rules:
+        rules["edges"] = rules["edges"].split(",")
     shares = read_pairs(drawn.split, "--split", "NAME=SHARE")
     count = drawn.total or (drawn.per_scene or 100) * len(grids)
-    content = sampler.make_episodes(
+    content = sets.make_episodes(
         [navbake.load(grid) for grid in grids],
-        sampler.make_task(goals.task, **given),
-        sampler.make_rules(drawn.sampler, **values),
+        sets.make_task(**given),
+        sets.make_rules(drawn.sampler, **rules),
         count=count,
         seed=drawn.seed,
         **robot._asdict(),
-        splits=sampler.make_splits(shares, drawn.split_by),
+        splits=sets.make_splits(shares, drawn.split_by),
         files=[grid.name for grid in grids],
     )
-    write_episodes(content, output)
+    sets.write_episodes(content, output)
     refused = content.header.rejected
     say_unless_quiet(f"{output}: {len(content)} episodes, {sum(refused.values())} draws refused")
     for reason, number in refused.items():
@@ -116,20 +117,9 @@ def episodes(
         say(f"only {len(content)} of {count}: the rules refuse the rest")
 
 
-def _read_categories(path: Path) -> Any:
-    """Read patterns of names by category."""
-    from msgspec import DecodeError, yaml  # --help does without it
-
-    try:
-        found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
-    except (OSError, DecodeError) as error:
-        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-    return {category: [v] if isinstance(v, str) else v for category, v in found.items()}
-
-
 def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, str]) -> None:
-    """Convert a set of episodes, and say what the new file doesn't hold."""
-    from navbake.episodes.files import read_episodes, write_episodes  # loads numpy
+    """Convert a set of episodes, and print what the new file doesn't hold."""
+    from navbake.episodes import read_episodes, write_episodes  # loads numpy
 
     check_output(output, inputs=[source])
     lost = write_episodes(read_episodes(source, scenes), output, form, scenes)
@@ -159,21 +149,26 @@ def score(
     """
     if output is not None:
         check_output(output, ".csv", inputs=[content, trajectories, *(grids or [])])
+    import msgspec  # --help does without it
+
     from navbake import scores  # loads numpy
     from navbake.episodes import read_episodes  # loads numpy
 
     wanted = read_episodes(content)
-    files = grids or [_find(content, entry.file) for entry in wanted.header.grids if entry.file]
-    if not files:
+    if not grids:
+        names = [entry.file for entry in wanted.header.grids if entry.file]
+        beside = {name: content.parent / name for name in names}
+        grids = [path if path.exists() else Path(name) for name, path in beside.items()]
+    if not grids:
         raise QueryError(f"expected the grids of {content}, which names none: give them")
-    runs = scores.read_trajectories(trajectories)
     rows = scores.score_set(
-        wanted, runs, [navbake.load(file) for file in files], threshold=threshold, force=force,
-        partial=partial,
+        wanted, scores.read_trajectories(trajectories), [navbake.load(file) for file in grids],
+        threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)
     if as_json:
-        print_json([_plain(group) for group in groups])
+        facts = [group | {k: group[k]._asdict() for k in scores.MEANS} for group in groups]
+        print_json(msgspec.json.decode(msgspec.json.encode(facts)))  # null for NaN
     else:
         for group in groups:
             say(f"{group['group']}: {group['episodes']} episodes")
@@ -183,19 +178,3 @@ def score(
     if output is not None:
         heads = list(rows[0]) if rows else ["episode"]
         write_bytes(encode_csv([heads, *(row.values() for row in rows)]), output)
-
-
-def _find(content: Path, name: str) -> Path:
-    """A grid that a set names: beside it, or in the current folder."""
-    beside = content.parent / name
-    return beside if beside.exists() else Path(name)
-
-
-def _plain(group: dict[str, Any]) -> dict[str, Any]:
-    """A group's means as JSON has them: null for what is not known."""
-    return {
-        key: {k: None if math.isnan(v) else v for k, v in value._asdict().items()}
-        if hasattr(value, "_asdict")
-        else value
-        for key, value in group.items()
-    }
