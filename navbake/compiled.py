@@ -49,7 +49,7 @@ ROOT = Path(__file__).parent
 LIST = ROOT / "kernels.json"
 REMEDY = "set NUMBA_CACHE_DIR to a folder that can be written"
 MOST_PROCESSES = 4  # that compile side by side: kernels that share code are one's
-STEP = 5.0  # between two lines that say how far compiling is [s]
+STEP = 5.0  # until the first line that says how far compiling is; then twice as long each [s]
 KERNELS: list[Any] = []
 """All kernels that have been imported; of numba's, as `njit` returned them."""
 
@@ -243,14 +243,18 @@ def _compile(entries: list[Entry]) -> None:
     if place is None or not cold or not is_python:
         return  # what is cold is compiled when it is first called
 
+    pause = STEP
+
     def wait(for_it: Callable[..., Any]) -> None:
+        nonlocal pause
         while True:
             try:
-                for_it(timeout=STEP)
+                for_it(timeout=pause)
                 return
             except (filelock.Timeout, subprocess.TimeoutExpired):
                 done, taken = len(cold) - len(list_cold(cold)), time.monotonic() - begin
                 LOGGER.warning(f"compiled {done} of {len(cold)} functions after {taken:.0f} s")
+                pause *= 2  # into a file or a pipe, each would be a line
 
     lock, helpers = filelock.FileLock(place / "compiling.lock"), list[subprocess.Popen[bytes]]()
     try:

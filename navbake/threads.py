@@ -20,6 +20,7 @@ from navbake.errors import ConfigError
 
 Result = TypeVar("Result")
 
+LEAST_CELLS = 4096  # so many cells are worth a call on another thread
 BANDS = 8  # ranges per thread: enough to balance them
 _limit = threading.local()  # `count`: the most threads for kernels that this thread starts
 _pool: ThreadPoolExecutor | None = None

@@ -110,7 +110,7 @@ def test_all_is_compiled_beforehand_and_what_is_not_is_named(package, tmp_path):
 LONE = """
 import numpy as np
 from navbake import compiled
-compiled.STEP = 0.2
+compiled.STEP = 0.05
 compiled.ensure_compiled("kernels.lone")
 from navbake.kernels.lone import lone
 print(lone(np.zeros(3)))
@@ -125,6 +125,7 @@ def test_lines_say_how_long_compiling_takes_and_how_far_it_is(package):
     assert others and all(
         re.fullmatch(r"navbake: compiled [01] of 1 functions after \d+ s", line) for line in others
     )
+    assert len(others) < 10  # each after twice as long as the last: ten would take 50 s
     assert run(package, LONE) == ("1", "")
 
 

@@ -305,7 +305,8 @@ def _cut_doors(stages: Stages) -> list[Door]:
 
     def cut(levels: list[Int]) -> dict[int, Runs]:
         pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
-        inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in pairs)
+        some = ((k, pair) for k, pair in pairs if len(pair[0]))
+        inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in some)
         return {number: to_runs(cells) for number, cells in inside if len(cells)}
 
     doors = list[Door]()

@@ -15,6 +15,7 @@ from navbake.baker.floors.kernels.surfaces import HELD
 from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
 from navbake.baker.floors.reach import (
     Unreached,
+    Upright,
     find_enclosed,
     find_starts,
     find_unreached,
@@ -119,6 +120,7 @@ class FloorFinder:
         )
         self._placed_by: Storeys | None = None
         self._growth = FloorGrowth(self._sheets, agent)
+        self._upright = Upright(self._blocks.num)
         self._stale = self._blocks.all()
 
     @property
@@ -238,7 +240,7 @@ class FloorFinder:
                 reached = largest_of_lowest(placed.counts, len(counted))
             if given is None and not settings.voids:
                 is_given = bool(starts.any())
-                reached, voids = find_voids(site, placed.counts, reached, is_given)
+                reached, voids = find_voids(site, self._upright, placed.counts, reached, is_given)
         for number, span in enumerate(self._spans):
             if not sheets.between(counted, *span).any():
                 raise SceneError(_no_floor_on(given or (), number, site.columns))

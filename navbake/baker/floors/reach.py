@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from navbake.baker.connect import ranges
 from navbake.baker.floors.kernels.members import Members
 from navbake.baker.floors.outline import DROP, Site, beside
 from navbake.baker.floors.rejected import LARGE_TOP
@@ -114,10 +115,39 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
     return largest
 
 
-def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[Bool, Bool]:
+class Upright:
+    """How many surfaces of each part of a block nobody can stand upright on; kept up to date."""
+
+    def __init__(self, num_blocks: int) -> None:
+        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(num_blocks, np.int64)
+        self._now = 0
+
+    def count_low(self, site: Site) -> Int:
+        """How many surfaces of each sheet something hangs over, lower than an adult needs."""
+        sheets, labels, surfaces = site.sheets, site.sheets.labels, site.sheets.surfaces
+        stale = site.last > self._now
+        low = np.zeros(int(labels.offset[-1]), dtype=np.int64)
+        low[np.repeat(~stale, labels.count)] = self._low[np.repeat(~stale, self._counts)]
+        cells = sheets.blocks.cells(stale)
+        which, place = ranges(surfaces.first[cells], surfaces.first[cells] + surfaces.length[cells])
+        stands = labels.part[place] >= 0
+        cell, place = cells[which[stands]], place[stands]
+        band = surfaces.z[place] + site.agent.height - TOUCH, surfaces.z[place] + UPRIGHT
+        is_low, crossings = np.zeros(len(cell), dtype=np.bool_), site.columns.at(cell).crossings
+        run_in_bands(lines_blocked, len(cell), cell, *band, crossings, is_low, least=1000)
+        part = labels.offset[sheets.blocks.of(cell[is_low])] + labels.part[place[is_low]]
+        low += np.bincount(part, minlength=len(low))
+        self._low, self._counts, self._now = low, labels.count.copy(), sheets.now
+        return np.bincount(sheets.of_part, low, len(sheets.key)).astype(np.int64)
+
+
+def find_voids(
+    site: Site, upright: Upright, counts: Int, reached: Bool, is_given: bool
+) -> tuple[Bool, Bool]:
     """Find the levels that no step reaches and in which nobody can stand upright.
 
     Args:
+        upright: of the same surfaces.
         counts: rows of sheet, level and how many surfaces it has there; they may repeat.
         reached: which sheets are reached, shape (sheets,), bool.
         is_given: whether `floors.from` gives the starts; else that is the lowest level that is no
@@ -131,10 +161,11 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
     if np.isin(levels, level[reached[sheet]]).all():
         return reached, voids
 
+    low = upright.count_low(site)
+
     def share_of(number: int) -> float:
-        own = np.isin(np.arange(len(reached)), sheet[level == number])
-        low = np.array(site.facts.of("low", own, lambda asked: _count_low(site, asked), site.near))
-        return float(low.sum() / site.sheets.size[own].sum())
+        own = np.unique(sheet[level == number])
+        return float(low[own].sum() / site.sheets.size[own].sum())
 
     low_levels = [n for n in levels.tolist() if share_of(n) >= NEARLY_ALL]
     if not is_given and len(low_levels) < len(levels):
@@ -143,18 +174,6 @@ def find_voids(site: Site, counts: Int, reached: Bool, is_given: bool) -> tuple[
     voids[sheet[is_void]] = True
     voids[sheet[~is_void]] = False
     return reached, voids
-
-
-def _count_low(site: Site, asked: Bool) -> list[int]:
-    """For each sheet, the number of surfaces without headroom to stand upright."""
-    found = []
-    for members in map(site.sheets.members, np.flatnonzero(asked).tolist()):
-        low = np.zeros(len(members.cell), dtype=np.bool_)
-        band = members.z + site.agent.height - TOUCH, members.z + UPRIGHT
-        crossings = site.columns.at(members.cell).crossings
-        run_in_bands(lines_blocked, len(low), members.cell, *band, crossings, low, least=1000)
-        found.append(int(np.count_nonzero(low)))
-    return found
 
 
 def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:

@@ -338,8 +338,10 @@ class Storeys:
             marked[one.cell[level[one.place] <= LOST]] = True
             if is_large(sheets.lattice, self._settings, marked):
                 return False
+        if not members:
+            return True
         num_walks, without = [0, 0], np.where(level <= LOST, np.int32(-1), kept.key)
-        for n, key in enumerate((kept.key, without) if members else ()):
+        for n, key in enumerate((kept.key, without)):
             labels, stale = self._recall(
                 ("walks", name if n else "all"), lambda: Labels(sheets.blocks, sheets.joining)
             )

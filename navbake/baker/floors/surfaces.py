@@ -16,9 +16,9 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import LEAST_CELLS
 from navbake.types import Float, Int
 
-LEAST_CELLS = 4096  # so many are worth a call on another thread
 # Empty columns of `list_surfaces`
 NO_SURFACES = (
     np.empty(0), np.empty(0, np.int32), np.empty(0, np.uint8), np.empty((0, 3), np.float32),

@@ -16,6 +16,7 @@ from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, WALL
+from navbake.baker.rooms.gaps import WIDEST
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows
@@ -23,12 +24,14 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings, RoomSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Bool, Float, Int
 
 # The scene goes on beyond the lattice where it does so by more than this share of a cell
 BEYOND = 0.5
-LEAST_CELLS = 4096  # so many are worth a call on another thread
+# What is outdoors reaches the edge over more than this in one piece: no opening in a wall at the
+# edge is so wide [m]
+EDGE_LENGTH = WIDEST
 EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
 
 
@@ -41,7 +44,9 @@ class LevelFlags(NamedTuple):
     # open cells beside which there is nothing up to the edge of the grid, or ground too steep to
     # stand on, such as the bank of a ditch; no walls and pillars, which reach above heads
     edge: Bool
-    sky: Bool  # with a floor, and nothing above an agent's head
+    # with a floor, and nothing above an agent's head; no cells of a level where too few are at the
+    # edge for anything to be outdoors: nothing else depends on it
+    sky: Bool
     bank: Bool  # without a floor, and the ground under the sky is too steep to stand on
 
 
@@ -108,6 +113,8 @@ def read_flags(
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
         edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells & ~tall
+        longest = np.sqrt(2) * np.count_nonzero(edge) * lattice.cell_size  # if all touch
+        sky &= longest > EDGE_LENGTH
         levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
     ends = ~EVERY_SIDE
     if scene.bounds is not None:

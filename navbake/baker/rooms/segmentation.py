@@ -6,7 +6,7 @@ import numpy as np
 
 from navbake.baker.connect import connect, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
-from navbake.baker.rooms.flags import LevelFlags, RoomFlags, edge_cells
+from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import WallRays, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
@@ -22,9 +22,7 @@ STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
 # offsets to the lattice [half cells]
 ROUGHNESS = 1.0
 ROUNDING = 1e-6  # of a cell, or of half a cell
-# Outdoors reaches the edge over more than this in one piece, wider than any opening in a wall [m]
-EDGE_LENGTH = WIDEST
-# Eaves cover what is no further from the edge [m]
+# What is no further from the edge lies under eaves, if it isn't under the sky [m]
 EAVES = 1.2
 # A space that nothing leads into is a room from this area and greatest width on [m², m]
 CAVITY = 2.0, 1.0

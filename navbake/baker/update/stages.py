@@ -1,6 +1,7 @@
-"""The stages of a bake, kept up to date by its functions: columns are cast again near what moved,
-floors merged again from their blocks, occupancy and contents asked again in these cells, and rooms
-and doors found again where anything that they read has changed.
+"""The stages of a bake, kept up to date by the functions that a bake calls.
+
+Columns are cast again near what moved, floors merged again from their blocks, and occupancy and
+contents found again in these cells; rooms and doors only if anything that they read has changed.
 """
 
 from __future__ import annotations
@@ -26,42 +27,40 @@ from navbake.baker.rooms.flags import RoomFlags, are_equal
 from navbake.baker.rooms.sources import find_markers
 from navbake.baker.stages import Stages
 from navbake.baker.update.following import FullBake, Moved, boxes_of
-from navbake.threads import limit_threads
+from navbake.threads import LEAST_CELLS, limit_threads
 from navbake.types import Bool, Float, Int, Int32
 
-# To bake all takes no longer than to follow what is near so large a share of the cells
+# If moved geometry is near more than this share of the cells, a full bake is as fast
 MOST_CELLS = 0.5
-# So many cells are worth a call on another thread
-LEAST_CELLS = 4096
-# Of so large a share of the cells, columns are copied once for all who ask
-MANY = 1 / 8
-# The store of columns has so many times the room that it needs at first
-ROOM = 1.25
+# Who asks for the columns of more than this share of the cells gets a copy of all, which is kept
+COPY_SHARE = 1 / 8
+# A full store of columns is made so many times as large as it has to be
+GROWTH = 1.25
 
 
 class KeptColumns:
     """The columns of a lattice, each a run of one store; see `ColumnSource`.
 
-    A new column is written behind all others, and its cell points at it from then on (as in a
-    log-structured store; Rosenblum and Ousterhout, 1992), until the store is full.
+    A new column is appended, and its cell points at it from then on. When the store is full, what
+    no cell points at is dropped (as in a log-structured store; Rosenblum and Ousterhout, 1992).
     """
 
     def __init__(self, columns: Columns) -> None:
         self.lattice = columns.lattice
         self._cells = np.arange(self.lattice.width * self.lattice.height)
-        self._all: Columns | None = None  # of all cells, as they are now
+        self._all: Columns | None = None  # a copy of all, until one changes
         self._hold(columns.crossings)
 
     def _hold(self, crossings: Crossings) -> None:
-        """Make crossings of all cells the store, which has no room for others then."""
+        """Make the crossings of all cells the whole store, without room for more."""
         self._first, self._counts = crossings.start[:-1].copy(), np.diff(crossings.start)
         self._used, self._arrays = len(crossings.z), list[NDArray[Any]](crossings[1:])
 
     def _make_room(self, more: int) -> None:
         """Make room for `more` crossings at least."""
-        if self._counts.sum() < self._used:  # some are no cell's any more
+        if self._counts.sum() < self._used:  # drop what no cell points at
             self._hold(self.take(self._cells))
-        room = int((self._used + more) * ROOM) + 100
+        room = int((self._used + more) * GROWTH) + 100
         for number, array in enumerate(self._arrays):
             self._arrays[number] = np.empty((room, *array.shape[1:]), dtype=array.dtype)
             self._arrays[number][: self._used] = array[: self._used]
@@ -74,7 +73,7 @@ class KeptColumns:
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        if len(cells) > MANY * len(self._cells):  # likely so for several sheets
+        if len(cells) > COPY_SHARE * len(self._cells):
             return next(self.blocks())
         asked = list_once(self.lattice, cells)
         return place_columns(self.lattice, asked, self.take(asked))
@@ -98,8 +97,8 @@ class KeptColumns:
 class LiveStages:
     """The `stages` of a scene with some bodies taken for doors, kept up to date.
 
-    Columns and floors are those of the lattice on which floors are judged; what follows on them is
-    of the window of it that is baked.
+    Columns and floors are kept on the lattice on which floors are judged, all other stages on the
+    window of it that is baked.
     """
 
     def __init__(self, stages: Stages) -> None:
@@ -125,8 +124,8 @@ class LiveStages:
     def follow(self, moved: Moved, candidates: list[DoorCandidate], unmatched: list[str]) -> str:
         """Bring all up to date, with other candidates for doors or the same.
 
-        Returns why all that follows on the floors was found anew; empty where it was not. After an
-        error, nothing here is to be used any more.
+        Returns why all stages after the floors were found anew, "" if they were not. After an
+        error, this object is of no use.
 
         Raises:
             FullBake: the lattice is another one, or so much moved that a bake takes no longer.
@@ -135,9 +134,10 @@ class LiveStages:
         was, scene = self.stages, moved.scene
         now = replace(was, scene=scene, candidates=candidates, unmatched=unmatched)
         now.stated_settings = was.stated_settings
-        hidden, hides = (mark_geoms(len(moved.geoms), one.candidates) for one in (was, now))
-        own = (moved.geoms & ~(hidden & hides)) | (hidden ^ hides)
-        boxes = np.concatenate([boxes_of(one.doorless.shapes.only(own)) for one in (was, now)])
+        left_out, leaves_out = (mark_geoms(len(moved.geoms), s.candidates) for s in (was, now))
+        # moved, unless as doors before and now; or in the scene only before, or only now
+        differs = (moved.geoms & ~(left_out & leaves_out)) | (left_out ^ leaves_out)
+        boxes = np.concatenate([boxes_of(one.doorless.shapes.only(differs)) for one in (was, now)])
         if lay_lattice(scene, now.config) != was.lattice or now.judged != was.judged:
             raise FullBake("the grid is another one: the box round the scene has changed")
         (lattice, window), reach = now.judged, max(now.footprint.reach, now.config.floors.crack)
@@ -152,7 +152,7 @@ class LiveStages:
         flags_hold &= not (moved.every & known[0]).any()
         flags_hold &= np.array_equal(_box(was), _box(now))
         now.floors, touched, changed = was.floors, near[:0], near[:0]
-        # of few cells, a share takes no longer than to give it to another thread
+        # few cells are not worth a second thread
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
             if len(near):
                 flags_hold &= self._cast(now, near)
@@ -167,12 +167,12 @@ class LiveStages:
                 touched = np.union1d(cut_cells(near, window, lattice.width)[0], changed)
             now.occupancy, now.contents = was.occupancy, was.contents
             if len(touched):
-                flags_hold &= self._ask_cells(now, own, touched)
+                flags_hold &= self._look_again(now, differs, touched)
                 flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
             else:
-                self._room_flags = None  # its floors were written to
+                self._room_flags = None  # they share the arrays of floors, which were written to
         if not flags_hold or self._room_flags is None:
             now.cells = self._cells
             flags, self._room_flags = self._room_flags, now.room_flags
@@ -187,7 +187,7 @@ class LiveStages:
         return ""
 
     def _cast(self, now: Stages, near: Int) -> bool:
-        """Cast columns again; whether the surfaces that mark rooms are known to be the same."""
+        """Cast columns again; returns whether surely no surface changed that marks a room."""
         config, marks = now.config, self._markers[0]
         found = cast_at(now.judged_shapes, config.agent, config.floors.crack, near)
         crossings = take_columns(found.crossings, near)
@@ -198,20 +198,20 @@ class LiveStages:
         self._kept.put(near, crossings)
         return _same_surfaces(known, crossings, marks)
 
-    def _ask_cells(self, now: Stages, own: Bool, touched: Int) -> bool:
-        """Look again at cells near what moved, and where the floor changed.
+    def _look_again(self, now: Stages, differs: Bool, touched: Int) -> bool:
+        """Find occupancy and contents again in the cells near what moved or with another floor.
 
-        Returns whether rooms read the same there as before.
+        Returns whether rooms depend on nothing that changed there.
         """
         columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
         crossings, was = take_columns(columns.crossings, touched), now.contents
         holds = not of_columns.look(touched, crossings, now.floors.levels)
-        finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, own)
+        finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, differs)
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
             # widths of gaps are measured up to walls
-            holds &= not np.isin(now.contents.partitions[own], (WALL, BUILDING)).any()
+            holds &= not np.isin(now.contents.partitions[differs], (WALL, BUILDING)).any()
         return holds
 
 

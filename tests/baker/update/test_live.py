@@ -62,6 +62,16 @@ def test_only_what_is_near_is_looked_at(monkeypatch):
     assert first_difference(changes.grid, fresh(baker)) is None
 
 
+def test_what_moves_indoors_above_heads_leaves_rooms_as_they_are(monkeypatch):
+    baker = navbake.Baker(mujoco.MjModel.from_xml_string(ROOM.format(bodies="")))
+    with monkeypatch.context() as patch:
+        patch.setattr("navbake.baker.stages.find_rooms", None)  # would raise
+        for x in (1.0, 1.5):
+            changes = baker.update(bodies={"mocap": [x, 1.0, 1.5]})
+    assert changes.reason == ""
+    assert first_difference(changes.grid, fresh(baker)) is None
+
+
 def test_changes_list_the_cells_that_differ():
     baker = open_room()
     before = baker.grid
