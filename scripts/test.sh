@@ -19,6 +19,7 @@ EOF
 ruff check
 ruff format --check
 mypy
+navbake warm-up # compiled once, before several processes need it
 # -rs lists what was skipped, and why; the tests of a file stay in one process
 python -m pytest -rs --numprocesses auto --maxprocesses 4 --dist loadfile "$@"
 if [ -n "$missing" ]; then

@@ -49,7 +49,7 @@ def test_a_follower_reaches_all_goals_of_a_set():
     for episode in content.episodes:
         for walk in (baselines.walk_greedily, baselines.walk_randomly):
             line = walk(finder, episode, np.random.default_rng(0))
-            assert tuple(line[0]) == episode.start and finder.are_navigable(line).all()
+            assert tuple(line[0]) == episode.start and finder.is_navigable(line).all()
 
 
 def test_it_runs_from_rest_to_rest():

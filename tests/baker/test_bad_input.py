@@ -161,7 +161,6 @@ def test_empty_files_and_junk(fails, folder, suffix, content):
         ('<mujoco><asset><mesh file="junk.stl"/></asset></mujoco>', "'junk.stl'"),
         ('<mujoco><asset><mesh file="junk.obj"/></asset></mujoco>', "room.xml"),
         ('<mujoco><asset><mesh name="m" file="junk.dae"/></asset></mujoco>', "'junk.dae'"),
-        ('<mujoco><asset><texture type="2d" file="none.png"/></asset></mujoco>', "'none.png'"),
         ('<mujoco><asset><texture type="2d" file="junk.png"/></asset></mujoco>', "'junk.png'"),
         ('<mujoco><asset><hfield size="1 1 1 1" file="junk.bin"/></asset></mujoco>', "'junk.bin'"),
         ('<mujoco><size memory="999999G"/></mujoco>', "Could not allocate memory"),

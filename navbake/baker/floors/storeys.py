@@ -324,19 +324,24 @@ class Storeys:
     def _are_spare(self, kept: Kept, level: Int32, members: list[Members], name: Any) -> bool:
         """Whether surfaces without a place can be left out.
 
-        They make up no floor that would count by itself, and cut no walk: without them, the other
-        surfaces make no more connected parts that are large enough for floors.
+        They are rims, nowhere wider than floors are shrunk by, or under treads and no floor that
+        would count by itself; and they cut no walk: without them, the other surfaces make no more
+        connected parts that are large enough for floors.
 
         Args:
             level: of each surface.
             members: of the sheets with such surfaces.
-            name: see `_recall`.
+            name: of the places, see `_recall`; begins with whether floors make way for treads.
         """
         sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
+        settings = self._settings
+        if not name[0]:
+            rim = {"min_area": sheets.lattice.cell_size**2, "shrink": settings.shrink / 2}
+            settings = settings.model_copy(update=rim)
         for one in members:
             marked = np.zeros(sheets.lattice.width * sheets.lattice.height, dtype=np.bool_)
             marked[one.cell[level[one.place] <= LOST]] = True
-            if is_large(sheets.lattice, self._settings, marked):
+            if is_large(sheets.lattice, settings, marked):
                 return False
         if not members:
             return True
