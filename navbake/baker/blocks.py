@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.blocks import SIZE
+from navbake.baker.kernels.tiles import SIZE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Int

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes, cast_points, tiles_of_rows
+from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_of, tiles_of_rows
 from navbake.baker.connect import ranges
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX
 from navbake.baker.kernels.hits import RIM
-from navbake.baker.listing import tile_of
 from navbake.types import Bool, Float, Int, Int32
 
 BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]

@@ -10,7 +10,7 @@ from navbake.baker.floors.kernels.growth import Growing
 from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
-from navbake.baker.kernels.blocks import SIZE
+from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings
 from navbake.types import Bool, Float, Int, Int32
 

@@ -197,7 +197,8 @@ def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreac
             members = []
             for part in map(sheets.members, np.flatnonzero(told).tolist()):
                 on = placed.level[part.place]
-                members.append(part.only((on >= 0) & (placed.number[on] == number)))
+                is_on = (on >= 0) & (placed.number[np.maximum(on, 0)] == number)
+                members.append(part.only(is_on))
             every = Members(*(np.concatenate(arrays) for arrays in zip(*members, strict=True)))
             largest = max(members, key=lambda part: len(part.cell))
             patch = describe_members(sheets.lattice, every, largest)

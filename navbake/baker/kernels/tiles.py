@@ -3,7 +3,8 @@
 A uniform grid as in collision detection's broad phase (Ericson, Real-Time Collision Detection,
 2005, 7.1), of tiles of TILE x TILE cells. The lists are made by a counting sort over chunks of the
 items, each with its own counts: several threads do it, and the order is the same for any number.
-Where items visit the cells under them, a thread takes bands of BAND rows.
+Where items visit the cells under them, a thread takes bands of BAND rows. Stages keep what they
+found by blocks of SIZE x SIZE cells.
 """
 
 import math
@@ -14,6 +15,7 @@ from navbake.compiled import UNCOUNTED, kernel, part
 
 TILE = 8  # cells along a tile's edge; a tile's cells are the bits of an int64
 BAND = 8  # rows of cells in a band
+SIZE = 64  # cells along a block's edge
 # How far beyond the centres of cells one looks, in cells, so that rounding loses none
 HAIR = 1e-3
 # The first column of a tile, all rows of it, as bits
@@ -26,6 +28,20 @@ def tile_window(lattice, tile):
     tiles_x = (lattice.width + TILE - 1) // TILE
     row, col = tile // tiles_x * TILE, tile % tiles_x * TILE
     return row, min(row + TILE, lattice.height), col, min(col + TILE, lattice.width)
+
+
+@part(inline="always")
+def block_window(lattice, block):
+    """The rows and columns of a block: the first row, past the last, and so with the columns."""
+    cols = (lattice.width + SIZE - 1) // SIZE
+    row, col = block // cols * SIZE, block % cols * SIZE
+    return row, min(row + SIZE, lattice.height), col, min(col + SIZE, lattice.width)
+
+
+@part(inline="always")
+def block_of(lattice, row, col):
+    """The block that holds a cell."""
+    return row // SIZE * ((lattice.width + SIZE - 1) // SIZE) + col // SIZE
 
 
 @part(inline="always")

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.columns import Columns, TiledShapes, tile_of
 from navbake.baker.kernels.arrays import Band
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, TOUCH
 from navbake.baker.kernels.tiles import TILE
@@ -22,7 +22,6 @@ from navbake.baker.kernels.walk import (
     Queries,
     look_near,
 )
-from navbake.baker.listing import tile_of
 from navbake.config.settings import AgentSettings
 from navbake.lazy import lazy
 from navbake.threads import run_in_bands

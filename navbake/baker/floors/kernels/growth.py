@@ -12,8 +12,8 @@ import numpy as np
 
 from navbake.baker.floors.kernels.members import sheet_of
 from navbake.baker.floors.kernels.surfaces import Surfaces, slope_joins
-from navbake.baker.kernels.blocks import block_of, block_window
 from navbake.baker.kernels.constants import SAME, SLACK
+from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
-from navbake.baker.kernels.blocks import block_window
 from navbake.baker.kernels.connect import unite
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 
 # Kinds of pairs: both belong to one part; an agent steps from one to the other

@@ -12,8 +12,8 @@ import numpy as np
 
 from navbake.baker.floors.kernels.labels import bin_of, note_row
 from navbake.baker.floors.kernels.members import is_left, sheet_of
-from navbake.baker.kernels.blocks import SIZE, block_of, block_window
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.tiles import SIZE, block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Int, Int32
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.baker.kernels.blocks import block_of, block_window
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Float, Int, Int32
 

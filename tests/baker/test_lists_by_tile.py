@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
+from navbake.baker.columns import WORTH, list_by_band, list_by_tile
 from navbake.baker.kernels.tiles import BAND, TILE
-from navbake.baker.listing import WORTH, list_by_band, list_by_tile
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 
@@ -79,8 +79,8 @@ def test_counts_are_no_more_than_boxes(monkeypatch, boxes):
         counts.append(args[5].shape)
         kernel(*args, 0, chunks)
 
-    monkeypatch.setattr("navbake.baker.listing.num_threads", lambda: 64)
-    monkeypatch.setattr("navbake.baker.listing.run_in_bands", run)
+    monkeypatch.setattr("navbake.baker.columns.num_threads", lambda: 64)
+    monkeypatch.setattr("navbake.baker.columns.run_in_bands", run)
     for one, other in zip(list_by_tile(boxes, GROW, LATTICE), expected, strict=True):
         np.testing.assert_array_equal(one, other)
     assert all(chunks > 1 and chunks * tiles <= NUM for chunks, tiles in counts)
