@@ -57,7 +57,8 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
 def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
     """Mark the items that lie over some tiles, shape (num,)."""
     mask = np.zeros(num, dtype=np.bool_)
-    mask[item[ranges(start[tiles], start[tiles + 1])[1]]] = True
+    is_all = len(tiles) == len(start) - 1
+    mask[item if is_all else item[ranges(start[tiles], start[tiles + 1])[1]]] = True
     return mask
 
 

@@ -76,7 +76,9 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
     searched = set[int]()
     if settings.find:
         moves = model.body_weldid > 0
-        static = (body for body in range(1, model.nbody) if not moves[body : ends[body]].any())
+        # a leaf without a joint stands between other geoms
+        num_bodies = model.nbody if counted.sum() > 1 else 1
+        static = (body for body in range(1, num_bodies) if not moves[body : ends[body]].any())
         searched = {body for body in (*joints, *static) if not matches[body]}
     geoms: dict[int, Int] = {}  # of bodies that are searched or match, descendants' included
     for body in range(1, model.nbody):

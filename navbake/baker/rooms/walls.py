@@ -189,8 +189,10 @@ class WallRays:
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
         self._lattice, self._height = lattice, floor + RAY_HEIGHT
         low, high = np.nanmin(self._height), np.nanmax(self._height)
-        z = walls.triangles.corners[..., 2]
-        kept = (z.min(axis=1, initial=np.inf) <= high) & (z.max(axis=1, initial=-np.inf) >= low)
+        # as three columns: a reduction along rows of three takes many times as long
+        one, two, three = np.ascontiguousarray(walls.triangles.corners[..., 2].T)
+        kept = np.minimum(np.minimum(one, two), three) <= high
+        kept &= np.maximum(np.maximum(one, two), three) >= low
         triangles = Triangles._make(array[kept] for array in walls.triangles)
         self._walls = replace(walls, triangles=triangles)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes | None]] = {}
