@@ -298,7 +298,7 @@ class Storeys:
                 part, _, on, count = rows.T
                 lost = np.unique(sheets.sheet_at(block, part)[on <= LOST]).tolist()
                 members = [sheets.members(sheet) for sheet in lost]
-                if are_spare := self._are_spare(kept, level, members, name):
+                if are_spare := self._are_spare(kept, level, members, leave_floors, name):
                     break
             if are_spare:
                 break
@@ -321,7 +321,9 @@ class Storeys:
         patches = [describe_members(sheets.lattice, one) for one in spare]
         return Placed(grounds, labels, level, number, counts, changed, patches)
 
-    def _are_spare(self, kept: Kept, level: Int32, members: list[Members], name: Any) -> bool:
+    def _are_spare(
+        self, kept: Kept, level: Int32, members: list[Members], leave_floors: bool, name: Any
+    ) -> bool:
         """Whether surfaces without a place can be left out.
 
         They are rims, nowhere wider than floors are shrunk by, or under treads and no floor that
@@ -331,11 +333,12 @@ class Storeys:
         Args:
             level: of each surface.
             members: of the sheets with such surfaces.
-            name: of the places, see `_recall`; begins with whether floors make way for treads.
+            leave_floors: whether floors make way for treads.
+            name: of the places, see `_recall`.
         """
         sheets, test = self._sheets, area_test(self._sheets.lattice, self._settings)
         settings = self._settings
-        if not name[0]:
+        if not leave_floors:
             rim = {"min_area": sheets.lattice.cell_size**2, "shrink": settings.shrink / 2}
             settings = settings.model_copy(update=rim)
         for one in members:
