@@ -238,6 +238,8 @@ def _entry(row: Json, folder: Folder, place: str) -> Job:
     given = [row.pop(key) for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(given[0], str):
         hint = "; --column scene=NAME names the column that has it" if not given and row else ""
+        if {"rooms", "walls", "objects"} <= row.keys():  # without its objects' shapes
+            hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
         raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
     name, nested = row.pop("id", None), row.pop("settings", {})
     if not isinstance(nested, dict):

@@ -12,10 +12,12 @@ Source: ``map_base.py``, ``traversable_map.py`` and ``segmentation_map.py`` of O
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import orjson
@@ -29,7 +31,7 @@ from navbake.formats.images import encode_image, open_image
 from navbake.formats.source import Files, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, Lattice
-from navbake.types import Bool, Float, Json
+from navbake.types import Json
 
 PIXEL = 0.01  # edge [m]
 SLACK = 1e-7  # [m], by which a pixel is smaller on each side: cells' edges aren't exact
@@ -79,7 +81,11 @@ def encode_omnigibson(
             what = f"OmniGibson's maps are centred on the origin, and level {number} ends"
             raise FormatError(f"{what} {far:.1f} m from it, expected {most:.1f} m at most")
         text = orjson.dumps({**lattice._asdict(), "ground": own.ground}).decode()
-        pixels = np.where(_cover(own.free, lattice, half), np.uint8(255), np.uint8(0))
+        free = np.ones((2 * half, 2 * half), dtype=bool)
+        reach = PIXEL / 2 - SLACK  # a pixel meets two cells at most along each axis
+        for right, up in itertools.product((-reach, reach), repeat=2):
+            free &= _sample(own.free, lattice, half, right, up)
+        pixels = np.where(free, np.uint8(255), np.uint8(0))
         name = path.with_name(f"{path.stem}_{number}{path.suffix}")
         files[name] = encode_image(pixels, "PNG", {"navbake": text})
         if number == 0 and NO_OBJECTS not in path.stem and own.room_index.any():
@@ -87,24 +93,14 @@ def encode_omnigibson(
     return files
 
 
-def _centers(half: int) -> Float:
-    """World x of the middle of each column, or y of each row [m]."""
-    return (np.arange(2 * half, dtype=np.float64) + (0.5 - half)) * PIXEL
-
-
-def _cover(free: Bool, lattice: Lattice, half: int) -> Bool:
-    """The pixels that meet free cells only; a pixel meets two cells at most along each axis."""
-    reach, framed = PIXEL / 2 - SLACK, np.pad(free, 1)
-    found = np.ones((2 * half, 2 * half), dtype=bool)
-    for up in (-reach, reach):
-        for right in (-reach, reach):
-            middle = _centers(half)
-            rows, cols = lattice.rows_cols(np.stack([middle + right, middle + up], axis=-1))
-            rows, cols = (
-                np.clip(rows + 1, 0, lattice.height + 1),
-                np.clip(cols + 1, 0, lattice.width + 1),
-            )
-            found &= framed[rows[:, None], cols]
+def _sample(
+    layer: NDArray[Any], lattice: Lattice, half: int, right: float = 0.0, up: float = 0.0
+) -> NDArray[Any]:
+    """A layer at the middles of all pixels, moved right and up [m]; 0 outside of the lattice."""
+    middle = (np.arange(2 * half) + (0.5 - half)) * PIXEL
+    rows, cols = lattice.rows_cols(np.stack([middle + right, middle + up], axis=-1))
+    rows, cols = (np.clip(k + 1, 0, n + 1) for k, n in zip((rows, cols), layer.shape, strict=True))
+    found: NDArray[Any] = np.pad(layer, 1)[rows[:, None], cols]
     return found
 
 
@@ -126,8 +122,7 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
         known = sorted({*names.values(), "room"})
         files[folder / CATEGORIES] = "".join(f"{name}\n" for name in known).encode()
     else:
-        known = read_bytes(categories)[0].decode(errors="replace").split("\n")
-        known = [line.rstrip() for line in known]
+        known = _read_lines(categories)
         for number, name in names.items():
             if name not in known:
                 what = f"room {number} of level 0 is a {name!r}, which {categories} doesn't have"
@@ -140,11 +135,7 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
         kinds[number] = known.index(name) + 1
     if kinds.max() > MAX_ROOMS:
         raise FormatError(f"a map of OmniGibson numbers categories up to {MAX_ROOMS}")
-    middle = _centers(half)
-    rows, cols = level.lattice.rows_cols(np.stack([middle, middle], axis=-1))
-    framed = np.pad(level.room_index, 1)
-    rows = np.clip(rows + 1, 0, level.height + 1)
-    index = framed[rows[:, None], np.clip(cols + 1, 0, level.width + 1)]
+    index = _sample(level.room_index, level.lattice, half)
     files[folder / ROOMS] = encode_image(index.astype(np.uint8), "PNG")
     files[folder / KINDS] = encode_image(kinds[index].astype(np.uint8), "PNG")
     return files
@@ -241,11 +232,13 @@ def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], NDArray[np.
             got = f"{image.mode} of {image.width} × {image.height}"
             raise FormatError(f"expected bytes of {size} × {size} in {folder / name}, got {got}")
         layers.append(np.asarray(image))
-    known = []
-    if (folder / CATEGORIES).exists():
-        text = read_bytes(folder / CATEGORIES)[0].decode(errors="replace")
-        known = [line.rstrip() for line in text.split("\n")]
-    return layers[0], layers[1], known
+    there = (folder / CATEGORIES).exists()
+    return layers[0], layers[1], _read_lines(folder / CATEGORIES) if there else []
+
+
+def _read_lines(path: Path) -> list[str]:
+    text = read_bytes(path)[0].decode(errors="replace")
+    return [line.rstrip() for line in text.split("\n")]
 
 
 def _name_rooms(

@@ -267,6 +267,10 @@ def test_lists_of_other_programs_are_read_by_their_columns():
         list_jobs(["houses.jsonl.gz"])
     with pytest.raises(ConfigError, match=r"at houses.csv, line 1$"):
         list_jobs(["houses.csv"], {"config": "yaml"})
+    house = {"rooms": [], "walls": [], "doors": [], "objects": [{"assetId": "Bed_1"}]}
+    Path("train.jsonl").write_text(json.dumps(house))
+    with pytest.raises(ConfigError, match=r"train.jsonl, line 1; a house of ProcTHOR only names"):
+        list_jobs(["train.jsonl"])
     Path("broken.jsonl.gz").write_bytes(gzip.compress(text)[:-9])
     with pytest.raises(NavbakeError, match=r"broken gzip data in broken.jsonl.gz"):
         list_jobs(["broken.jsonl.gz"])

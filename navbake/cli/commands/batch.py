@@ -377,7 +377,7 @@ class _Watch:
 
 
 def _in_words(counts: Json) -> str:
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no scene"
 
 
 def draw_missing_thumbnails(folder: Folder) -> None:
