@@ -95,7 +95,7 @@ def test_slices_merge_into_the_bytes_of_one_run():
     assert Path("parts", NAME).read_bytes() == b"".join(good + bad)  # of other batches follow
 
 
-def test_what_slices_left_is_told_and_done_by_the_next_run():
+def test_what_slices_leave_is_done_by_the_next_run():
     run(out="out", part=Slice(1, 2))
     part = Path("out/index-1-of-2.jsonl")
     part.write_bytes(part.read_bytes() + b'{"id": "b.v')  # killed while it wrote
@@ -105,6 +105,23 @@ def test_what_slices_left_is_told_and_done_by_the_next_run():
     names, result = run(out="out")
     assert names == [row["id"] for row in merged.rows if row["status"] != "ok"]
     assert (result.count("ok"), result.skipped) == (6, merged.count("ok"))
+
+
+def test_slices_write_into_a_store():
+    fsspec = pytest.importorskip("fsspec")
+    store = fsspec.filesystem("memory")
+    for number in (1, 2):
+        run(out="memory://sliced", part=Slice(number, 2))
+    assert store.exists("/sliced/index-2-of-2.jsonl") and not store.exists("/sliced/index.jsonl")
+    _, merged = run(out="memory://sliced", only_merge=True, shards=1)
+    assert (merged.count("ok"), merged.count("failed"), merged.count("left")) == (6, 1, 0)
+    names = {Path(name).name for name in store.ls("/sliced", detail=False)}
+    assert names == {"a", "b.v2", "c", "d", "e", "f", "index.jsonl", "shard-000000.tar"}
+    _, one = run(out="one", shards=1)
+    for row in one.rows:
+        if row["status"] == "ok":
+            grid = Path("one", row["id"], "grid.json.gz").read_bytes()
+            assert store.cat(f"/sliced/{row['id']}/grid.json.gz") == grid
 
 
 def test_slices_run_beside_each_other_and_not_beside_the_whole():
