@@ -18,6 +18,7 @@ from batch_in_process import run_sources, stay_in_process
 from batch_scenes import draw_room
 from command_line import run_command
 from navbake import samples
+from navbake.batch import index as index_module
 from navbake.batch import job as job_module
 from navbake.batch.cost import measure_cost
 from navbake.batch.index import NAME, Slice, only_batch, read_index
@@ -124,7 +125,13 @@ def test_slices_write_into_a_store():
             assert store.cat(f"/sliced/{row['id']}/grid.json.gz") == grid
 
 
-def test_slices_run_beside_each_other_and_not_beside_the_whole():
+def test_slices_run_beside_each_other_and_not_beside_the_whole(monkeypatch):
+    monkeypatch.setattr(index_module, "PATIENCE", 0.1)
+    with (
+        only_batch(Path("out")),
+        pytest.raises(NavbakeError, match="another batch writes into out"),
+    ):
+        run(out="out", part=Slice(1, 2))
     with only_batch(Path("out"), Slice(1, 2)):
         run(out="out", part=Slice(2, 2))
         with pytest.raises(NavbakeError, match="another batch writes into out"):
