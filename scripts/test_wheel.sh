@@ -37,7 +37,7 @@ if [ -n "$tag" ] && [ "$tag" != "v$version" ]; then
 fi
 
 rm -rf dist
-$tools/bin/python -m build --quiet
+$tools/bin/python -m build >/dev/null
 $tools/bin/twine check --strict dist/*
 $tools/bin/check-wheel-contents dist/*.whl
 
