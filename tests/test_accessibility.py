@@ -59,9 +59,12 @@ def test_the_page_of_a_batch(tmp_path, dark):
 
 
 def test_the_documentation(tmp_path):
-    pytest.importorskip("material", reason="mkdocs-material is not installed")
-    from test_docs_site import build
+    pytest.importorskip("zensical", reason="zensical is not installed")
+    from make_docs import build_site
+    from test_docs_site import copy_sources
 
-    assert build(ROOT / "mkdocs.yml", tmp_path).returncode == 0
+    build_site(copy_sources(tmp_path), tmp_path / "site")
     for page in ("index", "settings", "viewer"):
-        assert serious((tmp_path / f"{page}.html").as_uri(), "document.body", False) == [], page
+        assert (
+            serious((tmp_path / "site" / f"{page}.html").as_uri(), "document.body", False) == []
+        ), page

@@ -4,48 +4,63 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
+import shutil
 
 import pytest
 
 from browser import needs_browser, open_browser
+from make_docs import CONFIG, FILES, OUTSIDE, build_site
 from project_paths import ROOT
 
-pytest.importorskip("material", reason="mkdocs-material is not installed")
+pytest.importorskip("zensical", reason="zensical is not installed")
 LOADED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?([^\"' >]+)")
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    done = build(ROOT / "mkdocs.yml", folder)
-    assert done.returncode == 0, done.stderr
-    return folder
+    folder = tmp_path_factory.mktemp("docs")
+    build_site(copy_sources(folder), folder / "site")
+    return folder / "site"
 
 
-def build(config, folder):
-    """Build the site; strict: what mkdocs warns of, such as a broken link, is an error.
+def copy_sources(folder):
+    """A copy of the files that the site is made of, as tests of other processes build it, too."""
+    root = folder / "root"
+    for name in ("docs", "examples"):
+        shutil.copytree(ROOT / name, root / name)
+    for name in (CONFIG.name, *FILES, *OUTSIDE):
+        (root / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, root / name)
+    (root / "navbake").symlink_to(ROOT / "navbake")
+    return root
 
-    Not quiet: mkdocs counts no warnings then.
-    """
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(config)]
-    command += ["-d", str(folder)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[broken](nowhere.md)", "nowhere.md"),
+        ("[broken](paths.md#nonsense)", "nonsense"),
+    ],
+)
+def test_a_broken_link_is_an_error(tmp_path, text, named):
+    root = copy_sources(tmp_path)
+    with (root / "docs" / "limits.md").open("a", encoding="utf-8") as page:
+        page.write(text)
+    with pytest.raises(SystemExit, match=named):
+        build_site(root, tmp_path / "site")
 
 
-def test_a_page_that_is_left_out_is_noticed(tmp_path):
-    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    text = text.replace("docs_dir: docs", f"docs_dir: {ROOT / 'docs'}").replace("limits.md, ", "")
-    text = text.replace("scripts/docs_pages", str(ROOT / "scripts" / "docs_pages"))
-    (tmp_path / "mkdocs.yml").write_text(text, encoding="utf-8")
-    done = build(tmp_path / "mkdocs.yml", tmp_path / "site")
-    assert done.returncode != 0 and "limits.md" in done.stderr
+def test_a_page_that_is_left_out_is_an_error(tmp_path):
+    root = copy_sources(tmp_path)
+    (root / "docs" / "extra.md").write_text("# Extra", encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"`nav` lacks extra\.md"):
+        build_site(root, tmp_path / "site")
 
 
 def test_every_page_of_docs_is_on_the_site(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
-    pages |= {"index", "pages", "contributing", "changelog", "examples", "404"}
+    pages |= {"index", "pages", "contributing", "changelog", "security"}
+    pages |= {"examples", "reference", "404"}
     assert {path.stem for path in site.glob("*.html")} == pages
 
 
@@ -86,10 +101,14 @@ def test_pages_are_in_six_groups():
     ],
 )
 def test_the_search_finds_the_words_of_the_field(site, word, page):
-    entries = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))[
-        "docs"
-    ]
+    entries = json.loads((site / "search.json").read_text(encoding="utf-8"))["items"]
     assert page in {e["location"].partition("#")[0] for e in entries if word in e["text"]}
+
+
+def test_the_reference_has_every_public_name(site):
+    text = (site / "reference.html").read_text(encoding="utf-8")
+    for name in ("PathFinder.find_path", "bake", "SceneGrid2D", "spl", "ConfigError"):
+        assert f'{name}"' in text, name
 
 
 @needs_browser

@@ -19,6 +19,7 @@ from navbake._version import __version__
 from navbake.cli.commands.ask import audit, info, path, rooms, verify, why
 from navbake.cli.commands.bake import bake, geoms, init, samples, voxelize
 from navbake.cli.commands.batch import batch, warm_up
+from navbake.cli.commands.doctor import doctor
 from navbake.cli.commands.episodes import episodes, score
 from navbake.cli.commands.exchange import convert, inflate, map_descriptor
 from navbake.cli.commands.look import plot, report, view
@@ -38,7 +39,7 @@ COMMANDS = {
     "Look": (plot, report, view),
     "Exchange": (convert, inflate, map_descriptor),
     "Benchmark": (episodes, score),
-    "Check": (verify, audit),
+    "Check": (verify, audit, doctor),
     "Many": (batch, warm_up),
 }
 """The commands in the groups in which --help lists them."""

@@ -229,7 +229,10 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """Parameters of a function or fields of a NamedTuple, keyword-only, with evaluated types."""
-    hints = get_type_hints(function, include_extras=True)
+    if isinstance(function, type):
+        hints = get_type_hints(function, include_extras=True)
+    else:  # of functions, Python 3.10 would hide the options whose default is None
+        hints = inspect.get_annotations(function, eval_str=True)
     return [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
         for name, parameter in inspect.signature(function).parameters.items()

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# What runs each night.
+#
+#   bash scripts/nightly.sh fuzz SEED    # mutated inputs of all readers
+#   bash scripts/nightly.sh mujoco       # the tests that meet MuJoCo, with its newest version
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
+use_venv test
+case ${1:-} in
+    fuzz) python scripts/fuzz.py --inputs "${INPUTS:-200000}" --seed "${2:?a seed}" --processes "$(nproc)" ;;
+    mujoco)
+        newest=$(python -m pip index versions mujoco 2>/dev/null | sed -n 's/^mujoco (\(.*\))/\1/p')
+        bash scripts/test_versions.sh "$newest"
+        ;;
+    *) echo "$0: expected fuzz SEED or mujoco, got ${1:-nothing}" >&2 && exit 2 ;;
+esac
