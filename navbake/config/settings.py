@@ -73,6 +73,7 @@ def stem_of(path: str | PathLike[str]) -> str:
 ScenePath = Annotated[
     Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
 ]
+Folder = Annotated[Path, BeforeValidator(to_path), expects("a path"), AfterValidator(resolve)]
 SceneId = Annotated[
     str,
     Field(min_length=1),
@@ -101,7 +102,8 @@ def _is_nowhere(direction: list[float]) -> bool:
 class SceneSettings(Settings):
     id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
     path: ScenePath = Field(
-        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
+        description="MJCF, MJB, URDF, USD, SDF, OBJ, PLY, STL, GLB or DAE, relative to this file; "
+        "no default"
     )
     up: Annotated[
         Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"]
@@ -120,6 +122,9 @@ class SceneSettings(Settings):
         "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
+    model_path: Annotated[
+        list[Folder], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
+    ] = setting([], "folders of the models of an SDF scene (model://…), relative to this file")
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
     )
@@ -509,7 +514,12 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: Any = {"output": True, "verify": True, "scene": {"path"}, "grid": {"max_cells"}}
+    left_out: Any = {
+        "output": True,
+        "verify": True,
+        "scene": {"path", "model_path"},
+        "grid": {"max_cells"},
+    }
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
@@ -527,6 +537,7 @@ def settings_to_state(config: BakeConfig) -> Json:
     )
     scene = stated["scene"] = dict(stated.get("scene", {}))
     scene["path"] = Path(config.scene.path).name
+    scene.pop("model_path", None)
     if is_memory_path(config.scene.path):
         del scene["path"]
     return {key: value for key, value in stated.items() if value != {}}
