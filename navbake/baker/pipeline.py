@@ -229,6 +229,8 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
         attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
+    if stages.areas.layers:
+        attributes["area"] = np.ascontiguousarray(stages.areas.layers[number][window])
     user_data = UserData()
     if stages.contents is not None and stages.config.names.enabled:
         named = stages.contents.user_data(number, window)
@@ -275,7 +277,8 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
             },
             "maxSlope": agent.max_slope,
             "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
-            "links": _cut_links(stages).tolist(),
+            "links": [*_cut_steps(stages).tolist(), *_named_links(stages)],
+            **_traffic_tables(stages),
             "names": config.names.enabled,
             "rooms": stages.room_table,
             "doors": [_door_entry(door) for door in doors],
@@ -317,8 +320,34 @@ def _cut_doors(stages: Stages) -> list[Door]:
     return doors
 
 
-def _cut_links(stages: Stages) -> Int:
-    """The links with cells counted on each level's own rectangle."""
+def _traffic_tables(stages: Stages) -> Json:
+    """The tables of areas and agents, of settings that have any."""
+    agents = stages.config.agents.items()
+    own = {name: agent.model_dump(exclude_none=True) for name, agent in agents}
+    tables = {"areas": stages.areas.table, "agents": own}
+    return {name: table for name, table in tables.items() if table}
+
+
+def _named_links(stages: Stages) -> list[Json]:
+    """The named links as a file states them, see `navbake.navgrid.links`."""
+    windows, width = stages.boxes.windows, stages.lattice.width
+    entries = []
+    for link in stages.links.links:
+        cells = (
+            cut_cells(np.array([stop.cell]), windows[stop.level], width)[0][0]
+            for stop in link.stops
+        )
+        stops = [[stop.level, int(cell)] for stop, cell in zip(link.stops, cells, strict=True)]
+        name, kind = (link.entry[key] for key in ("name", "kind"))
+        positions = [list(stop.position) for stop in link.stops]
+        entries.append(
+            {"name": name, "kind": kind, "stops": stops, "positions": positions} | link.entry
+        )
+    return entries
+
+
+def _cut_steps(stages: Stages) -> Int:
+    """The steps with cells counted on each level's own rectangle."""
     links = stages.floors.links.copy()
     for number, window in enumerate(stages.boxes.windows):
         for level, cell in ((0, 1), (2, 3)):
