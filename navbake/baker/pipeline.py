@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +24,12 @@ from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
+from navbake.navgrid.agents import Agent
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.links import Link, Stop
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
 from navbake.types import Bool, Int, Json
@@ -323,27 +325,20 @@ def _cut_doors(stages: Stages) -> list[Door]:
 def _traffic_tables(stages: Stages) -> Json:
     """The tables of areas and agents, of settings that have any."""
     agents = stages.config.agents.items()
-    own = {name: agent.model_dump(exclude_none=True) for name, agent in agents}
+    own = {name: Agent(name, **agent.model_dump()).to_json() for name, agent in agents}
     tables = {"areas": stages.areas.table, "agents": own}
     return {name: table for name, table in tables.items() if table}
 
 
 def _named_links(stages: Stages) -> list[Json]:
-    """The named links as a file states them, see `navbake.navgrid.links`."""
-    windows, width = stages.boxes.windows, stages.lattice.width
-    entries = []
-    for link in stages.links.links:
-        cells = (
-            cut_cells(np.array([stop.cell]), windows[stop.level], width)[0][0]
-            for stop in link.stops
-        )
-        stops = [[stop.level, int(cell)] for stop, cell in zip(link.stops, cells, strict=True)]
-        name, kind = (link.entry[key] for key in ("name", "kind"))
-        positions = [list(stop.position) for stop in link.stops]
-        entries.append(
-            {"name": name, "kind": kind, "stops": stops, "positions": positions} | link.entry
-        )
-    return entries
+    """The named links as a file states them, with cells counted on each level's rectangle."""
+
+    def cut(stop: Stop) -> Stop:
+        window, width = stages.boxes.windows[stop.level], stages.lattice.width
+        return replace(stop, cell=int(cut_cells(np.array([stop.cell]), window, width)[0][0]))
+
+    links = stages.links.links
+    return [Link(stops=tuple(map(cut, link.stops)), **link.fields).to_json() for link in links]
 
 
 def _cut_steps(stages: Stages) -> Int:

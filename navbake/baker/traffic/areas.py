@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from navbake.config.settings import BakeConfig
 from navbake.config.traffic import AreaSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
+from navbake.navgrid.areas import Area
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, touch_cells
 from navbake.types import Bool, Float, Json
@@ -86,12 +87,9 @@ def paint_areas(
             takes = takes if area.keeps_out else "it takes cells by their centres, so it has gaps"
             size = f"{found.width:.3g} m wide, thinner than a cell of {lattice.cell_size:g} m"
             warnings.append(f"area {area.name!r} is only {size}: {takes}")
-        table.append(area.model_dump(include={"name", "cost", "speed", "agents"}))
-    return PaintedAreas(layers, [_without_none(entry) for entry in table], warnings)
-
-
-def _without_none(entry: Mapping[str, object]) -> Json:
-    return {key: value for key, value in entry.items() if value is not None}
+        agents = None if area.agents is None else tuple(area.agents)
+        table.append(Area(area.name, float(area.cost), area.speed, agents).to_json())
+    return PaintedAreas(layers, table, warnings)
 
 
 def _mark_room(area: AreaSettings, rooms: Rooms) -> Marked:

@@ -15,25 +15,18 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int, Json
 
 WAYS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """The directions in which links cross gaps, as steps of row and column."""
 
 
-class Stop(NamedTuple):
-    """Where a link stops."""
-
-    level: int
-    cell: int  # on the whole lattice
-    position: tuple[float, float, float]  # world [m]
-
-
 class MadeLink(NamedTuple):
-    """A link: its stops, and what else a file states of it."""
+    """A link: its stops, with cells on the whole lattice, and further fields of a `Link`."""
 
     stops: list[Stop]
-    entry: Json
+    fields: Json
 
 
 class Space(NamedTuple):

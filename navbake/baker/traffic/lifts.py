@@ -21,11 +21,11 @@ from navbake.baker.traffic.ground import (
     Leaps,
     MadeLink,
     Space,
-    Stop,
     group_leaps,
     middle_of,
 )
 from navbake.config.traffic import LinkSettings
+from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
 
 LADDERS = ("*ladder*",)  # bodies and geoms that are ladders, if no patterns are given

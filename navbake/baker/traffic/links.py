@@ -10,9 +10,10 @@ import numpy as np
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.names import unique_name
 from navbake.baker.traffic.drops import find_edges
-from navbake.baker.traffic.ground import Ground, MadeLink, Stop
+from navbake.baker.traffic.ground import Ground, MadeLink
 from navbake.baker.traffic.lifts import find_ladders, find_lifts
 from navbake.config.traffic import LinkSettings
+from navbake.navgrid.links import Stop
 
 NEAR = (
     0.5  # how far a stop of the settings may be from its cell, seen from above, and in height [m]
@@ -50,9 +51,9 @@ def find_links(ground: Ground, settings: list[LinkSettings]) -> Links:
         found = FINDERS[rule.auto](ground, rule)
         found.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
         for number, link in enumerate(found, 1):
-            name = unique_name(link.entry.get("name") or f"{rule.auto} {number}", taken)
-            entry = {"one_way": False, **link.entry, **_stated(rule), "auto": True}
-            links.append(MadeLink(link.stops, {**entry, "name": name, "kind": rule.auto}))
+            name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", taken)
+            named = {"name": name, "kind": rule.auto, "auto": True}
+            links.append(MadeLink(link.stops, {**link.fields, **_stated(rule), **named}))
         if not found:
             warnings.append(f"`links` asks for {rule.auto}s, but the scene has none")
     return Links(links, warnings)
@@ -73,12 +74,12 @@ def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str
             stops.append(found)
         else:
             wrong.append(f"stop {number}, ({x:.2f}, {y:.2f}, {z:.2f}), {found}")
-    entry = {"name": given.name, "kind": given.kind, "one_way": given.one_way, **_stated(given)}
+    fields = {"name": given.name, "kind": given.kind, "one_way": given.one_way, **_stated(given)}
     told = []
     if wrong:
         left = f"it has {len(stops)} stops left" if len(stops) > 1 else "it is left out"
         told = [f"link {given.name!r}: {'; '.join(wrong)}; {left}"]
-    return MadeLink(stops, entry), told
+    return MadeLink(stops, fields), told
 
 
 def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
