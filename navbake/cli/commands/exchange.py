@@ -186,7 +186,7 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments  # loads numpy
 
     given = [value for value in (metres, radius) if value is not None]
     if len(given) != 1:
@@ -201,7 +201,7 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
-    held = exact_radius(before) if mode == "exact" else 0.0
+    held = before.inflated_radius if mode == "exact" else 0.0
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
