@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_file, shown
 from navbake.config.field_types import show_value
 from navbake.config.keywords import merge
-from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
+from navbake.config.settings import BakeConfig, is_settings, parse_config
 from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
@@ -108,7 +108,7 @@ def of_id(name: str) -> Json:
 
 
 def is_yaml(source: str) -> bool:
-    return Path(source).suffix.lower() in YAML_SUFFIXES
+    return is_settings(source)
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:

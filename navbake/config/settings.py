@@ -6,6 +6,7 @@ Lengths are in metres, positions in the world frame (z up), unless a description
 import hashlib
 import itertools
 import json
+import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -52,6 +53,7 @@ from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, Nam
 from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 from navbake.files import readable_stem
+from navbake.formats.scene_files import BUILDING_SUFFIXES, suffix_of
 from navbake.formats.shapes import read_room_outlines
 from navbake.types import Json
 
@@ -71,7 +73,10 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 def stem_of(path: str | PathLike[str]) -> str:
     """The stem of a scene file's name, or the name of a scene in memory."""
-    return str(path)[1:-1] if is_memory_path(path) else readable_stem(path)
+    if is_memory_path(path):
+        return str(path)[1:-1]
+    stem = readable_stem(path)
+    return stem.removesuffix(".building") if suffix_of(path) in BUILDING_SUFFIXES else stem
 
 
 ScenePath = Annotated[
@@ -224,6 +229,7 @@ def expand_rooms(value: Any) -> Any:
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
+LIFTS = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)  # of a building
 MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2 map
 
 
@@ -446,16 +452,29 @@ def find_source(path: str | PathLike[str]) -> Path:
     return samples.find(path)
 
 
+def is_settings(path: str | PathLike[str]) -> bool:
+    """Whether a file is settings by its name, and no scene."""
+    return suffix_of(path) in YAML_SUFFIXES
+
+
+def defaults_of(scene: Path) -> dict[str, Any]:
+    """The settings of a scene that comes without: lifts of a building are links."""
+    settings: dict[str, Any] = {"scene": {"path": scene}}
+    if suffix_of(scene) in BUILDING_SUFFIXES and scene.is_file():
+        settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
+    return settings
+
+
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is a scene, or the bare name of a sample as
-    `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each override,
-    ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
+    A path that does not end in .yaml or .yml, or that of a building, is a scene, or the bare name
+    of a sample as `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each
+    override, ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
     """
     path = find_source(path)
-    if path.suffix.lower() not in YAML_SUFFIXES:
-        return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
+    if not is_settings(path):
+        return parse_config(defaults_of(path), f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
 
 

@@ -17,6 +17,7 @@ from navbake.files import check_regular
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 SDF_SUFFIXES = frozenset({".sdf", ".world"})
+BUILDING_SUFFIXES = frozenset({".building.yaml", ".building.yml"})
 USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})  # a .usdz holds all of its files
 # environment variables with the folders of Gazebo's models, today's first
 MODEL_PATHS = (
@@ -40,6 +41,13 @@ LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront"
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """The ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
+    name = os.path.basename(os.fsdecode(path)).lower()
+    whole = next((suffix for suffix in BUILDING_SUFFIXES if name.endswith(suffix)), None)
+    return whole or os.path.splitext(name)[1]
 
 
 class Files(Protocol):

@@ -30,7 +30,13 @@ from navbake.baker.scene.specs import (
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.scene_files import XML_SUFFIXES, check_inputs, mesh_places
+from navbake.formats.scene_files import (
+    BUILDING_SUFFIXES,
+    XML_SUFFIXES,
+    check_inputs,
+    mesh_places,
+    suffix_of,
+)
 from navbake.lazy import resolve
 
 MJB_SUFFIX = ".mjb"
@@ -38,6 +44,7 @@ MJB_SUFFIX = ".mjb"
 STAGE, WORLD = "navbake.baker.scene.usd:read_stage", "navbake.baker.scene.sdf:read_world"
 READERS = dict.fromkeys([".usd", ".usda", ".usdc", ".usdz"], STAGE)
 READERS |= dict.fromkeys([".sdf", ".world"], WORLD)
+READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.scene.building:read_building")
 # What is not read, and what to do with it
 CONVERT = "convert it first, as docs/scenes.md says: "
 REFUSED = {
@@ -77,7 +84,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
-    suffix = path.suffix.lower()
+    suffix = suffix_of(path)
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")

@@ -176,6 +176,7 @@ def build_model(
 
     def build() -> Any:
         spec = mujoco.MjSpec()
+        spec.compiler.degree = False
         holders = {"": spec.worldbody}
         for body in found.bodies.values():
             own = _own_pose(body.pose, found.bodies.get(body.parent))
