@@ -67,6 +67,7 @@ def to_metres(lab):
 
 def test_levels_doors_and_lifts_are_found(baked):
     assert baked.scene_id == "lab"
+    assert baked.warnings == ()  # no step leads upstairs, but lifts do
     assert [level.ground for level in baked.levels] == [0.0, 3.5, 7.0]
     for number, names in DOORS.items():
         assert [door.id for door in baked.doors if number in door.levels] == names
