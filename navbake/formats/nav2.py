@@ -10,8 +10,15 @@ a filter info server with ``type: 1``, ``base: 0.0``, ``multiplier: 1.0``.
 
 Source: nav2's documentation of its costmap filters; ``map_io.cpp`` of ``nav2_map_server``, whose
 rules for pixels `read_values` follows: the three modes, both thresholds, ``negate`` (which ``raw``
-ignores), and transparency, which in mode ``trinary`` counts as a fourth channel and in ``scale``
-makes a pixel unknown.
+ignores), and transparency. The rules are those of a version:
+
+- ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
+  nor occupied, and transparency counts as a fourth channel in mode ``trinary`` and makes a pixel
+  unknown in ``scale``.
+- ``main``: a grey is its luma, of 8 bits; a value on a threshold is free or occupied; what is
+  transparent is unknown in both modes.
+
+Files that `encode_nav2` writes have the same values by both.
 """
 
 from __future__ import annotations
@@ -54,6 +61,7 @@ from navbake.runtime.inflation import SCALING
 from navbake.types import Bool, Json
 
 MODES = ("trinary", "scale", "raw")
+RULES = ("humble", "main")
 IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # of map_saver; 0.25 takes 205 for free
@@ -160,34 +168,41 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
     return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
 
 
-def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
+def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2D:
     """Read a map of ROS 1 or ROS 2 as a grid of one level.
 
     Free and occupied cells have a flat floor at z = 0 (or at navbake's own key
     ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
     to 98 become weights of nav2's costs; 99 is blocked.
 
-    A map with a ``yaw`` of quarter turns is rotated exactly. Otherwise it is resampled on cells
-    along the world's axes: a cell has the value of the map at its centre, but is occupied if an
-    occupied cell of the map overlaps it, so that no wall gets a gap. The content of the YAML is
-    kept as ``nav2`` in the metadata.
+    A map with a ``yaw`` of quarter turns, to a tenth of a cell over its diagonal, is rotated
+    exactly. Otherwise it is resampled on cells along the world's axes: a cell has the value of the
+    map at its centre, but is occupied if occupied cells of the map cover 1 % of it, so that no wall
+    gets a gap. The content of the YAML is kept as ``nav2`` in the metadata.
+
+    Args:
+        path: the YAML.
+        rules: for pixels, those of nav2 from ``humble`` to Jazzy, or of its branch ``main``; see
+            `navbake.formats.nav2`.
 
     Raises:
-        FormatError: the YAML or its image is missing, broken or too large.
+        FormatError: the YAML or its image is missing, broken or too large, or there are no such
+            rules.
     """
-    rules = read_rules(path)
-    if not os.path.exists(rules.image):  # Path.exists raises for names that are too long
-        raise FormatError(f"the image that `image` in {path} names isn't there: {rules.image}")
+    _check_choice(rules, RULES, "rules")
+    stated = read_rules(path)
+    if not os.path.exists(stated.image):  # Path.exists raises for names that are too long
+        raise FormatError(f"the image that `image` in {path} names isn't there: {stated.image}")
     try:
-        check_regular(rules.image)
+        check_regular(stated.image)
     except OSError as error:
         message = f"cannot read the image that `image` in {path} names: {error.strerror}"
-        raise FormatError(f"{message} at {rules.image}") from error
-    values = read_values(read_pixels(rules.image), rules)
-    values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
-    stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}
-    metadata = {"sceneId": readable_stem(path), "nav2": stated}
-    level = level_from_values(values, rules.resolution, (x, y, rules.ground), metadata)
+        raise FormatError(f"{message} at {stated.image}") from error
+    values = read_values(read_pixels(stated.image), stated, rules)
+    values, x, y = lay_along_axes(values, stated.origin, stated.resolution)
+    content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
+    metadata = {"sceneId": readable_stem(path), "nav2": content}
+    level = level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
 
@@ -243,25 +258,32 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
-def read_values(pixels: Pixels, rules: MapRules) -> Values:
+def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> Values:
     """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
     light, steps, opacity = pixels.light, 3 * pixels.white, pixels.opacity
-    if rules.mode == "trinary" and opacity is not None:
+    is_main = rules == "main"
+    real: type[np.floating[Any]] = np.float32 if is_main else np.float64
+    if is_main:
+        light, steps = pixels.luma, 255
+    elif stated.mode == "trinary" and opacity is not None:
         light, steps = light + opacity, 4 * pixels.white
-    # a table of the few sums of channels
-    shade = np.arange(steps + 1) / steps
-    occupied = shade if rules.negate else 1.0 - shade
-    if rules.mode == "raw":
+    # a table of the few greys, or sums of channels
+    shade = np.arange(steps + 1, dtype=real) / real(steps)
+    occupied = shade if stated.negate else 1 - shade
+    most, least = real(stated.occupied), real(stated.free)
+    if stated.mode == "raw":
         known = np.rint(shade * 255)
         table = np.where(known <= OCCUPIED, known, UNKNOWN)
     else:
         between: NDArray[Any] = np.full(steps + 1, float(UNKNOWN))
-        if rules.mode == "scale":
-            between = np.rint((occupied - rules.free) / (rules.occupied - rules.free) * 100.0)
-        table = np.where(occupied < rules.free, FREE, between)
-        table = np.where(rules.occupied < occupied, OCCUPIED, table)
+        if stated.mode == "scale":
+            shares = (occupied - least) / real(stated.occupied - stated.free) * 100
+            between = np.floor(shares + real(0.5)) if is_main else np.rint(shares)
+        is_free = occupied <= least if is_main else occupied < least
+        is_occupied = most <= occupied if is_main else most < occupied
+        table = np.where(is_free, FREE, np.where(is_occupied, OCCUPIED, between))
     values: Values = table.astype(np.int8)[light]
-    if rules.mode == "scale" and opacity is not None:
+    if opacity is not None and (stated.mode == "scale" or (is_main and stated.mode == "trinary")):
         values[opacity != 255] = UNKNOWN
     return values
 

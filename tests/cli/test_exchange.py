@@ -98,6 +98,21 @@ def test_each_way_there_and_back(convert):
     assert convert("house.json.gz", "stay.yml", "--to", "nav2-keepout", "--zone", "1")[0] == 0
 
 
+def test_the_rules_of_nav2_are_an_option_of_maps_that_are_read(convert):
+    convert("house.json.gz", "map.yaml", "--level", 1)
+    text = Path("map.yaml").read_text()
+    changed = text.replace("0.196", "0.003").replace("0.65", "1.0")
+    Path("map.yaml").write_text(changed)  # black lies on the threshold
+    assert convert("map.yaml", "a.json")[0] == 0
+    assert convert("map.yaml", "b.json", "--rules", "main")[0] == 0
+    assert convert("map.yaml", "c.json", "--rules", "humble")[0] == 0
+    one, other, third = (navbake.load(f"{name}.json") for name in "abc")
+    assert np.isnan(one.floor).sum() > np.isnan(other.floor).sum()
+    assert first_difference(one, third) is None
+    status, _, err = convert("house.json.gz", "d.json", "--rules", "main")
+    assert status == 2 and "it is for nav2 as IN" in err
+
+
 def test_the_maps_of_levels_are_named_where_there_is_none_of_the_whole(convert):
     assert convert("house.json.gz", "map.yaml", "--to", "nav2")[0] == 0
     status, _, err = convert("map.yaml", "a.json")

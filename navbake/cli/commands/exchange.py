@@ -47,6 +47,9 @@ class FormatOptions(NamedTuple):
     image: str | None = option(
         "pgm|png", "pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
     )
+    rules: str | None = option(
+        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
+    )
     inflation: float | None = option(
         "METRES", "Costs by nav2's formula, up to this distance from obstacles [m]."
     )
@@ -97,8 +100,10 @@ def convert(
         return
     refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
+    read_options = {key: given.pop(key) for key in reader.read_options if key in given}
     for key in given.keys() - {*writer.write_options}:
         takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
+        takers += [f"{form.name} as IN" for form in FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
@@ -108,7 +113,7 @@ def convert(
         missing = f"cannot read {source}: No such file or directory"
         raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
-    grid = read_as(source, reader.name)
+    grid = read_as(source, reader.name, **read_options)
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **given)
     if output == STDOUT:
