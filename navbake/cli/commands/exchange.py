@@ -191,7 +191,9 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius  # loads numpy
+    from navbake.runtime.cuts import find_cuts  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius
+    from navbake.runtime.search import Search
 
     given = [value for value in (metres, radius) if value is not None]
     if len(given) != 1:
@@ -219,6 +221,12 @@ def inflate(
         for content in (before, after)
     ]
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
+    cuts = find_cuts(one := Search(before), other := Search(after)) if mode == "exact" else []
+    if cuts:
+        closed, were = one.islands.count, "was" if one.islands.count == 1 else "were"
+        listed = ", ".join(cut.name for cut in cuts)
+        count = f"{other.islands.count} islands where there {were} {closed}"
+        print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
     with beside_output(output):
         say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
