@@ -170,7 +170,7 @@ def digest_of(grid: NavGrid) -> str:
     names, doors' states as far as they block nothing, timings or blocks.
     """
     clean = grid.without_blocks()
-    facts = (agent_radius(clean), clean.agent_height, clean.max_step, clean.link_array.tolist())
+    facts = (agent_radius(clean), clean.agent_height, clean.max_step, clean.step_array.tolist())
     digest = sha256(repr(facts).encode())
     for level in clean.levels:
         digest.update(repr(tuple(map(float, level.lattice))).encode())

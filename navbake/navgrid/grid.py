@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.lazy import Method
+from navbake.navgrid.agents import Agent, parse_agents
+from navbake.navgrid.areas import Area, parse_areas
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
-from navbake.navgrid.metadata import Link, cut_metadata, describe_attributes, parse_links
+from navbake.navgrid.links import Link, Step, parse_links, parse_steps
+from navbake.navgrid.metadata import cut_metadata, describe_attributes
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -157,29 +160,56 @@ class GridBase:
         return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
 
     @property
-    def links(self) -> tuple[Link, ...]:
-        """The steps between levels, and between neighbours on steep ramps; see `Link`.
+    def steps(self) -> tuple[Step, ...]:
+        """The steps between levels, and between neighbours on steep ramps; see `Step`.
 
         Raises:
             FormatError: the metadata name a level or a cell that does not exist.
         """
-        return tuple(Link(*row) for row in self.link_array.tolist())
+        return tuple(Step(*row) for row in self.step_array.tolist())
 
     @property
-    def link_array(self) -> Int:
-        """`links` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+    def step_array(self) -> Int:
+        """`steps` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+        return self._table("links", lambda stated: parse_steps(stated, self._num_cells), "steps")
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The named links, lifts and others, in the file's order; see `with_links`.
+
+        Raises:
+            FormatError: the file's table of links is broken.
+        """
         return self._table("links", lambda stated: parse_links(stated, self._num_cells))
+
+    @property
+    def areas(self) -> tuple[Area, ...]:
+        """The areas in the file's order, that of the numbers in `SceneGrid2D.area_index`.
+
+        Raises:
+            FormatError: the file's table of areas is broken.
+        """
+        return self._table("areas", parse_areas)
+
+    @property
+    def agents(self) -> dict[str, Agent]:
+        """The agents that the file names, by name.
+
+        Raises:
+            FormatError: the file's table of agents is broken.
+        """
+        return dict(self._table("agents", parse_agents))
 
     @property
     def _num_cells(self) -> list[int]:
         return [level.width * level.height for level in self.levels]
 
-    def _table(self, name: str, parse: Callable[[Any], Table]) -> Table:
-        """A table of navbake's metadata, parsed once for each metadata object."""
-        stated = self.navbake.get(name)
-        if name not in self._tables or self._tables[name][0] is not stated:
-            self._tables[name] = (stated, parse(stated))
-        found: Table = self._tables[name][1]
+    def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
+        """A table of navbake's metadata, or part of it, parsed once for each metadata object."""
+        stated, key = self.navbake.get(name), part or name
+        if key not in self._tables or self._tables[key][0] is not stated:
+            self._tables[key] = (stated, parse(stated))
+        found: Table = self._tables[key][1]
         return found
 
     @property
@@ -203,6 +233,7 @@ class GridBase:
     cells_at = Method[Cells]("navbake.navgrid.cells:cells_at")
     position_of = Method[Float]("navbake.navgrid.cells:position_of")
     with_doors = Method[Any]("navbake.navgrid.door_states:with_doors")
+    with_links = Method[Any]("navbake.navgrid.door_states:with_links")
     at = Method[Any]("navbake.runtime.place:place_at")
     values_at = Method[NDArray[Any]]("navbake.runtime.place:values_at")
     find_path = Method[Any]("navbake.runtime.path_finder:plan_path")
@@ -410,6 +441,20 @@ class SceneGrid2D(GridBase):
         if stored.dtype == np.uint16:
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
+
+    @property
+    def area_index(self) -> NDArray[np.uint8]:
+        """The place in `areas` of each cell's area, from 1, 0 for none, (height, width), uint8.
+
+        All 0 without areas. Read-only unless it is the layer ``area`` itself.
+        """
+        stored = self.attributes.get("area")
+        if stored is None or not self.areas:  # other programs may use the name for anything
+            return _derived(np.zeros(self.shape, dtype=np.uint8))
+        known = (stored > 0) & (stored <= len(self.areas))
+        if stored.dtype == np.uint8 and known[stored > 0].all():
+            return stored
+        return _derived(np.where(known, stored, 0).astype(np.uint8))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
         """Describe the rooms of level `number` of a grid from `room_index` alone."""

@@ -34,7 +34,7 @@ def find_islands(grid: GridBase) -> list[Int32]:
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
     # one row of cells for all levels, so that links join cells like edges do
-    links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
+    links = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
     island = label_islands(start, width, free, floor, step_limit(grid), links)
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
@@ -105,7 +105,7 @@ def islands_of(grid: GridBase) -> list[Int32]:
     ):
         return [np.asarray(s).astype(np.int32) for s in stored]
     # a hash of all that the islands depend on, because a grid's arrays can be written to
-    digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
+    digest = blake2b(repr((step_limit(grid), grid.step_array.tolist())).encode())
     for level in grid.levels:
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)

@@ -149,7 +149,7 @@ def flatten(grid: NavGrid) -> FlatGrid:
     weight = np.concatenate([level.weights.ravel() for level in levels]).astype(np.float64)
     free = np.isfinite(weight)
     weight[~free] = np.inf
-    given = grid.link_array
+    given = grid.step_array
     # each link both ways and once, and to which neighbours one leads on the same level
     ends = start[given[:, ::2]] + given[:, 1::2]
     pairs = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)

@@ -62,7 +62,7 @@ def describe(grid: NavGrid) -> Json:
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
         "num_islands": max(int(island.max(initial=0)) for island in islands),
-        "num_links": len(grid.link_array),
+        "num_steps": len(grid.step_array),
         "doors": [door.to_json() for door in grid.doors],
         # what `inflate` noted; a file of another program may have anything there
         "inflated": [

@@ -357,7 +357,7 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
-    ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
+    ends = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
     ways = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
     for color, way in zip(ways.values(), (1, -1, 0), strict=True):

@@ -61,7 +61,7 @@ def summarize(facts: Json) -> list[tuple[str, str]]:
         *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
         *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
         ("islands", str(facts["num_islands"])),
-        ("links", str(facts["num_links"])),
+        ("steps", str(facts["num_steps"])),
         ("doors", str(len(facts["doors"]))),
     ]
 

@@ -104,7 +104,7 @@ def of_door(name: str) -> Where:
 
 def of_first_link(grid: Any) -> list[tuple[int, int]]:
     """Where the first link begins."""
-    return [(grid.links[0].level, grid.links[0].cell)]
+    return [(grid.steps[0].level, grid.steps[0].cell)]
 
 
 def load(sample: str) -> Any:

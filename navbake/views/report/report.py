@@ -194,7 +194,7 @@ def link_table(grid: NavGrid) -> Table:
     """How many steps lead from level to level side by side, as of a stair, and their middle."""
     from scipy import ndimage  # takes longer to load than most pages to make
 
-    links, rows = grid.link_array, []
+    links, rows = grid.step_array, []
     for level, other in np.unique(links[:, ::2], axis=0).tolist():
         own = links[(links[:, 0] == level) & (links[:, 2] == other)]
         lattice, mask = grid.levels[level].lattice, np.zeros(grid.levels[level].shape, np.bool_)

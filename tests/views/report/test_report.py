@@ -78,7 +78,7 @@ def test_tables_list_rooms_doors_and_links(house):
     assert [row[0] for row in tables["Doors"]["rows"]] == [door.id for door in house.doors]
     steps = tables["Links between levels"]
     assert sum(int(row[steps["columns"].index("steps")]) for row in steps["rows"]) == len(
-        house.links
+        house.steps
     )
     assert len(steps["rows"]) == 2  # of its two stairs
     folded = {title for title, table in tables.items() if table["folded"]}
