@@ -34,7 +34,7 @@ def find_cuts(before: Search, after: Search) -> list[Cut]:
 
 
 def _closed_steps(before: Search, after: Search) -> list[Cut]:
-    flat, steps = before.flat, before.grid.link_array
+    flat, steps = before.flat, before.grid.step_array
     steps = np.where((steps[:, 0] <= steps[:, 2])[:, None], steps, steps[:, [2, 3, 0, 1]])
     steps = steps[steps[:, 0] < steps[:, 2]]
     ends = flat.layout.start[steps[:, ::2]] + steps[:, 1::2]
