@@ -33,28 +33,42 @@ def find_cuts(before: Search, after: Search) -> list[Cut]:
     return [*_closed_steps(before, after), *_closed_doors(before, after)]
 
 
-def _closed_steps(before: Search, after: Search) -> list[Cut]:
-    flat, steps = before.flat, before.grid.step_array
+class StepGroup(NamedTuple):
+    """Steps side by side between two levels: stairs, or a ramp."""
+
+    low: int  #: The lower level.
+    high: int
+    what: str  #: ``stairs`` or ``ramp``.
+    ends: Int  #: Flat ids of the cells of each step, the lower level's first, shape (n, 2).
+
+
+def group_steps(search: Search) -> list[StepGroup]:
+    """Group the steps between levels whose cells touch on the lower level."""
+    flat, steps, found = search.flat, search.grid.step_array, []
     steps = np.where((steps[:, 0] <= steps[:, 2])[:, None], steps, steps[:, [2, 3, 0, 1]])
     steps = steps[steps[:, 0] < steps[:, 2]]
     ends = flat.layout.start[steps[:, ::2]] + steps[:, 1::2]
-    was_open, is_open = (_lead_on(search, ends) for search in (before, after))
-    found = []
     for low, high in np.unique(steps[:, ::2], axis=0).tolist():
-        own = np.flatnonzero((steps[:, 0] == low) & (steps[:, 2] == high))
-        _, row, col = flat.split(ends[own, 0])
-        marks = np.zeros(before.grid.levels[low].shape, dtype=np.bool_)
+        own = ends[(steps[:, 0] == low) & (steps[:, 2] == high)]
+        _, row, col = flat.split(own[:, 0])
+        marks = np.zeros(search.grid.levels[low].shape, dtype=np.bool_)
         marks[row, col] = True
         group = ndimage.label(marks, structure=np.ones((3, 3)))[0][row, col]
         for one in np.unique(group).tolist():
-            members = own[group == one]
-            if is_open[members].any() or not was_open[members].any():
-                continue
-            places = flat.positions(ends[members])
-            x, y, _ = places.mean(axis=(0, 1))
-            what = "stairs" if np.abs(np.diff(places[..., 2], axis=1)).max() > RISE else "ramp"
+            cells = own[group == one]
+            rise = np.abs(np.diff(flat.positions(cells)[..., 2], axis=1)).max()
+            found.append(StepGroup(low, high, "stairs" if rise > RISE else "ramp", cells))
+    return found
+
+
+def _closed_steps(before: Search, after: Search) -> list[Cut]:
+    found = []
+    for low, high, what, ends in group_steps(before):
+        was_open, is_open = (_lead_on(search, ends) for search in (before, after))
+        if was_open.any() and not is_open.any():
+            x, y, _ = before.flat.positions(ends).mean(axis=(0, 1))
             name = f"the {what} between level {low} and {high} near ({x:.2f}, {y:.2f})"
-            found.append(Cut(name, ends[members].ravel()))
+            found.append(Cut(name, ends.ravel()))
     return found
 
 
