@@ -30,7 +30,7 @@ def ratios(grid, graph, pairs, seed=0, least=9.0):
             continue
         near = []
         for end in (start, goal):
-            away = search.field(np.atleast_1d(search.flat.cells_at(end)), weighted=False)[cells]
+            away = search.field(np.atleast_1d(search.flat.cells_at(end)), by="length")[cells]
             near.append(np.where(away <= ENDS, away, np.inf))
         found.append(float((near[0][:, None] + ways + near[1]).min() / path.length))
     return np.array(found)

@@ -84,6 +84,8 @@ def collect_warnings(stages: Stages) -> list[str]:
         *stages.rooms.warnings,
         *warn_doors(stages.placed, stages.config.doors.state),
         *_warn_interleaved(stages),
+        *stages.areas.warnings,
+        *stages.links.warnings,
     ]
     return [printable(warning) for warning in warnings]
 

@@ -151,8 +151,11 @@ def _read_mapping(path: str) -> Mapping[str, Any]:
 
 
 def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Settings with changed paths of their scene and file of room outlines."""
+    """Settings with changed paths of their scene and files of room outlines, areas and links."""
     changed = dict(settings)
+    for key in ("areas", "links"):
+        if isinstance(changed.get(key), str):
+            changed[key] = change(changed[key])
     for section, key in (("scene", "path"), ("rooms", "polygons")):
         inner = settings.get(section)
         if isinstance(inner, Mapping) and isinstance(inner.get(key), str):

@@ -34,6 +34,9 @@ class SettingKeywords(TypedDict, total=False):
     names: bool | Mapping[str, Any]
     rooms: str | Mapping[str, Any]
     doors: Mapping[str, Any]
+    agents: Mapping[str, Any]
+    areas: str | PathLike[str] | Sequence[Mapping[str, Any]]
+    links: str | PathLike[str] | Sequence[Mapping[str, Any]]
     attributes: Sequence[str]
     verify: Mapping[str, Any]
     output: str | PathLike[str] | None

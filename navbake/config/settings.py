@@ -28,15 +28,19 @@ from pydantic import (
 from navbake import samples
 from navbake.config.field_types import (
     FilePath,
+    LevelKey,
     Name,
     NotNegative,
     OptionalName,
+    Outline,
     Patterns,
+    Position,
     Positive,
     Section,
     Settings,
     describe_errors,
     expects,
+    read_named,
     refusal,
     refuse_if,
     resolve,
@@ -44,11 +48,11 @@ from navbake.config.field_types import (
     setting,
     to_path,
 )
+from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.config.yaml_text import apply_overrides, read_yaml
-from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular, readable_stem
+from navbake.errors import ConfigError
+from navbake.files import readable_stem
 from navbake.formats.shapes import read_room_outlines
-from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
@@ -160,19 +164,6 @@ DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
 DEFAULT_SITES = ("room*",)
 
 
-def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    if fault := find_fault(points):
-        raise refusal("a simple outline", got=fault)
-    return points
-
-
-Point = Annotated[list[float], Field(min_length=2, max_length=2)]
-Outline = Annotated[
-    list[Point],
-    Field(min_length=3),
-    expects("3 or more corners [[x, y], …]"),
-    AfterValidator(_check_outline),
-]
 DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
 
 
@@ -180,29 +171,10 @@ class RoomPolygon(Settings):
     """A room with a given outline."""
 
     name: OptionalName = setting(None, "its name, or null")
-    level: Annotated[
-        Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
-    ] = setting(0, "its level: a number, 0 is the lowest, or a name")
+    level: LevelKey = setting(0, "its level: a number, 0 is the lowest, or a name")
     outdoors: bool = setting(False, "whether it is outdoors: true or false")
     points: Outline = Field(description="its outline [[x, y], …], world frame [m]; no default")
     rings: list[Outline] = setting([], "holes in it and parts apart from it, [[[x, y], …], …] [m]")
-
-
-def _read_polygons(value: Any, info: ValidationInfo) -> Any:
-    """Replace the path of a GeoJSON file by its polygons, so that the digest covers them."""
-    if not isinstance(value, str | PathLike):
-        return value
-    path = resolve(to_path(value), info)
-    if info.context:
-        info.context.setdefault("inputs", []).append(path)
-    try:
-        check_regular(path)
-        return read_room_outlines(path)
-    except OSError as error:
-        message = f"cannot read {path}: {error.strerror}, named at `rooms.polygons`"
-        raise ConfigError(message) from error
-    except FormatError as error:
-        raise ConfigError(f"{error}, named at `rooms.polygons`") from error
 
 
 class RoomSettings(Settings):
@@ -221,7 +193,9 @@ class RoomSettings(Settings):
     )
     geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
     sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
-    polygons: Annotated[list[RoomPolygon], BeforeValidator(_read_polygons)] = setting(
+    polygons: Annotated[
+        list[RoomPolygon], BeforeValidator(read_named("rooms.polygons", read_room_outlines))
+    ] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
         "{name: hall, level: 0, points: [[0, 0], [4, 0], [4, 3]]}",
@@ -298,11 +272,6 @@ class LevelSettings(Settings):
         float | None, expects("a number > ground, or null"), AfterValidator(_check_above_ground)
     ] = setting(None, "height where it ends [m], > ground", "the next level's ground")
     name: OptionalName = setting(None, "its name, or null")
-
-
-Position = Annotated[
-    Annotated[list[float], Field(min_length=3, max_length=3)], expects("a position [x, y, z]")
-]
 
 
 class FloorSettings(Settings):
@@ -412,6 +381,19 @@ class BakeConfig(Settings):
         "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
     doors: Section[DoorSettings] = section(DoorSettings, "which bodies are doors, and their state")
+    agents: Annotated[dict[Name, NamedAgent], BeforeValidator(lambda value: value or {})] = setting(
+        {}, "agents by name, for links and areas: {robot: {radius: 0.3, height: 1.2, speed: 0.8}}"
+    )
+    areas: Areas = setting(
+        [],
+        "areas with a price, a speed or a ban, later ones win: a JSON or GeoJSON file, or a list "
+        "of {name: lab, room: lab, cost: .inf}, of a room, a polygon, a box or geoms",
+    )
+    links: Links = setting(
+        [],
+        "ways between places that no step joins: a JSON or GeoJSON file, or a list of {name: A, "
+        "kind: lift, stops: [[3, 2, 0], [3, 2, 3]], seconds: 12}, and of {auto: drop} to find some",
+    )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
         AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
@@ -438,7 +420,7 @@ class BakeConfig(Settings):
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """The input files of the settings: the scene, and outlines (GeoJSON)."""
+        """The input files of the settings: the scene, outlines, areas and links."""
         return (Path(self.scene.path), *self._named)
 
     def __eq__(self, other: object) -> bool:
@@ -510,6 +492,8 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
     left_out: Any = {"output": True, "verify": True, "scene": {"path"}, "grid": {"max_cells"}}
+    # a grid without links, areas and agents has the digest that it had before there were any
+    left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
@@ -544,6 +528,9 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "rooms": RoomSettings,
     "rooms.polygons": RoomPolygon,
     "names": NameSettings,
+    "agents": NamedAgent,
+    "areas": AreaSettings,
+    "links": LinkSettings,
     "verify": VerifySettings,
 }
 """The model of each section, by its dotted key."""

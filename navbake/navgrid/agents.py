@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -23,6 +23,10 @@ class Agent:
     height: float | None = None  #: [m]; None for the grid's.
     step: float | None = None  #: The highest that it takes [m]; None for the grid's.
     speed: float = SPEED  #: [m/s]
+
+    def of_any_size(self) -> Agent:
+        """The agent with the grid's size: its rights and its speed stay."""
+        return replace(self, radius=None, height=None, step=None)
 
     def to_json(self) -> Json:
         """The agent's entry in the file's table, without its name."""

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import msgspec
 
 from navbake.errors import FormatError
+from navbake.navgrid.agents import Agent
 from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table
 from navbake.types import Json
 
@@ -25,9 +26,10 @@ class Area:
     speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
     agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
 
-    def bars(self, agent: str | None) -> bool:
-        """Whether an agent of a name may not enter; without a name, it may enter at any cost."""
-        return math.isinf(self.cost) or not is_named(agent, self.agents)
+    def bars(self, agent: Agent | None) -> bool:
+        """Whether an agent may not enter it; without one, whether nobody may."""
+        is_named = agent is None or self.agents is None or agent.name in self.agents
+        return math.isinf(self.cost) or not is_named
 
     def to_json(self) -> Json:
         """The area's entry in the file's table."""
@@ -61,8 +63,3 @@ def parse_areas(stated: Any) -> tuple[Area, ...]:
             )
         areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
     return tuple(areas.values())
-
-
-def is_named(agent: str | None, names: tuple[str, ...] | None) -> bool:
-    """Whether a list of agents' names holds an agent; None is no agent, or a list of all."""
-    return agent is None or names is None or agent in names

@@ -14,6 +14,7 @@ from functools import partialmethod
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 Table = TypeVar("Table")
 
+MAX_RADIUS = 10_000.0  # [m]
+
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
@@ -50,11 +53,15 @@ class GridBase:
     extra: Json = field(default_factory=dict, repr=False)
     #: The last result of `navbake.navgrid.islands.islands_of`, after its digest.
     found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
+    #: The current blocks, and grids made of this one for agents of other sizes, which follow them.
+    blocks: list[Any] = field(default_factory=list, init=False, repr=False)
+    fitted: WeakSet[Any] | None = field(default=None, init=False, repr=False)
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
         """Leave out caches and blocks in copies and pickles."""
-        return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
+        without: Json = {"found_islands": None, "_tables": {}, "blocks": [], "fitted": None}
+        return {**self.__dict__, **without, "block_state": None}
 
     @property
     def levels(self) -> list[SceneGrid2D]:
@@ -97,6 +104,25 @@ class GridBase:
     def agent_radius(self) -> float:
         """Radius of the agent of the bake [m]; 0 if the file states none."""
         return self._metres("agentRadius") or 0.0
+
+    @property
+    def exact_inflations(self) -> list[Json]:
+        """What the metadata note of each inflation in mode ``exact``."""
+        done = self.metadata.get("inflation")  # in files of other programs this may be anything
+        entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
+        return [entry for entry in entries if entry.get("mode") == "exact"]
+
+    @property
+    def inflated_radius(self) -> float:
+        """The radius that the grid was inflated for in mode ``exact`` [m]; 0 if it wasn't."""
+        radii = [entry.get("radius") for entry in self.exact_inflations]
+        numbers = (float(r) for r in radii if isinstance(r, int | float))
+        return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
+
+    @property
+    def radius(self) -> float:
+        """The agent's radius [m]: that of the inflation, else that of the bake."""
+        return self.inflated_radius or self.agent_radius
 
     @property
     def max_step(self) -> float:
@@ -444,17 +470,16 @@ class SceneGrid2D(GridBase):
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
-        """The place in `areas` of each cell's area, from 1, 0 for none, (height, width), uint8.
+        """The place of each cell's area in the grid's `areas`, from 1, 0 for none; as `room_index`.
 
-        All 0 without areas. Read-only unless it is the layer ``area`` itself.
+        It means something only where the grid has areas; numbers beyond their table are none.
         """
         stored = self.attributes.get("area")
-        if stored is None or not self.areas:  # other programs may use the name for anything
+        if stored is None:
             return _derived(np.zeros(self.shape, dtype=np.uint8))
-        known = (stored > 0) & (stored <= len(self.areas))
-        if stored.dtype == np.uint8 and known[stored > 0].all():
+        if stored.dtype == np.uint8:
             return stored
-        return _derived(np.where(known, stored, 0).astype(np.uint8))
+        return _derived(np.where((stored >= 0) & (stored < 256), stored, 0).astype(np.uint8))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
         """Describe the rooms of level `number` of a grid from `room_index` alone."""

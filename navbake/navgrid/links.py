@@ -5,20 +5,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from itertools import pairwise
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
 import numpy as np
 
 from navbake.errors import FormatError
+from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table, unflatten
-from navbake.types import Int, Json, Vector3
+from navbake.types import Bool, Float, Int, Json, Vector3
 
 WHERE = "metadata.navbake.links"
 LinkState: TypeAlias = Literal["open", "closed"]
 LINK_STATES: tuple[str, ...] = get_args(LinkState)
+
+SLACK = 1e-9  # share by which an agent may be wider than a link
 
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Row = tuple[Id, Id, Id, Id]
@@ -65,6 +70,20 @@ class Link:
     state: str = "open"  #: Or ``closed``.
     auto: bool = False  #: Whether the bake found it.
 
+    def refuses(self, agent: Agent | None) -> str | None:
+        """Why an agent of any size can't use it, as "is closed"; None if it can."""
+        if self.state == "closed":
+            return "is closed"
+        if agent is not None and self.agents is not None and agent.name not in self.agents:
+            return f"bars {agent.name!r}"
+        return None
+
+    def length(self, begin: int, end: int) -> float:
+        """Length from a stop to another over those in between, by their numbers [m]."""
+        low, high = sorted((begin, end))
+        places = [stop.position for stop in self.stops[low : high + 1]]
+        return sum(math.dist(a, b) for a, b in pairwise(places))
+
     def to_json(self) -> Json:
         """The link's entry in the file's table."""
         entry: Json = {
@@ -79,6 +98,48 @@ class Link:
         if self.agents is not None:
             entry["agents"] = list(self.agents)
         return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
+
+
+class Arcs(NamedTuple):
+    """Passages over links, from stop to stop; without those that a closed or barred link has."""
+
+    ends: Int  # flat ids of the cells that each leads from and to, shape (n, 2)
+    link: Int  # the link's place in the grid's `links`
+    width: Float  # of the widest agent [m], inf for any
+    cost: Float  # [m]
+    seconds: Float
+
+    def wide(self, radius: float) -> Bool:
+        """Which of them an agent of a radius fits through."""
+        return np.asarray(self.width >= 2.0 * radius * (1.0 - SLACK))
+
+
+def find_arcs(
+    links: Sequence[Link], start: Int, agent: Agent | None = None, penalty: float | None = None
+) -> Arcs:
+    """The passages over links that an agent may use, of any size; without one, over open links.
+
+    Args:
+        start: the first flat id of each level.
+        agent: whose rights and speed count.
+        penalty: what passages cost more that aren't allowed, also those against a link of one way
+            [m] and [s]; they are left out if None.
+    """
+    speed, rows = SPEED if agent is None else agent.speed, []
+    for number, link in enumerate(links):
+        cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
+        width = math.inf if link.width is None else link.width
+        for one, other in np.ndindex(len(cells), len(cells)):
+            is_allowed = not link.refuses(agent) and not (link.one_way and other < one)
+            if cells[one] == cells[other] or not (is_allowed or penalty):
+                continue
+            cost = link.length(one, other) if link.cost is None else link.cost
+            seconds = cost / speed if link.seconds is None else link.seconds
+            more = 0.0 if is_allowed else float(penalty or 0.0)
+            rows.append((cells[one], cells[other], number, width, cost + more, seconds + more))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    ends, numbers = table[:, :2].astype(np.int64), table[:, 2].astype(np.int64)
+    return Arcs(ends, numbers, *table[:, 3:].T.copy())
 
 
 class _Entry(msgspec.Struct):

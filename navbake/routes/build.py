@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navbake.errors import QueryError
-from navbake.known_names import suggest
 from navbake.lazy import lazy
-from navbake.navgrid.agents import Agent
+from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.links import SLACK, Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
+from navbake.runtime.agents import find_agent, fit_grid
 from navbake.runtime.cuts import group_steps
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
@@ -52,20 +52,9 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
         agent: its name in the grid, or an Agent; None for one of the grid's radius with all rights.
 
     Raises:
-        QueryError: the grid names no such agent.
+        QueryError: the grid names no such agent, or isn't for one of its size.
     """
-    own = find_agent(grid, agent)
-    radius = grid.agent_radius if own.radius is None else own.radius
-    return _Builder(grid, own, radius).build()
-
-
-def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent:
-    """The agent of a name that the grid lists; one without a name for None."""
-    if not isinstance(agent, str):
-        return agent or Agent("")
-    if agent not in grid.agents:
-        raise QueryError(f"no agent {agent!r} in {grid.scene_id!r}: {suggest(agent, grid.agents)}")
-    return grid.agents[agent]
+    return _Builder(grid, find_agent(grid, agent)).build()
 
 
 class _Place(NamedTuple):
@@ -81,18 +70,22 @@ class _Place(NamedTuple):
 class _Builder:
     """The nodes and lanes of a graph while they are found."""
 
-    def __init__(self, grid: NavGrid, agent: Agent, radius: float) -> None:
-        self.agent, self.radius = agent, radius
-        fitted = grid.inflate(radius) if radius else grid
-        self.grid = _without_barred(fitted, agent.name or None)
-        self.search = Search(self.grid)
+    def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
+        self.speed = SPEED if agent is None else agent.speed
+        fitted = fit_grid(grid, agent)
+        self.radius = fitted.radius
+        # lines are swept exactly on inflated grids only
+        exact = fitted if fitted.inflated_radius >= fitted.radius else fitted.inflate(fitted.radius)
+        self.search = Search(exact, agent=agent and agent.of_any_size(), radius=self.radius)
+        self.grid = self.search.grid
         self.flat = flat = self.search.flat
         areas = self.search.islands.areas
         self.inside: Bool = flat.free & (areas >= LEAST_AREA)[self.search.islands.number]
         self.clearance = np.concatenate([
-            ndimage.distance_transform_edt(np.pad(level.free, 1))[1:-1, 1:-1].ravel()
-            * level.lattice.cell_size
-            for level in self.grid.levels
+            ndimage.distance_transform_edt(
+                np.pad(flat.free[flat.cells_of(number)].reshape(level.shape), 1)
+            )[1:-1, 1:-1].ravel() * level.lattice.cell_size
+            for number, level in enumerate(self.grid.levels)
         ])  # fmt: skip
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
         self.leaves = {cell: own.id for own in grid.doors for cell in self._leaf(own).tolist()}
@@ -152,15 +145,14 @@ class _Builder:
                 for level, cell in zip((group.low, group.high), ends, strict=True):
                     yield _Place(cell, "stop", f"{group.what} {number} {level}")
 
-    def _links(self) -> list[Any]:
+    def _links(self) -> list[Link]:
         """The named links that are open, for the agent, and wide enough."""
-        name = self.agent.name or None
+        least = 2.0 * self.radius * (1.0 - SLACK)
         return [
             link
             for link in self.grid.links
-            if link.state == "open"
-            and (name is None or link.agents is None or name in link.agents)
-            and (link.width is None or link.width >= 2 * self.radius)
+            if link.refuses(self.search.agent) is None
+            and (link.width is None or link.width >= least)
         ]
 
     def _middle(self, ends: Int) -> tuple[int, int] | None:
@@ -220,7 +212,7 @@ class _Builder:
             nodes = np.array([place.cell for place in self.places], dtype=np.int64)
             far = np.full(len(cells), math.inf)
             if len(nodes):
-                far = self.search.field(nodes, weighted=False)[cells]
+                far = self.search.field(nodes, by="length")[cells]
             left = np.flatnonzero(far > REACH)
             if not len(left):
                 return
@@ -283,13 +275,12 @@ class _Builder:
             cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
             for i, j in zip(*np.triu_indices(len(cells), 1), strict=True):
                 if {cells[i], cells[j]} <= index.keys() and cells[i] != cells[j]:
-                    spots = np.array([stop.position for stop in link.stops[i : j + 1]])
-                    length = float(np.linalg.norm(np.diff(spots, axis=0), axis=1).sum())
+                    length = link.length(int(i), int(j))
                     cost = length if link.cost is None else link.cost
                     self._join(
                         index[cells[i]], index[cells[j]], length=length, cost=cost,
                         two_way=not link.one_way, kind=link.kind, link=link.name,
-                        seconds=cost / self.agent.speed if link.seconds is None else link.seconds,
+                        seconds=cost / self.speed if link.seconds is None else link.seconds,
                     )  # fmt: skip
         for group in group_steps(self.search):
             ends = self._middle(group.ends)
@@ -390,7 +381,7 @@ class _Builder:
         found = find_path(
             self.search, self.points[one, :2], self.points[other, :2], level, smooth=True
         )
-        if found is None or (found.levels != level).any():
+        if found is None or found.links or (found.levels != level).any():
             return
         if self.distance[one, other] <= STRETCH * found.length:
             return
@@ -441,7 +432,7 @@ class _Builder:
         lanes = tuple(self._finish(lane, nodes) for lane in self.lanes)
         return RouteGraph(
             tuple(nodes), lanes, self.grid.scene_id, tuple(self.grid.level_names),
-            self.agent.name or None, self.radius, self.agent.speed,
+            (self.search.agent and self.search.agent.name) or None, self.radius, self.speed,
         )  # fmt: skip
 
     def _finish(self, lane: Lane, nodes: list[Node]) -> Lane:
@@ -452,31 +443,15 @@ class _Builder:
         through = self._doors_on(lane.start, lane.end) if lane.kind == FLOOR else {None}
         fields["door"] = min((door for door in through if door), default=None)
         if lane.kind == FLOOR:
-            cells = self._cells_on(
-                self.points[lane.start, :2], self.points[lane.end, :2], one.level
-            )
+            begin, end = self.points[[lane.start, lane.end], :2]
+            cells = self._cells_on(begin, end, one.level)
             table = self.grid.areas
-            prices = np.array([1.0, *(area.cost for area in table)])[self.areas[cells]]
-            weights = prices * self.flat.weight[cells]
-            fields["cost"] = lane.length * float(weights.mean())
+            fields["cost"] = lane.length * float(self.flat.weight[cells].mean())
             speeds = [table[k - 1].speed for k in np.unique(self.areas[cells]).tolist() if k]
             fields["speed"] = min((v for v in speeds if v is not None), default=None)
         for key in ("length", "cost", "seconds"):
             fields[key] = None if fields[key] is None else round(float(fields[key]), DIGITS)
         return Lane(**fields)
-
-
-def _without_barred(grid: NavGrid, agent: str | None) -> NavGrid:
-    """The grid with the cells blocked of areas that bar an agent."""
-    barred = np.array([False, *(area.bars(agent) for area in grid.areas)])
-    if not barred.any():
-        return grid
-    return grid.with_levels(
-        [
-            level.with_layers(weights=np.where(barred[level.area_index], np.inf, level.weights))
-            for level in grid.levels
-        ]
-    )
 
 
 def _around(padded: Bool) -> tuple[Int, Int]:

@@ -1,4 +1,4 @@
-"""What an inflation closes: steps between levels, and doors."""
+"""What an inflation closes: steps between levels, links and doors."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.lazy import lazy
+from navbake.navgrid.links import SLACK
 from navbake.runtime.search import Search
 from navbake.types import Bool, Int
 
@@ -24,13 +25,15 @@ class Cut(NamedTuple):
 
 
 def find_cuts(before: Search, after: Search) -> list[Cut]:
-    """Find the steps between levels, and the doors, that are open in a grid and not in another.
+    """Find the steps between levels, the links and the doors that only one of two grids has open.
 
     Steps side by side are one way. They are closed where no free step is left, or where the free
     ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A door
-    is closed where none of its leaf's cells is free. Both searches are on the same cells.
+    is closed where none of its leaf's cells is free, a link where it is too narrow, or where fewer
+    than two of its stops are. Both searches are on the same cells.
     """
-    return [*_closed_steps(before, after), *_closed_doors(before, after)]
+    parts = _closed_steps(before, after), _closed_links(before, after), _closed_doors(before, after)
+    return [cut for part in parts for cut in part]
 
 
 class StepGroup(NamedTuple):
@@ -83,6 +86,21 @@ def _lead_on(search: Search, ends: Int) -> Bool:
         count[is_on] = of_level[islands.number[ends[is_on]]]
     leads: Bool = np.all(flat.free[ends] & (count * size >= LEAST_AREA), axis=1)
     return leads
+
+
+def _closed_links(before: Search, after: Search) -> list[Cut]:
+    found = []
+    for link in before.grid.links:
+        start = before.flat.layout.start
+        cells = np.array([start[stop.level] + stop.cell for stop in link.stops])
+        was_open, is_open = (
+            search.flat.free[cells].sum() > 1
+            and (link.width is None or link.width >= 2.0 * search.radius * (1.0 - SLACK))
+            for search in (before, after)
+        )
+        if was_open and not is_open:
+            found.append(Cut(f"the link {link.name!r} ({link.kind})", cells))
+    return found
 
 
 def _closed_doors(before: Search, after: Search) -> list[Cut]:

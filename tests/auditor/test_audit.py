@@ -464,6 +464,23 @@ def broken_room_table(grid):
     return restated(grid, rooms=[{"index": "one"}])
 
 
+@plant(
+    "tower",
+    REMARK,
+    "all 2 stops of lift 'lift_b' are on one level",
+    lambda grid: [(0, grid.links[1].stops[0].cell)],
+)
+def lift_without_storeys(grid: Any) -> None:
+    link = next(e for e in grid.metadata["navbake"]["links"] if "lift_b" in str(e))
+    link["stops"][1] = [0, link["stops"][0][1] - 300]
+
+
+@plant("tower", REMARK, "area 'lab' covers no cell of any level", -1)
+def area_without_cells(grid: Any) -> None:
+    for level in grid.levels:
+        level.attributes["area"][level.attributes["area"] == 2] = 0
+
+
 def eroded(mask: Any) -> Any:
     """A mask without the cells at its outline."""
     wide = np.pad(mask, 1)

@@ -59,9 +59,10 @@ def test_tables_are_read_and_written_as_they_were(tmp_path):
     again = read(dumps_navgrid(grid), tmp_path)
     assert (again.steps, again.links, again.areas) == (grid.steps, grid.links, grid.areas)
     assert again.agents == grid.agents
+    assert again.levels[1].area_index.tolist() == [[0, 1, 2, 3]]
     # numbers that the table lacks are no area
-    assert again.levels[1].area_index.tolist() == [[0, 1, 2, 0]]
-    assert house([]).levels[0].area_index.tolist() == [[0, 0, 0, 0]]
+    assert [again.at((x, 0.5), level=1).area for x in (0.5, 1.5, 3.5)] == [None, "lab", None]
+    assert house([]).at((1.5, 0.5), level=1).area is None
 
 
 def test_a_level_keeps_the_links_that_have_two_stops_on_it():

@@ -192,7 +192,7 @@ def inflate(
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
     from navbake.runtime.cuts import find_cuts  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius
+    from navbake.runtime.inflation import SCALING, check_arguments
     from navbake.runtime.search import Search
 
     given = [value for value in (metres, radius) if value is not None]
@@ -208,7 +208,7 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
-    held = exact_radius(before) if mode == "exact" else 0.0
+    held = before.inflated_radius if mode == "exact" else 0.0
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)

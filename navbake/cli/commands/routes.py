@@ -27,7 +27,8 @@ def routes(
     from dataclasses import replace  # with what loads numpy
 
     from navbake.navgrid.agents import Agent
-    from navbake.routes.build import find_agent, make_routes
+    from navbake.routes.build import make_routes
+    from navbake.runtime.agents import find_agent
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
@@ -37,8 +38,10 @@ def routes(
         raise BadParameter(str(error), param_hint="--to" if to else "-o") from error
     check_output(output, inputs=[grid])
     content = navbake.load(grid)
-    own: Agent = find_agent(content, agent)
-    graph = make_routes(content, own if radius is None else replace(own, radius=radius))
+    own = find_agent(content, agent)
+    if radius is not None:
+        own = replace(own or Agent(""), radius=radius)
+    graph = make_routes(content, own)
     graph = graph if level is None else graph.on_level(level)
     if output == STDOUT:
         write_stdout(resolve(f"{module}:encode_routes")(graph))
