@@ -1,16 +1,12 @@
-"""Maps of ROS and nav2, and masks of its costmap filters: an image of a level, and its YAML.
+"""Maps of ROS and nav2: an image of a level, and its YAML.
 
 A map has its origin at the lower left corner of the image's lower left pixel, and its rows from
 the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and, from the
 bottom, in the row of the same formula of y.
 
-A mask is a map on the cells of its level, in mode ``raw``; 0 changes nothing. In a keepout mask,
-100 is forbidden. In a speed mask, 1 to 100 is the limit in percent of a robot's speed, for
-a filter info server with ``type: 1``, ``base: 0.0``, ``multiplier: 1.0``.
-
-Source: nav2's documentation of its costmap filters; ``map_io.cpp`` of ``nav2_map_server``, whose
-rules for pixels `read_values` follows: the three modes, both thresholds, ``negate`` (which ``raw``
-ignores), and transparency. The rules are those of a version:
+Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_values` follows: the
+three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The rules are
+those of a version:
 
 - ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
   nor occupied, and transparency counts as a fourth channel in mode ``trinary`` and makes a pixel
@@ -24,8 +20,6 @@ Files that `encode_nav2` writes have the same values by both.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,13 +46,11 @@ from navbake.formats.occupancy import (
     level_from_values,
     values_of,
 )
-from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_named, check_path, path_name, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.navgrid.polygon import cover_cells
 from navbake.runtime.inflation import SCALING
-from navbake.types import Bool, Json
+from navbake.types import Json
 
 MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")
@@ -67,7 +59,6 @@ YAMLS = (".yaml", ".yml")
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # of map_saver; 0.25 takes 205 for free
 DIGITS = 9  # of an origin, after the point: nanometres [m]
 GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # of mode trinary, as map_saver writes them
-MAX_LISTED = 20  # names that an error lists
 
 
 class MapRules(NamedTuple):
@@ -115,8 +106,8 @@ def encode_nav2(
         QueryError: a radius, inflation or scaling out of its range.
     """
     image = image or ("png" if mode == "scale" else "pgm")
-    _check_choice(mode, MODES, "mode")
-    _check_choice(image, IMAGES, "image")
+    check_choice(mode, MODES, "mode")
+    check_choice(image, IMAGES, "image")
     if mode == "scale" and image == "pgm":
         raise FormatError("mode scale marks unknown cells by transparency: expected image png")
     if inflation is not None and mode == "trinary":
@@ -133,11 +124,11 @@ def encode_nav2(
         else:
             robot = grid.agent_radius if radius is None else radius
             values = inflated_values(grid, k, robot, inflation, scaling)
-        files |= _encode_map(grid.levels[k], values, yaml_path, mode, image)
+        files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
 
-def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
+def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
     """The image of a level's values, and the YAML that names it."""
     unknown, grey = values == UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
     if mode == "raw":
@@ -189,7 +180,22 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         FormatError: the YAML or its image is missing, broken or too large, or there are no such
             rules.
     """
-    _check_choice(rules, RULES, "rules")
+    values, (x, y), stated = read_map(path, rules)
+    content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
+    metadata = {"sceneId": readable_stem(path), "nav2": content}
+    level = level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
+    checked_grid(level, JsonPath(check_path(path)))
+    return level
+
+
+def read_map(
+    path: str | PathLike[str], rules: str = "humble"
+) -> tuple[Values, tuple[float, float], MapRules]:
+    """Read a map's values on cells along the axes, its lower left corner x, y [m], and its YAML.
+
+    See `read_nav2` for the arguments and errors.
+    """
+    check_choice(rules, RULES, "rules")
     stated = read_rules(path)
     if not os.path.exists(stated.image):  # Path.exists raises for names that are too long
         raise FormatError(f"the image that `image` in {path} names isn't there: {stated.image}")
@@ -200,11 +206,7 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         raise FormatError(f"{message} at {stated.image}") from error
     values = read_values(read_pixels(stated.image), stated, rules)
     values, x, y = lay_along_axes(values, stated.origin, stated.resolution)
-    content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
-    metadata = {"sceneId": readable_stem(path), "nav2": content}
-    level = level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
-    checked_grid(level, JsonPath(check_path(path)))
-    return level
+    return values, (x, y), stated
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
@@ -288,98 +290,7 @@ def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> Valu
     return values
 
 
-def _check_choice(value: str, known: tuple[str, ...], name: str) -> None:
+def check_choice(value: str, known: tuple[str, ...], name: str) -> None:
+    """Raise a FormatError for a value that is none of those known."""
     if value not in known:
         raise FormatError(f"expected {' or '.join(known)} as {name}, got {value!r}")
-
-
-# ---------------------------------------------------------------- masks
-
-
-Zone = tuple[tuple[str, ...], int, int | Bool]
-"""A part of a level: the names that it can be called by, the level, and which cells it has: the
-index of a room, or the mask of a polygon."""
-
-
-def encode_mask(
-    grid: NavGrid,
-    path: Path,
-    *,
-    has_limits: bool,
-    level: int | None = None,
-    image: str | None = None,
-    zone: Sequence[str] | None = None,
-    zones: str | PathLike[str] | None = None,
-) -> Files:
-    """Encode the masks of the keepout filter, or of the speed filter, one for each level.
-
-    Args:
-        path, level, image: as of `encode_nav2`; in mode ``raw``.
-        has_limits: for the speed filter, whose zones have limits.
-        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
-            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
-            Of the keepout filter all polygons if None.
-        zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
-
-    Raises:
-        FormatError: a name is unknown, a limit invalid, or a polygon holds no cell's centre
-            of its level.
-    """
-    image = image or "pgm"
-    _check_choice(image, IMAGES, "image")
-    known = _find_zones(grid, zones)
-    chosen: list[tuple[Zone, int]] = []
-    if zone is None and not has_limits:
-        chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
-    for entry in zone or []:
-        name, value = entry, OCCUPIED
-        if has_limits:
-            name, _, text = entry.rpartition("=")
-            if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
-                raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
-            value = int(text)
-        found = [own for own in known if name in own[0]]  # on all levels with that name
-        if not found:
-            names = list(dict.fromkeys(own[0][-1] for own in known))
-            listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
-            there = f"there are: {listed or 'none'}"
-            raise FormatError(f"no room or polygon is called {name!r}; {there}")
-        chosen += [(own, value) for own in found]
-    if not chosen:
-        raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
-    files: Files = {}
-    for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
-        target = grid.levels[k]
-        values: Values = np.full(target.shape, FREE, dtype=np.int8)
-        for (_, own_level, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
-            if own_level == k:
-                is_room = isinstance(cells, int)
-                values[target.room_index == cells if is_room else cells] = value
-        files |= _encode_map(target, values, yaml_path, "raw", image)
-    return files
-
-
-encode_keepout = partial(encode_mask, has_limits=False)
-encode_speed = partial(encode_mask, has_limits=True)
-
-
-def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:
-    """The rooms of a grid, and the polygons of a file."""
-    found: list[Zone] = [
-        ((str(room.index), room.id, *([room.name] if room.name else [])), room.level, room.index)
-        for room in grid.rooms
-    ]
-    names = grid.level_names
-    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
-        name, level = outline["name"] or f"feature {k}", outline["level"]
-        number = names.index(level) if level in names else level
-        if not isinstance(number, int) or number >= len(names):
-            whose = f"{name!r} in {path}"
-            there = ", ".join(names)
-            raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
-        mask = cover_cells([outline["points"], *outline["rings"]], grid.levels[number].lattice)
-        if not mask.any():
-            where = f"lies outside of level {number}: it holds no cell"
-            raise FormatError(f"{name!r} in {path} {where}")
-        found.append(((name,), number, mask))
-    return found

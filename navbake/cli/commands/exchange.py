@@ -59,6 +59,10 @@ class FormatOptions(NamedTuple):
     zones: Path | None = option(
         "GEOJSON", "Polygons of a mask; all of them unless --zone names some."
     )
+    agent: str | None = option(
+        "NAME", "Agent that a mask of the grid's areas is for.  [default: any]"
+    )
+    absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
     height: float | None = option(
         "METRES", "How far walls rise over the highest floor [m].  [default: 2.5]"
     )
