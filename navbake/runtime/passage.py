@@ -18,6 +18,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.navgrid.links import SLACK
 from navbake.runtime import inflation
+from navbake.runtime.cuts import find_cuts
 from navbake.runtime.flat_grid import doors_on, map_islands, text_of
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
@@ -225,6 +226,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         _blocked_for_now(search, origin, goals)
         or _doors(search, origin, goals)
         or _links_and_areas(search, origin, goals)
+        or _cuts(search, origin, goals)
         or _gap(search, origin, goals)
         or _steps(search, origin, goals)
     )
@@ -343,6 +345,25 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     states |= {name: "as modelled" for name, state in states.items() if state == "modelled"}
     listed = " and ".join(f"{name!r} ({states[name]})" for name in names)
     return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
+
+
+def _cuts(search: Search, origin: int, goals: Int) -> str | None:
+    """Name the steps and doors on the way that the agent's radius closed; None if it isn't it."""
+    grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
+    if not agent:
+        return None
+    plain = search_as(deflated(grid.without_blocks()), search)
+    weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
+    route = find_route(with_weights(plain.grid, weights), search, origin, goals)
+    if route is None:
+        return None
+    closed = [cut for cut in find_cuts(plain, search) if np.isin(cut.cells, route).any()]
+    widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
+    if not closed or widest is None:
+        return None
+    names, verb = " and ".join(cut.name for cut in closed), "is" if len(closed) == 1 else "are"
+    verb = "are" if names.startswith("the stairs") else verb
+    return f"{names} {verb} closed for a radius of {agent:g} m, and {widest[0]:g} m passes"
 
 
 def _gap(search: Search, origin: int, goals: Int) -> str | None:

@@ -12,14 +12,14 @@ import numpy as np
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.errors import FormatError
-from navbake.navgrid.grid import GridBase
+from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.links import Link
 from navbake.types import Bool, Float
 from navbake.verifier.floors import rounding
 from navbake.verifier.lines import Lines
 from navbake.verifier.probes import TOUCHES, Column, Probes
 from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, Finding
-from navbake.verifier.sample import Agent
+from navbake.verifier.sample import SLACK, Agent
 
 CROSSED = ("drop", "jump")  # kinds of links whose way runs straight from stop to stop
 STEP = 0.02  # between the positions of a car that are looked at [m]
@@ -50,15 +50,21 @@ def check_links(
 def _check_crossing(
     link: Link, grid: GridBase, probes: Probes, lines: Lines, agent: Agent, tolerance: float
 ) -> Iterator[Finding]:
-    ends = [_place_of(grid, stop.level, stop.cell) for stop in link.stops]
-    (one, other), cell_size = ends, grid.levels[0].lattice.cell_size
-    top = max(one[2], other[2])
-    count = max(round(float(np.hypot(*(other - one)[:2])) / cell_size), 1)
-    places = one + np.linspace(0.0, 1.0, count + 1)[:, None] * (other - one)
-    lows = np.full(count + 1, top)
-    lows[0], lows[-1] = one[2], other[2]  # over the ends, from their floors on
+    (one, other), places = link.stops, _cells_along(link, grid)
+    lattice = grid.levels[one.level].lattice
+    # from where one walks on each of the two floors
+    first = _walks_to(places, grid.levels[one.level], grid)
+    end = len(places) - 1 - _walks_to(places[::-1], grid.levels[other.level], grid)
+    if first >= end:
+        return
+    start = _floor_at(grid.levels[one.level], places[first])
+    stop = _floor_at(grid.levels[other.level], places[end])
+    top, cell_size = max(start, stop), lattice.cell_size
+    crossed = places[first : end + 1]
+    lows = np.full(len(crossed), top)
+    lows[0], lows[-1] = start, stop  # over the ends, from their floors on
     half = cell_size / 2
-    for (x, y, _), low in zip(places, lows, strict=True):
+    for (x, y), low in zip(crossed, lows, strict=True):
         band = low + agent.step + tolerance, top + agent.height - tolerance
         center, half_z = np.array([x, y, sum(band) / 2]), (band[1] - band[0]) / 2
         columns = [Column(half, half, half_z, False)]
@@ -70,7 +76,7 @@ def _check_crossing(
                 text = f"{link.kind} {link.name!r} runs into {name!r}"
                 yield _finding(LINK_TOUCHES, link, grid, (x, y, low), text, name)
                 return
-    x, y, z = other.tolist()
+    (x, y), z = crossed[-1], stop
     off = rounding(x, y, z)
     line = lines.at(x, y)
     if not (line.faces_up(z - off, z + off) or lines.faces_up_beside((x, y, z), off)):
@@ -124,11 +130,39 @@ def _first_hit(item: Any, ups: Float, obstacles: Any, is_other: Bool) -> tuple[f
     return None
 
 
-def _place_of(grid: GridBase, number: int, cell: int) -> Float:
-    level = grid.levels[number]
-    row, col = divmod(cell, level.width)
-    z = float(level.floor_or_ground[row, col])
-    return np.array([*level.lattice.positions(row, col), z])
+def _cells_along(link: Link, grid: GridBase) -> list[tuple[float, float]]:
+    """The places on the straight line between two stops' cells, a cell apart; x, y [m]."""
+    ends = []
+    for stop in link.stops:
+        level = grid.levels[stop.level]
+        ends.append(level.lattice.positions(*divmod(stop.cell, level.width)))
+    count = max(round(float(np.abs(ends[1] - ends[0]).max()) / grid.levels[0].lattice.cell_size), 1)
+    line = ends[0] + np.linspace(0.0, 1.0, count + 1)[:, None] * (ends[1] - ends[0])
+    return [(float(x), float(y)) for x, y in line]
+
+
+def _walks_to(places: list[tuple[float, float]], level: SceneGrid2D, grid: GridBase) -> int:
+    """The number of the last place to which one walks from the first, on a level."""
+    last = _floor_at(level, places[0])
+    for number, place in enumerate(places[1:]):
+        floor = _floor_at(level, place)
+        if np.isnan(floor) or abs(floor - last) > grid.max_step + SLACK or not _at(level, place)[0]:
+            return number
+        last = floor
+    return len(places) - 1
+
+
+def _floor_at(level: SceneGrid2D, place: tuple[float, float]) -> float:
+    return _at(level, place)[1]
+
+
+def _at(level: SceneGrid2D, place: tuple[float, float]) -> tuple[bool, float]:
+    """Whether the cell at a place is free, and its floor [m]; NaN for none."""
+    row, col = (int(v) for v in level.lattice.rows_cols(place))
+    if not (0 <= row < level.height and 0 <= col < level.width):
+        return False, float("nan")
+    floor = level.floor_of(np.array([row]), np.array([col]))
+    return bool(np.isfinite(level.weights[row, col])), float(floor[0])
 
 
 def _finding(

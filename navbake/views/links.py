@@ -102,20 +102,13 @@ def describe_area(area: Area) -> str:
     return f"{area.name}: {', '.join(facts)}" if facts else area.name
 
 
-def way_table(grid: NavGrid) -> Table:
-    """A row for each link and stair: where it leads, what it costs, and who may use it."""
-    rows = []
+def stair_table(grid: NavGrid) -> Table:
+    """A row for each stair, and each steep ramp: its steps side by side, and their middle."""
+    names, rows = grid.level_names, []
     for way in find_ways(grid):
-        levels = " - ".join(grid.level_names[n] for n in dict.fromkeys(p[0] for p in way.places))
-        stops = "; ".join(f"{x:.2f}, {y:.2f}, {z:.2f}" for _, x, y, z in way.places)
-        link = way.link
-        own: tuple[object, ...] = ("", "", "", "", way.num_steps)
-        if link is not None:
-            allowed = None if link.agents is None else ", ".join(link.agents) or "none"
-            own = (link.width, link.cost, link.seconds, allowed, None)
-        state = "" if link is None else link.state + (", one way" if link.one_way else "")
-        rows.append((way.name, way.kind, levels, stops, *own, state))
-    headings = ("name", "kind", "levels", "stops x, y, z [m]", "width m", "cost m", "s", "agents")
-    numbers = {"width m", "cost m", "s", "steps"}
-    table = make_table((*headings, "steps", "state"), rows, numbers=numbers)
-    return table.without_empty_columns()
+        if way.link is None:
+            (one, x, y, _), (other, *_) = way.places
+            place = f"{x:.2f}, {y:.2f}"
+            rows.append((way.name, names[one], names[other], way.num_steps, place))
+    headings = ("name", "from", "to", "steps", "mean place x, y [m]")
+    return make_table(headings, rows, numbers=("steps",))

@@ -55,8 +55,7 @@ def test_what_stands_in_the_way_is_named(tower, planted, text):
 
 def test_a_landing_without_floor_is_named(tower):
     wrong = copy.deepcopy(tower)
-    link = next(link for link in tower.links if link.kind == "drop")
-    level, cell = link.stops[1].level, link.stops[1].cell
-    wrong.levels[level].attributes["floorHeight"].flat[cell] -= 0.1
+    level, row, col = tower.cell_at((6.3, -1.2, -0.9))  # where it lands
+    wrong.levels[level].attributes["floorHeight"][row, col] -= 0.1
     (found,) = findings(wrong, (CONFIGS / "scenes" / "tower.xml").read_text())
     assert found.kind == kinds.NO_LANDING and "lands at -1.000 m" in found.text

@@ -26,7 +26,8 @@ def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     there to the first free cell that is lower than that; the agent goes on at its height and falls.
     A jump leads over a gap of at least a cell to a floor at about the same height, within a step
     unless the rule has a height. Nothing stands in the way: between them and over both ends, up to
-    the agent's height over the higher one. Those side by side are one link, at their middle.
+    the agent's height over the higher one. Those side by side are one link, at their middle, whose
+    stops are as far from the edge as an agent of its width needs, see `Ground.stand_back`.
     """
     is_drop = rule.auto == "drop"
     height = rule.height or (DROP if is_drop else ground.step)
@@ -35,10 +36,14 @@ def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     links = []
     for group in group_leaps(found, ground):
         k = group[middle_of(found.cell[group], ground.lattice)]
-        one = ground.stop(int(found.level[k]), int(found.cell[k]))
-        other = ground.stop(int(found.other_level[k]), int(found.other_cell[k]))
-        width = round(ground.width_of(found.cell[group]), 6)
-        links.append(MadeLink([one, other], {"one_way": is_drop, "width": width}))
+        width, way = round(ground.width_of(found.cell[group]), 6), int(found.way[k])
+        stops = []
+        for level, cell, back in (
+            (int(found.level[k]), int(found.cell[k]), (way + 2) % 4),
+            (int(found.other_level[k]), int(found.other_cell[k]), way),
+        ):
+            stops.append(ground.stop(level, ground.stand_back(level, cell, back, width)))
+        links.append(MadeLink(stops, {"one_way": is_drop, "width": width}))
     return links
 
 

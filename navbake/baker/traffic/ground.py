@@ -22,6 +22,9 @@ WAYS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """The directions in which links cross gaps, as steps of row and column."""
 
 
+ROOM = 0.5  # between a stop and the edge, for agents larger than the bake's [m]
+
+
 class MadeLink(NamedTuple):
     """A link: its stops, with cells on the whole lattice, and further fields of a `Link`."""
 
@@ -82,6 +85,24 @@ class Ground(NamedTuple):
         x, y = self.lattice.positions(row, col).tolist()
         z = float(np.float32(self.floors[level, row, col]))
         return Stop(level, cell, (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0))
+
+    def stand_back(self, level: int, cell: int, way: int, width: float) -> int:
+        """The cell from which any agent that fits through a width is off the edge, at most `ROOM`.
+
+        It lies straight beyond a cell in a direction, over free cells without a step between;
+        where these end earlier, the last of them.
+        """
+        (down, right), (rows, cols) = WAYS[way], self.lattice.shape
+        row, col = divmod(cell, cols)
+        size = self.lattice.cell_size
+        for _ in range(math.ceil(min(width / 2, ROOM) / size - 0.5 - SLACK)):
+            r, c = row + down, col + right
+            if not (0 <= r < rows and 0 <= c < cols and self.free[level, r, c]):
+                break
+            if abs(self.floors[level, r, c] - self.floors[level, row, col]) > self.step:
+                break
+            row, col = r, c
+        return row * cols + col
 
     def cells_in(self, length: float) -> int:
         """How many cells lie between the ends of a gap of a length [m]."""

@@ -125,8 +125,11 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
             clear = own.only(_are_clear(own, car, ground))
             if len(clear.cell):
                 k = middle_of(clear.other_cell, ground.lattice)
-                stops.append(ground.stop(int(clear.other_level[k]), int(clear.other_cell[k])))
-                widths.append(ground.width_of(clear.cell))
+                width = min(car.width, ground.width_of(clear.cell))
+                level, cell = int(clear.other_level[k]), int(clear.other_cell[k])
+                cell = ground.stand_back(level, cell, int(clear.way[k]), width)
+                stops.append(ground.stop(level, cell))
+                widths.append(width)
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
             links.append(MadeLink(stops, {"name": car.name, "width": round(min(widths), 6)}))

@@ -22,10 +22,12 @@ from navbake.cli.options import (
     option,
     parse_place,
     position_of_place,
+    refuse_unused,
     write_picture,
 )
 from navbake.cli.printing import print_json, print_tables, say, verify_table
 from navbake.errors import QueryError
+from navbake.formats.convert import read_as
 from navbake.views.tables import (
     agent_table,
     area_table,
@@ -303,20 +305,33 @@ def audit(
     grid: GridFile,
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
+    on: Path | None = option(
+        "FILE", "GRID is a graph of routes on this grid, or map of nav2.", "--grid"
+    ),
+    radius: float | None = option(
+        "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
+    ),
 ) -> None:
-    """Look at a grid of any program for what a person would notice.
+    """Look at a grid of any program, or at a graph of routes, for what a person would notice.
 
     It needs no scene. The exit status is 1 if there are errors, 0 if there are only remarks.
 
     Example: navbake audit house.grid.json -o remarks.png
     """
+    refuse_unused(("--radius", radius is not None, on is not None, "--grid"))
     if output is not None:
-        check_output(output, ".png", ".svg", inputs=[grid])
+        check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
     from navbake.auditor.audit import audit as look_at  # loads numpy
     from navbake.auditor.report import count_of  # loads it too
 
-    content = navbake.load(grid)
-    report = look_at(content)
+    if on is None:
+        content = navbake.load(grid)
+        report = look_at(content)
+    else:
+        from navbake.auditor.routes import audit_routes  # loads it too
+
+        content = read_as(on)
+        report = audit_routes(grid, content, radius=radius)
     with beside_output(output):
         if as_json:
             print_json(report.to_json())

@@ -21,10 +21,20 @@ from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views.describe import describe
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.links import Way, describe_area, way_table
+from navbake.views.links import Way, stair_table
 from navbake.views.page.page import make_page, pack, show_table
 from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
-from navbake.views.tables import Table, door_table, level_table, make_table, room_table, summarize
+from navbake.views.tables import (
+    Table,
+    agent_table,
+    area_table,
+    door_table,
+    level_table,
+    link_table,
+    make_table,
+    room_table,
+    summarize,
+)
 
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
@@ -171,8 +181,10 @@ def _describe_grid(
         "Levels": level_table(facts),
         "Rooms": room_table(grid.rooms, grid.level_names),
         "Doors": door_table(grid.doors, grid.level_names),
-        "Links and stairs": way_table(grid),
-        "Areas": make_table(("area",), [(describe_area(area),) for area in grid.areas]),
+        "Stairs and steep ramps": stair_table(grid),
+        "Links": link_table(grid.links, grid.level_names),
+        "Areas": area_table(facts["areas"]),
+        "Agents": agent_table(facts["agents"]),
         **dict(made for _, made in remarks),
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),

@@ -31,12 +31,19 @@ def fences(y0, y1):
     return "".join(box("", x, y0, 0, x + 0.02, y1, 0.6) for x in np.arange(2.57, 3.2, 0.1))
 
 
+def all_free(grid, link):
+    """Whether an agent can stand at all stops."""
+    return all(grid.levels[stop.level].free.flat[stop.cell] for stop in link.stops)
+
+
 def test_a_dock_is_one_drop_as_wide_as_its_edge():
-    (link,) = bake(YARD + DOCK, DROP).links
+    grid = bake(YARD + DOCK, DROP)
+    (link,) = grid.links
     assert (link.name, link.kind, link.one_way, link.auto) == ("drop 1", "drop", True, True)
     (x, y, z), (to_x, to_y, to_z) = (stop.position for stop in link.stops)
     assert z == pytest.approx(0.8) and to_z == 0.0 and y == to_y == pytest.approx(2.0, abs=0.06)
-    assert x < 2.47 < to_x < 2.75
+    assert 1.9 < x < 2.47 < to_x < 3.1
+    assert all_free(grid.inflate(0.45), link)
     assert link.width == pytest.approx(3.96, abs=0.11)
 
 
@@ -198,13 +205,15 @@ def car(name="lift", z=0.0, reach=3.0, x=1.83, way="0 0 1"):
 
 
 def test_a_lift_stops_beside_the_floors_that_it_meets():
-    (link,) = bake(STOREYS + car(), {"auto": "lift"}).links
+    grid = bake(STOREYS + car(), {"auto": "lift"})
+    (link,) = grid.links
     assert (link.name, link.kind, link.auto) == ("lift", "lift", True)
     # to the east and the south on the ground floor, to the east on the mezzanine
     stops = [tuple(round(v, 2) for v in stop.position) for stop in link.stops]
     assert {stop[2] for stop in stops} == {0.0, 3.0}
-    assert all(2.9 < x < 3.3 and 1.4 < y < 2.6 for x, y, z in stops if z == 3.0)
+    assert all(3.4 < x < 3.6 and 1.4 < y < 2.6 for x, y, z in stops if z == 3.0)
     assert 0.9 <= link.width <= 1.1
+    assert all_free(grid.inflate(link.width / 2), link)
 
 
 @pytest.mark.parametrize("z", [0.0, 1.3, 3.0])
