@@ -69,6 +69,8 @@ class Link:
     agents: tuple[str, ...] | None = None  #: Names of those that may use it; None for all.
     state: str = "open"  #: Or ``closed``.
     auto: bool = False  #: Whether the bake found it.
+    #: Of a lift: world x, y of its car's middle [m], its yaw [rad], width along it and depth [m].
+    car: tuple[float, float, float, float, float] | None = None
 
     def refuses(self, agent: Agent | None) -> str | None:
         """Why an agent of any size can't use it, as "is closed"; None if it can."""
@@ -97,6 +99,7 @@ class Link:
         entry |= {key: value for key, value in values if value is not None}
         if self.agents is not None:
             entry["agents"] = list(self.agents)
+        entry |= {"car": list(self.car)} if self.car is not None else {}
         return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
 
 
@@ -156,6 +159,7 @@ class _Entry(msgspec.Struct):
     agents: tuple[str, ...] | None = None
     state: LinkState = "open"
     auto: bool = False
+    car: tuple[float, float, float, float, float] | None = None
 
 
 def _read(stated: Any) -> list[tuple[int, Row | _Entry]]:

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from navbake.baker.columns import cast_columns, tile_shapes
-from navbake.baker.kernels.constants import SLACK, SLIDE
+from navbake.baker.kernels.constants import BOX, SLACK, SLIDE
 from navbake.baker.lattice import Window
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.names import all_names, find_subtree_ends, geoms_of_bodies
+from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.baker.traffic.ground import (
     WAYS,
@@ -105,6 +106,7 @@ class Car(NamedTuple):
     low: float  # lowest and highest height of its floor [m]
     high: float
     width: float  # of its floor [m]
+    place: tuple[float, ...]  # x, y of its middle [m], yaw [rad], width along it and depth [m]
 
 
 def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
@@ -132,7 +134,8 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
                 widths.append(width)
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
-            links.append(MadeLink(stops, {"name": car.name, "width": round(min(widths), 6)}))
+            fields = {"name": car.name, "width": round(min(widths), 6), "car": car.place}
+            links.append(MadeLink(stops, fields))
     return links
 
 
@@ -179,7 +182,21 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
         yield Car(
             names[body], shapes, scene.shapes.only(~own), window,
             floor.reshape(shape), outline.reshape(shape), top, low, high, width,
+            _place_of(scene, carrier, shapes),
         )  # fmt: skip
+
+
+def _place_of(scene: Scene, geom: int, shapes: Shapes) -> tuple[float, ...]:
+    """Where a car stands: by its floor's frame if that is an upright box, else by its bounds."""
+    model, data = scene.model, scene.data
+    middle, turn = data.geom_xpos[geom], data.geom_xmat[geom]
+    if model.geom_type[geom] == BOX and turn[8] >= UPRIGHT:
+        yaw, size = float(np.arctan2(turn[3], turn[0])), 2.0 * model.geom_size[geom]
+    else:
+        assert shapes.bounds is not None
+        middle, yaw, size = shapes.bounds.mean(axis=0), 0.0, np.diff(shapes.bounds, axis=0)[0]
+    found = (middle[0], middle[1], yaw, size[0], size[1])
+    return tuple(round(float(value), 6) + 0.0 for value in found)
 
 
 def _find_ways_out(car: Car, ground: Ground, gap: float) -> Leaps:
