@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from navbake.formats.omnigibson import read_omnigibson as from_omnigibson
     from navbake.formats.procthor import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
+    from navbake.navgrid.agents import Agent
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from navbake.voxels.grid import VoxelGrid
 
 __all__ = [
+    "Agent",
     "BakeConfig",
     "BakeWarning",
     "Baker",
@@ -81,6 +83,7 @@ __all__ = [
 
 # where each public name is that loads dependencies
 _LAZY = {
+    "Agent": "navbake.navgrid.agents:Agent",
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",

@@ -16,7 +16,7 @@ _FOLDERS = (_PACKAGE / "sample_files", _PACKAGE.parent / "configs")
 
 
 def names() -> list[str]:
-    """The names of the samples: apartment, clutter, house, terrain and warehouse."""
+    """The names of the samples: apartment, clutter, house, terrain, tower and warehouse."""
     return sorted(file.stem for file in _folder().glob("*.yaml"))
 
 

@@ -21,14 +21,15 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.episodes.episode import Episode, EpisodeSet, scene_of
+from navbake.episodes.episode import Episode, EpisodeSet, named_agent, scene_of
 from navbake.episodes.formats import decode
-from navbake.episodes.goals import SNAP, find_stops, fit_grid, path_through
+from navbake.episodes.goals import SNAP, find_stops, path_through
 from navbake.episodes.sampler import EDGES
 from navbake.errors import QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap
 from navbake.types import Float, Json
@@ -261,7 +262,8 @@ class Measures:
         cells = cells[(number[cells] == home) & (home > 0)]
         if not len(cells):
             return 0.0
-        near = (search.field(cells, weighted=False) <= self.radius) & (number == home)
+        field = search.field(cells, by="length", backwards=False)
+        near = (field <= self.radius) & (number == home)
         size = flat.layout.cell_size[flat.level_of(np.flatnonzero(near))]
         return float((size**2).sum() / search.islands.areas[home])
 
@@ -354,10 +356,12 @@ def score_set(
     agent = content.header.agent
     finders: dict[str, PathFinder] = {}
     for given in [grids] if not isinstance(grids, Sequence) else grids:
-        grid = given if agent is None or force else fit_grid(given, agent.radius)
+        name, radius = (None, None) if agent is None else (agent.name or None, agent.radius)
+        planner = named_agent(given, name, radius)
+        grid = given if force else fit_grid(given, planner)
         if not force:
             content.check_grid(grid)
-        finders[scene_of(grid)] = PathFinder(grid)
+        finders[scene_of(grid)] = PathFinder(grid, agent=planner.of_any_size() if name else None)
     rows = []
     for episode in chosen:
         if episode.scene not in finders:

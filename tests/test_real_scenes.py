@@ -113,7 +113,7 @@ def test_levels_fit_together(name):
     same_column = (np.diff(standing[:, :2], axis=0) == 0).all(axis=1)
     assert (np.diff(standing[:, 2])[same_column] >= HEADROOM - 1e-4).all()
 
-    for level_a, cell_a, level_b, cell_b in grid.link_array.tolist():
+    for level_a, cell_a, level_b, cell_b in grid.step_array.tolist():
         a, b = grid.levels[level_a], grid.levels[level_b]
         at_a, at_b = divmod(cell_a, a.width), divmod(cell_b, b.width)
         apart = a.lattice.positions(*at_a) - b.lattice.positions(*at_b)

@@ -72,7 +72,7 @@ class Posed:
         return np.inf if d < 0 else d
 
 
-@pytest.mark.parametrize("name", [*MJCF, "clutter"])
+@pytest.mark.parametrize("name", [*MJCF, "clutter", "tower"])
 def test_each_scene_has_its_settings(name: str) -> None:
     settings = load_config(ROOT / "configs" / f"{name}.yaml")
     assert settings.scene.id == name
@@ -80,7 +80,7 @@ def test_each_scene_has_its_settings(name: str) -> None:
     assert str(settings.output) == f"{name}.grid.json"
 
 
-@pytest.mark.parametrize("name", MJCF)
+@pytest.mark.parametrize("name", [*MJCF, "tower"])
 def test_everything_is_named(name: str) -> None:
     model = mujoco.MjModel.from_xml_path(str(SCENES / f"{name}.xml"))
     kinds = [(model.geom, model.ngeom), (model.body, model.nbody), (model.joint, model.njnt)]
@@ -92,7 +92,7 @@ def test_the_apartment_has_geoms_of_all_types() -> None:
     assert set(model.geom_type) == set(range(PLANE, int(mujoco.mjtGeom.mjGEOM_SDF) + 1))
 
 
-@pytest.mark.parametrize("name", MJCF)
+@pytest.mark.parametrize("name", [*MJCF, "tower"])
 def test_no_upright_face_lies_where_cells_meet(name: str) -> None:
     """The scene's own outline aside, so that no cell hangs on the last bit of a number."""
     scene = Posed(name)
@@ -203,8 +203,9 @@ BY_DESIGN = {  # what runs into each other: sunk into the ground, or meeting at 
 }
 
 
-@pytest.mark.parametrize("keyframe", [None, *KEYFRAMES])
-@pytest.mark.parametrize("name", MJCF)
+@pytest.mark.parametrize(
+    ("name", "keyframe"), [*itertools.product(MJCF, [None, *KEYFRAMES]), ("tower", None)]
+)
 def test_nothing_stands_in_something_else(name: str, keyframe: str | None) -> None:
     scene = Posed(name, keyframe)
     overlaps = set()

@@ -14,7 +14,14 @@ from navbake.errors import ConfigError
 
 
 def test_all_are_listed(capsys):
-    assert navbake.samples.names() == ["apartment", "clutter", "house", "terrain", "warehouse"]
+    assert navbake.samples.names() == [
+        "apartment",
+        "clutter",
+        "house",
+        "terrain",
+        "tower",
+        "warehouse",
+    ]
     with pytest.raises(SystemExit):
         main(["samples"])
     out = capsys.readouterr().out

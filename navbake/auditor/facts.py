@@ -138,7 +138,7 @@ class Facts:
         with suppress(FormatError):
             self.rooms = self.grid.rooms
         with suppress(FormatError):
-            self.links = self.grid.link_array
+            self.links = self.grid.step_array
 
     @cached_property
     def step_limit(self) -> float:

@@ -88,7 +88,7 @@ def _in_box(facts: Facts, number: int, box: tuple[tuple[float, ...], ...]) -> Bo
 
 def check_links(facts: Facts) -> Iterator[Found]:
     """Links lead to cells that there aren't, that have no floor, that are far away, or too high."""
-    links = facts.grid.link_array
+    links = facts.grid.step_array
     one, other = places = np.full((2, len(links), 3), np.nan)
     for place, (level, cell) in zip(places, (links[:, :2].T, links[:, 2:].T), strict=True):
         for number, grid in enumerate(facts.levels):

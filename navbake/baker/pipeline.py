@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,10 +24,12 @@ from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
+from navbake.navgrid.agents import Agent
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.doors import Door, Runs, to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.links import Link, Stop
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
 from navbake.types import Bool, Int, Json
@@ -229,6 +231,8 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
         attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
+    if stages.areas.layers:
+        attributes["area"] = np.ascontiguousarray(stages.areas.layers[number][window])
     user_data = UserData()
     if stages.contents is not None and stages.config.names.enabled:
         named = stages.contents.user_data(number, window)
@@ -275,7 +279,8 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
             },
             "maxSlope": agent.max_slope,
             "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
-            "links": _cut_links(stages).tolist(),
+            "links": [*_cut_steps(stages).tolist(), *_named_links(stages)],
+            **_traffic_tables(stages),
             "names": config.names.enabled,
             "rooms": stages.room_table,
             "doors": [_door_entry(door) for door in doors],
@@ -317,8 +322,27 @@ def _cut_doors(stages: Stages) -> list[Door]:
     return doors
 
 
-def _cut_links(stages: Stages) -> Int:
-    """The links with cells counted on each level's own rectangle."""
+def _traffic_tables(stages: Stages) -> Json:
+    """The tables of areas and agents, of settings that have any."""
+    agents = stages.config.agents.items()
+    own = {name: Agent(name, **agent.model_dump()).to_json() for name, agent in agents}
+    tables = {"areas": stages.areas.table, "agents": own}
+    return {name: table for name, table in tables.items() if table}
+
+
+def _named_links(stages: Stages) -> list[Json]:
+    """The named links as a file states them, with cells counted on each level's rectangle."""
+
+    def cut(stop: Stop) -> Stop:
+        window, width = stages.boxes.windows[stop.level], stages.lattice.width
+        return replace(stop, cell=int(cut_cells(np.array([stop.cell]), window, width)[0][0]))
+
+    links = stages.links.links
+    return [Link(stops=tuple(map(cut, link.stops)), **link.fields).to_json() for link in links]
+
+
+def _cut_steps(stages: Stages) -> Int:
+    """The steps with cells counted on each level's own rectangle."""
     links = stages.floors.links.copy()
     for number, window in enumerate(stages.boxes.windows):
         for level, cell in ((0, 1), (2, 3)):

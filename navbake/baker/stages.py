@@ -1,6 +1,7 @@
 """The stages of a bake, each a named value that one can stop at and look at.
 
-scene → columns → floors → occupancy → contents → rooms → doors; `build_grid` makes a grid of them.
+scene → columns → floors → occupancy → contents → rooms → doors → areas → links; `build_grid` makes
+a grid of them.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.model import OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.traffic.areas import PaintedAreas, paint_areas
+from navbake.baker.traffic.ground import Ground, Space
+from navbake.baker.traffic.links import Links, find_links
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
@@ -294,6 +298,32 @@ class Stages:
         return [one.candidate for one in self.doors if not one.is_part]
 
     @cached_property
+    def areas(self) -> PaintedAreas:
+        """The areas of the settings, painted on the levels."""
+        if not self.config.areas:
+            return PaintedAreas([], [], [])
+        known = self.scene, self.lattice, self.floors.levels, self.rooms, self.config
+        with self.clock.stage("areas"):
+            return paint_areas(*known)
+
+    @cached_property
+    def links(self) -> Links:
+        """The named links, those of the settings and those that are found."""
+        if not self.config.links:
+            return Links([], [])
+        columns, taken, placed = self.baked_columns, self.occupancy.levels, self.placed
+        with self.clock.stage("links"):
+            floors = np.stack([level.floor for level in self.floors.levels])
+            free = ~(np.stack(taken) | np.isnan(floors))
+            for number, level in enumerate(free):  # as doors are, so are their links
+                for door in placed:
+                    for cells in door.cells.values():
+                        level.ravel()[cells[number]] = False
+            space = Space(columns, self.tiled, self.footprint)
+            known = self.doorless, self.lattice, floors, free, space, self.config.agent
+            return find_links(Ground(*known), self.config.links)
+
+    @cached_property
     def boxes(self) -> LevelBoxes:
         """The rectangle and the box of each level, by which the original client finds it."""
         found, height = (self.floors.levels, self.occupancy.levels), self.config.agent.height
@@ -322,7 +352,7 @@ class Stages:
 
     def free_geometry(self) -> None:
         """Give back the memory of columns and of listed geometry: the settled doors need none."""
-        _ = self.holes
+        _ = self.holes, self.areas, self.links
         geometry = "tiled", "judged_shapes", "judged_columns", "columns"
         for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)

@@ -84,6 +84,8 @@ def collect_warnings(stages: Stages) -> list[str]:
         *stages.rooms.warnings,
         *warn_doors(stages.placed, stages.config.doors.state),
         *_warn_interleaved(stages),
+        *stages.areas.warnings,
+        *stages.links.warnings,
     ]
     return [printable(warning) for warning in warnings]
 
@@ -180,8 +182,11 @@ def _warn_high_grounds(stages: Stages) -> Iterator[str]:
 
 
 def _warn_unreached(stages: Stages) -> Iterator[str]:
-    """Warn of what no step leads to, level by level."""
+    """Warn of what no step leads to, level by level; not of a level at which a link stops."""
+    linked = {stop.level for link in stages.links.links for stop in link.stops}
     for part in stages.floors.unreached:
+        if part.whole and part.level in linked:
+            continue
         name, patch = stages.floors.levels[part.level].name, part.patch
         on, area = stages.scene.geoms[patch.geom].name, f"{patch.area:.1f} m²"
         x, y, z = patch.place

@@ -127,7 +127,9 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
             if whole and mirror.url_of(config.inputs[0]):
-                for path in find_inputs(config.inputs[0], mirror, looks=True):
+                for path in find_inputs(
+                    config.inputs[0], mirror, looks=True, folders=config.scene.model_path
+                ):
                     mirror.bring(path)
             yield scene
         except (NavbakeError, OSError) as error:
@@ -143,12 +145,13 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
     for named in config.inputs:  # the scene is the first
-        for path in find_inputs(named, mirror):
+        for path in find_inputs(named, mirror, folders=config.scene.model_path):
             if mirror.has(path):
                 url, state = mirror.url_of(path), mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
                 files.append([shown(url) if url else _relative(path, home), *state.values()])
-    settings = config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}})
+    left_out: Any = {"output": True, "scene": {"path", "model_path"}}
+    settings = config.model_dump(mode="json", exclude=left_out)
     name = config.inputs[0].name  # which the grid states
     stated = {
         "settings": settings,

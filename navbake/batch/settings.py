@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_file, shown
 from navbake.config.field_types import show_value
 from navbake.config.keywords import merge
-from navbake.config.settings import YAML_SUFFIXES, BakeConfig, parse_config
+from navbake.config.settings import BakeConfig, is_settings, parse_config
 from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
@@ -109,7 +109,7 @@ def of_id(name: str) -> Json:
 
 
 def is_yaml(source: str) -> bool:
-    return Path(source).suffix.lower() in YAML_SUFFIXES
+    return is_settings(source)
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:
@@ -152,8 +152,11 @@ def _read_mapping(path: str) -> Mapping[str, Any]:
 
 
 def _with_files(settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Settings with changed paths of their scene and file of room outlines."""
+    """Settings with changed paths of their scene and files of room outlines, areas and links."""
     changed = dict(settings)
+    for key in ("areas", "links"):
+        if isinstance(changed.get(key), str):
+            changed[key] = change(changed[key])
     for section, key in (("scene", "path"), ("rooms", "polygons")):
         inner = settings.get(section)
         if isinstance(inner, Mapping) and isinstance(inner.get(key), str):

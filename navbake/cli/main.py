@@ -23,6 +23,7 @@ from navbake.cli.commands.doctor import doctor
 from navbake.cli.commands.episodes import episodes, score
 from navbake.cli.commands.exchange import convert, inflate, map_descriptor
 from navbake.cli.commands.look import plot, report, view
+from navbake.cli.commands.routes import routes
 from navbake.cli.options import Command, prepared
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError
@@ -37,7 +38,7 @@ COMMANDS = {
     "Bake": (samples, init, geoms, bake, voxelize),
     "Ask": (info, rooms, why, path),
     "Look": (plot, report, view),
-    "Exchange": (convert, inflate, map_descriptor),
+    "Exchange": (convert, inflate, routes, map_descriptor),
     "Benchmark": (episodes, score),
     "Check": (verify, audit, doctor),
     "Many": (batch, warm_up),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -22,8 +23,10 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from navbake.config.yaml_text import override_key
-from navbake.errors import shorten
+from navbake.errors import ConfigError, FormatError, shorten
+from navbake.files import check_regular
 from navbake.known_names import find_near
+from navbake.navgrid.polygon import find_fault
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:
@@ -78,6 +81,33 @@ def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return check
 
 
+def read_named(key: str, read: Callable[[Path], Any]) -> Callable[[Any, ValidationInfo], Any]:
+    """A validator that replaces a file's path by what it holds, so that digests cover that."""
+
+    def take(value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, str | PathLike):
+            return value
+        path = resolve(to_path(value), info)
+        if info.context:
+            info.context.setdefault("inputs", []).append(path)
+        try:
+            check_regular(path)
+            return read(path)
+        except OSError as error:
+            message = f"cannot read {path}: {error.strerror}, named at `{key}`"
+            raise ConfigError(message) from error
+        except FormatError as error:
+            raise ConfigError(f"{error}, named at `{key}`") from error
+
+    return take
+
+
+def _check_outline(points: list[list[float]]) -> list[list[float]]:
+    if fault := find_fault(points):
+        raise refusal("a simple outline", got=fault)
+    return points
+
+
 Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
@@ -85,6 +115,18 @@ OptionalName = Annotated[Name | None, expects("text that is not empty, or null")
 # a single pattern is a list of one: `bodies: robot*`
 Patterns = Annotated[
     list[Name], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
+]
+LevelKey = Annotated[
+    Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
+]
+Position = Annotated[
+    Annotated[list[float], Field(min_length=3, max_length=3)], expects("a position [x, y, z]")
+]
+Outline = Annotated[
+    list[Annotated[list[float], Field(min_length=2, max_length=2)]],
+    Field(min_length=3),
+    expects("3 or more corners [[x, y], …]"),
+    AfterValidator(_check_outline),
 ]
 FilePath = Annotated[Path, BeforeValidator(to_path), expects("a path")]
 Model = TypeVar("Model", bound=BaseModel)
@@ -111,6 +153,7 @@ OTHER_WORDS |= {"file": "scene.path", "robot": "agent", "scale": "scene.unit"}
 """What other tools call a setting, and its key here."""
 SINGLE: dict[str, tuple[str, Any]] = {"scene": ("path", str), "levels": ("ground", (int, float))}
 """Of a section, the key and types of what people write in place of a mapping."""
+ENTRIES = ("agents", "areas", "links")  # sections of entries, whose keys none means elsewhere
 MAX_SHOWN = 60  # characters of a value in a message
 MAX_ITEMS = 6  # of a shown list
 NESTED = (Mapping, list, tuple, set)
@@ -183,9 +226,10 @@ def _complaint(error: ErrorDetails, loc: Location, sections: Sections) -> str:
 def _unknown_key(loc: Location, sections: Sections) -> str:
     """Suggest the nearest known key, of the same section first."""
     section, unknown = ".".join(p for p in loc[:-1] if isinstance(p, str)), str(loc[-1])
+    section = section if section in sections else section.rpartition(".")[0]  # below a name
     known, elsewhere = _keys(sections, section), dict[str, str]()
     # reversed, so that of sections with a key in common the first one is named
-    for name in reversed(list(sections)):
+    for name in reversed([name for name in sections if name not in ENTRIES]):
         elsewhere |= _keys(sections, name)
     near = [keys[name] for keys in (known, elsewhere) for name in find_near(unknown, keys)]
     meant = OTHER_WORDS.get(unknown, "")

@@ -12,10 +12,11 @@ import numpy as np
 from navbake.config.field_types import show_value
 from navbake.config.settings import (
     SECTIONS,
-    YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    defaults_of,
     find_source,
+    is_settings,
     memory_path,
     parse_config,
 )
@@ -34,6 +35,9 @@ class SettingKeywords(TypedDict, total=False):
     names: bool | Mapping[str, Any]
     rooms: str | Mapping[str, Any]
     doors: Mapping[str, Any]
+    agents: Mapping[str, Any]
+    areas: str | PathLike[str] | Sequence[Mapping[str, Any]]
+    links: str | PathLike[str] | Sequence[Mapping[str, Any]]
     attributes: Sequence[str]
     verify: Mapping[str, Any]
     output: str | PathLike[str] | None
@@ -79,8 +83,8 @@ def config_with(config: Any, keywords: Mapping[str, Any]) -> BakeConfig:
         config = config.model_dump(by_alias=True, exclude_unset=True)
     elif not isinstance(config, Mapping):
         path = find_source(config)
-        source, config = f"{path} with the keywords", {"scene": {"path": path}}
-        if path.suffix.lower() in YAML_SUFFIXES:
+        source, config = f"{path} with the keywords", defaults_of(path)
+        if is_settings(path):
             config, folder = read_yaml(path), path.parent
             if not isinstance(config, Mapping):
                 return as_config(path)  # raises

@@ -6,6 +6,7 @@ Lengths are in metres, positions in the world frame (z up), unless a description
 import hashlib
 import itertools
 import json
+import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -28,15 +29,19 @@ from pydantic import (
 from navbake import samples
 from navbake.config.field_types import (
     FilePath,
+    LevelKey,
     Name,
     NotNegative,
     OptionalName,
+    Outline,
     Patterns,
+    Position,
     Positive,
     Section,
     Settings,
     describe_errors,
     expects,
+    read_named,
     refusal,
     refuse_if,
     resolve,
@@ -44,11 +49,12 @@ from navbake.config.field_types import (
     setting,
     to_path,
 )
+from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.config.yaml_text import apply_overrides, read_yaml
-from navbake.errors import ConfigError, FormatError
-from navbake.files import check_regular, readable_stem
+from navbake.errors import ConfigError
+from navbake.files import readable_stem
+from navbake.formats.scene_files import BUILDING_SUFFIXES, suffix_of
 from navbake.formats.shapes import read_room_outlines
-from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
@@ -67,12 +73,16 @@ def is_memory_path(path: str | PathLike[str]) -> bool:
 
 def stem_of(path: str | PathLike[str]) -> str:
     """The stem of a scene file's name, or the name of a scene in memory."""
-    return str(path)[1:-1] if is_memory_path(path) else readable_stem(path)
+    if is_memory_path(path):
+        return str(path)[1:-1]
+    stem = readable_stem(path)
+    return stem.removesuffix(".building") if suffix_of(path) in BUILDING_SUFFIXES else stem
 
 
 ScenePath = Annotated[
     Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
 ]
+Folder = Annotated[Path, BeforeValidator(to_path), expects("a path"), AfterValidator(resolve)]
 SceneId = Annotated[
     str,
     Field(min_length=1),
@@ -101,7 +111,8 @@ def _is_nowhere(direction: list[float]) -> bool:
 class SceneSettings(Settings):
     id: SceneId = setting("", "the scene's id, without / and \\", "the scene file's stem")
     path: ScenePath = Field(
-        description="MJCF, MJB, URDF, OBJ, PLY, STL, GLB or DAE, relative to this file; no default"
+        description="MJCF, MJB, URDF, USD, SDF, OBJ, PLY, STL, GLB or DAE, relative to this file; "
+        "no default"
     )
     up: Annotated[
         Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"]
@@ -120,6 +131,9 @@ class SceneSettings(Settings):
         "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
+    model_path: Annotated[
+        list[Folder], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
+    ] = setting([], "folders of the models of an SDF scene (model://…), relative to this file")
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
     )
@@ -160,19 +174,6 @@ DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
 DEFAULT_SITES = ("room*",)
 
 
-def _check_outline(points: list[list[float]]) -> list[list[float]]:
-    if fault := find_fault(points):
-        raise refusal("a simple outline", got=fault)
-    return points
-
-
-Point = Annotated[list[float], Field(min_length=2, max_length=2)]
-Outline = Annotated[
-    list[Point],
-    Field(min_length=3),
-    expects("3 or more corners [[x, y], …]"),
-    AfterValidator(_check_outline),
-]
 DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
 
 
@@ -180,29 +181,10 @@ class RoomPolygon(Settings):
     """A room with a given outline."""
 
     name: OptionalName = setting(None, "its name, or null")
-    level: Annotated[
-        Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
-    ] = setting(0, "its level: a number, 0 is the lowest, or a name")
+    level: LevelKey = setting(0, "its level: a number, 0 is the lowest, or a name")
     outdoors: bool = setting(False, "whether it is outdoors: true or false")
     points: Outline = Field(description="its outline [[x, y], …], world frame [m]; no default")
     rings: list[Outline] = setting([], "holes in it and parts apart from it, [[[x, y], …], …] [m]")
-
-
-def _read_polygons(value: Any, info: ValidationInfo) -> Any:
-    """Replace the path of a GeoJSON file by its polygons, so that the digest covers them."""
-    if not isinstance(value, str | PathLike):
-        return value
-    path = resolve(to_path(value), info)
-    if info.context:
-        info.context.setdefault("inputs", []).append(path)
-    try:
-        check_regular(path)
-        return read_room_outlines(path)
-    except OSError as error:
-        message = f"cannot read {path}: {error.strerror}, named at `rooms.polygons`"
-        raise ConfigError(message) from error
-    except FormatError as error:
-        raise ConfigError(f"{error}, named at `rooms.polygons`") from error
 
 
 class RoomSettings(Settings):
@@ -221,7 +203,9 @@ class RoomSettings(Settings):
     )
     geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
     sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
-    polygons: Annotated[list[RoomPolygon], BeforeValidator(_read_polygons)] = setting(
+    polygons: Annotated[
+        list[RoomPolygon], BeforeValidator(read_named("rooms.polygons", read_room_outlines))
+    ] = setting(
         [],
         "outlines in metres: a GeoJSON file, relative to this file, or a list of "
         "{name: hall, level: 0, points: [[0, 0], [4, 0], [4, 3]]}",
@@ -245,6 +229,7 @@ def expand_rooms(value: Any) -> Any:
 
 
 YAML_SUFFIXES = (".yaml", ".yml")
+LIFTS = re.compile(rb"^lifts:\s+[^\s{]", re.MULTILINE)  # of a building
 MAP_KEYS = frozenset({"image", "resolution", "origin"})  # of the YAML of a nav2 map
 
 
@@ -298,11 +283,6 @@ class LevelSettings(Settings):
         float | None, expects("a number > ground, or null"), AfterValidator(_check_above_ground)
     ] = setting(None, "height where it ends [m], > ground", "the next level's ground")
     name: OptionalName = setting(None, "its name, or null")
-
-
-Position = Annotated[
-    Annotated[list[float], Field(min_length=3, max_length=3)], expects("a position [x, y, z]")
-]
 
 
 class FloorSettings(Settings):
@@ -412,6 +392,19 @@ class BakeConfig(Settings):
         "how rooms are told apart; `rooms: auto` divides at doors only, none: no rooms",
     )
     doors: Section[DoorSettings] = section(DoorSettings, "which bodies are doors, and their state")
+    agents: Annotated[dict[Name, NamedAgent], BeforeValidator(lambda value: value or {})] = setting(
+        {}, "agents by name, for links and areas: {robot: {radius: 0.3, height: 1.2, speed: 0.8}}"
+    )
+    areas: Areas = setting(
+        [],
+        "areas with a price, a speed or a ban, later ones win: a JSON or GeoJSON file, or a list "
+        "of {name: lab, room: lab, cost: .inf}, of a room, a polygon, a box or geoms",
+    )
+    links: Links = setting(
+        [],
+        "ways between places that no step joins: a JSON or GeoJSON file, or a list of {name: A, "
+        "kind: lift, stops: [[3, 2, 0], [3, 2, 3]], seconds: 12}, and of {auto: drop} to find some",
+    )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
         AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
@@ -438,7 +431,7 @@ class BakeConfig(Settings):
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """The input files of the settings: the scene, and outlines (GeoJSON)."""
+        """The input files of the settings: the scene, outlines, areas and links."""
         return (Path(self.scene.path), *self._named)
 
     def __eq__(self, other: object) -> bool:
@@ -459,16 +452,29 @@ def find_source(path: str | PathLike[str]) -> Path:
     return samples.find(path)
 
 
+def is_settings(path: str | PathLike[str]) -> bool:
+    """Whether a file is settings by its name, and no scene."""
+    return suffix_of(path) in YAML_SUFFIXES
+
+
+def defaults_of(scene: Path) -> dict[str, Any]:
+    """The settings of a scene that comes without: lifts of a building are links."""
+    settings: dict[str, Any] = {"scene": {"path": scene}}
+    if suffix_of(scene) in BUILDING_SUFFIXES and scene.is_file():
+        settings["links"] = [{"auto": "lift"}] if LIFTS.search(scene.read_bytes()) else []
+    return settings
+
+
 def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> BakeConfig:
     """Read the settings from a YAML file, or take the defaults for a scene file.
 
-    A path that does not end in .yaml or .yml is a scene, or the bare name of a sample as
-    `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each override,
-    ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
+    A path that does not end in .yaml or .yml, or that of a building, is a scene, or the bare name
+    of a sample as `navbake.samples.find` takes it. `scene.path` is relative to the YAML file. Each
+    override, ``a.b=value``, replaces a setting of the file. Raises a ConfigError for any fault.
     """
     path = find_source(path)
-    if path.suffix.lower() not in YAML_SUFFIXES:
-        return parse_config({"scene": {"path": path}}, f"the settings of {path}", overrides)
+    if not is_settings(path):
+        return parse_config(defaults_of(path), f"the settings of {path}", overrides)
     return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
 
 
@@ -509,7 +515,14 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: Any = {"output": True, "verify": True, "scene": {"path"}, "grid": {"max_cells"}}
+    left_out: Any = {
+        "output": True,
+        "verify": True,
+        "scene": {"path", "model_path"},
+        "grid": {"max_cells"},
+    }
+    # a grid without links, areas and agents has the digest that it had before there were any
+    left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
     settings = config.model_dump(mode="json", exclude=left_out)
     canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
@@ -527,6 +540,7 @@ def settings_to_state(config: BakeConfig) -> Json:
     )
     scene = stated["scene"] = dict(stated.get("scene", {}))
     scene["path"] = Path(config.scene.path).name
+    scene.pop("model_path", None)
     if is_memory_path(config.scene.path):
         del scene["path"]
     return {key: value for key, value in stated.items() if value != {}}
@@ -544,6 +558,9 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "rooms": RoomSettings,
     "rooms.polygons": RoomPolygon,
     "names": NameSettings,
+    "agents": NamedAgent,
+    "areas": AreaSettings,
+    "links": LinkSettings,
     "verify": VerifySettings,
 }
 """The model of each section, by its dotted key."""

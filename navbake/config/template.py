@@ -15,6 +15,7 @@ from navbake.config.settings import (
     YAML_SUFFIXES,
     BakeConfig,
     find_source,
+    is_settings,
     load_config,
     parse_config,
 )
@@ -58,7 +59,7 @@ def write_template(
 def template_for(scene: Path, folder: Path) -> tuple[str, str]:
     """The name and the text of a scene's YAML template, for a folder."""
     found = find_source(scene)
-    if found.suffix.lower() in YAML_SUFFIXES:
+    if is_settings(found):
         hint = "" if found == scene else f": `navbake samples {scene}` copies the sample"
         raise ConfigError(f"expected a scene, got the settings file {found}{hint}")
     scene_id = load_config(scene).scene.id

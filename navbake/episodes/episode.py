@@ -6,6 +6,7 @@ World x, y, z [m], z up; headings 0 along x, counted towards y [rad].
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from hashlib import sha256
 from typing import Annotated, Any
 
@@ -14,8 +15,9 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.navgrid import agents
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.inflation import agent_radius
+from navbake.runtime.agents import find_agent
 from navbake.types import Vector3
 
 TASKS = ("point", "object", "room", "sequence", "explore")
@@ -97,6 +99,8 @@ class Agent(Record, frozen=True, kw_only=True):
     radius: Length
     height: Length
     speed: float | None = None  #: The highest [m/s].
+    name: str | msgspec.UnsetType = msgspec.UNSET
+    """Of the grid's agent whose rights on links and areas count; not set for none."""
 
 
 class GridEntry(Record, frozen=True, kw_only=True):
@@ -137,7 +141,7 @@ class EpisodeSet(msgspec.Struct, frozen=True):
 
     def check_grid(self, grid: NavGrid) -> None:
         """Raise a QueryError unless the set was made on this grid, for this agent."""
-        scene, agent, radius = scene_of(grid), self.header.agent, agent_radius(grid)
+        scene, agent, radius = scene_of(grid), self.header.agent, grid.radius
         digests = {entry.scene: entry.digest for entry in self.header.grids}
         if not digests:
             raise QueryError(
@@ -163,16 +167,28 @@ def scene_of(grid: NavGrid) -> str:
     return grid.scene_id or "scene"
 
 
+def named_agent(
+    grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
+) -> agents.Agent:
+    """The grid's agent of a name, else a nameless one; of a radius and a height if given [m]."""
+    known = (find_agent(grid, name) if name else None) or agents.Agent("")
+    sizes: dict[str, Any] = {"radius": radius, "height": height}
+    return replace(known, **{key: size for key, size in sizes.items() if size is not None})
+
+
 def digest_of(grid: NavGrid) -> str:
     """SHA-256 of all that distances on a grid depend on, and of its rooms, in hexadecimal.
 
-    Where it is, what is free, the floors, steps and links, the agent's radius and height: not of
-    names, doors' states as far as they block nothing, timings or blocks.
+    Where it is, what is free, the floors, steps, links and areas, the agent's radius and height:
+    not of names, doors' states as far as they block nothing, timings or blocks.
     """
     clean = grid.without_blocks()
-    facts = (agent_radius(clean), clean.agent_height, clean.max_step, clean.link_array.tolist())
+    facts = (clean.radius, clean.agent_height, clean.max_step, clean.step_array.tolist())
     digest = sha256(repr(facts).encode())
+    if clean.links or clean.areas:
+        digest.update(repr((clean.links, clean.areas)).encode())
     for level in clean.levels:
+        digest.update(np.ascontiguousarray(level.area_index).data if clean.areas else b"")
         digest.update(repr(tuple(map(float, level.lattice))).encode())
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)

@@ -18,9 +18,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import Shared, UserData, names_in
-from navbake.runtime.inflation import agent_radius
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap
 from navbake.types import Float, Int
@@ -65,23 +63,6 @@ class Task(Record, frozen=True, kw_only=True):
         return known[self.kind] if self.radius is None else self.radius
 
 
-def fit_grid(grid: NavGrid, radius: float | None = None, height: float | None = None) -> NavGrid:
-    """The grid for an agent of a radius and a height [m]: inflated if need be.
-
-    Raises:
-        QueryError: the agent is higher than the grid's.
-    """
-    if height is not None and height > grid.agent_height + 1e-9:
-        raise QueryError(
-            f"the grid of {scene_of(grid)!r} is for agents up to {grid.agent_height:g} m, got "
-            f"{height:g} m: bake it with agent.height={height:g}"
-        )
-    if radius is None or math.isclose(radius, agent_radius(grid), abs_tol=1e-9):
-        return grid
-    fitted: NavGrid = grid.inflate(radius)
-    return fitted
-
-
 class Stops(NamedTuple):
     """Where the goals of an episode are reached, and how far that is."""
 
@@ -106,7 +87,7 @@ def find_stops(
     cells = each if in_order else [np.unique(np.concatenate(each))]
     if not all(map(len, cells)):
         return None
-    fields = [search.field(each, weighted=False) for each in cells]
+    fields = [search.field(each, by="length") for each in cells]
     legs = [f[c].min() for f, c in zip(fields[1:], cells, strict=False)]
     rest = [*np.cumsum(legs[::-1])[::-1].tolist(), 0.0]
     return Stops(tuple(goals), [search.flat.positions(each) for each in cells], fields, rest)

@@ -23,21 +23,16 @@ from navbake.episodes.episode import (
     Record,
     check_word,
     digest_of,
+    named_agent,
     scene_of,
 )
-from navbake.episodes.goals import (
-    GoalFinder,
-    Stops,
-    Task,
-    find_stops,
-    fit_grid,
-    path_through,
-)
+from navbake.episodes.goals import GoalFinder, Stops, Task, find_stops, path_through
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
+from navbake.navgrid import agents as navgrid_agents
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.inflation import agent_radius
+from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
 
@@ -158,6 +153,7 @@ def make_episodes(
     radius: float | None = None,
     height: float | None = None,
     speed: float | None = None,
+    agent: str | None = None,
     splits: Splits | None = None,
     files: Sequence[str | None] = (),
 ) -> EpisodeSet:
@@ -175,6 +171,7 @@ def make_episodes(
         radius: of the agent; grids are inflated for it if need be [m].
         height: of the agent, at most the grids' [m].
         speed: of the agent, for the header [m/s].
+        agent: the name of one of the grids' agents, in place of its sizes and speed.
         splits: parts of the set.
         files: the grids' names, for the header.
 
@@ -196,23 +193,30 @@ def make_episodes(
     found: list[Episode] = []
     entries, agents, rejected = [], set(), Counter[str]()
     for k, (scene, given) in enumerate(zip(names, scenes, strict=True)):
-        grid = fit_grid(given, radius, height)
-        draw = _Draw(grid, wanted, rules, int(seed), parts)
+        planner = named_agent(given, agent, radius, height)
+        grid = fit_grid(given, planner)
+        draw = _Draw(
+            grid, wanted, rules, int(seed), parts, planner.of_any_size() if agent else None
+        )
         found += draw.run(count // len(scenes) + (k < count % len(scenes)))
         rejected.update(draw.rejected)
         file = files[k] if k < len(files) else None
         entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file))
-        agents.add((agent_radius(grid), grid.agent_height if height is None else float(height)))
+        tall = grid.agent_height if planner.height is None else float(planner.height)
+        agents.add((grid.radius, tall, planner.speed if agent else speed))
     if len(agents) > 1:
-        sizes = ", ".join(f"{r:g} x {h:g} m" for r, h in sorted(agents))
+        sizes = ", ".join(f"{r:g} x {h:g} m" for r, h in sorted({size[:2] for size in agents}))
         raise QueryError(f"the grids are for agents of several sizes ({sizes}): give a radius")
     if not found:
         why = ", ".join(f"{n} {reason}" for reason, n in rejected.most_common()) or "nothing drawn"
         raise QueryError(f"no episode of {names[0]!r} keeps the rules: {why}")
-    ((own_radius, own_height),) = agents
+    ((own_radius, own_height, own_speed),) = agents
     made_by = {"task": wanted, "rules": rules, "count": int(count), "splits": parts}
     header = Header(
-        agent=Agent(radius=own_radius, height=own_height, speed=speed), grids=tuple(entries),
+        agent=Agent(
+            radius=own_radius, height=own_height, speed=own_speed, name=agent or msgspec.UNSET
+        ),
+        grids=tuple(entries),
         sampler=msgspec.to_builtins(made_by), seed=int(seed),
         rejected=dict(sorted(rejected.items())),
     )  # fmt: skip
@@ -223,9 +227,17 @@ def make_episodes(
 class _Draw:
     """The draw of one scene's episodes."""
 
-    def __init__(self, grid: NavGrid, task: Task, rules: Rules, seed: int, splits: Splits) -> None:
+    def __init__(
+        self,
+        grid: NavGrid,
+        task: Task,
+        rules: Rules,
+        seed: int,
+        splits: Splits,
+        agent: navgrid_agents.Agent | None,
+    ) -> None:
         self.task, self.rules, self.seed, self.splits = task, rules, seed, splits
-        self.scene, self.finder = scene_of(grid), PathFinder(grid)
+        self.scene, self.finder = scene_of(grid), PathFinder(grid, agent=agent)
         self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])

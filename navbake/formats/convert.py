@@ -37,6 +37,7 @@ class Format(NamedTuple):
     write_options: tuple[str, ...] = ()  #: Names of the writer's options.
     #: The function that lists further files of the reader, None for a single file.
     parts: str | None = None
+    read_options: tuple[str, ...] = ()  #: Names of the reader's options.
 
 
 FORMATS = (
@@ -47,13 +48,16 @@ FORMATS = (
     Format("nav2", (".yaml", ".yml"),
            "map of ROS and nav2: a YAML and an image for each level, or a costmap",
            "nav2:encode_nav2", "nav2:read_nav2",
-           ("level", "radius", "mode", "image", "inflation", "scaling"), "nav2:list_images"),
+           ("level", "radius", "mode", "image", "inflation", "scaling"), "nav2:list_images",
+           ("rules",)),
     Format("nav2-keepout", (".yaml", ".yml"),
-           "mask of nav2's keepout filter: rooms and polygons that robots stay out of",
-           "nav2:encode_keepout", None, ("level", "image", "zone", "zones")),
+           "mask of nav2's keepout filter: areas, rooms and polygons that robots stay out of",
+           "nav2_masks:encode_keepout", "nav2_masks:read_keepout",
+           ("level", "image", "zone", "zones", "agent"), "nav2:list_images"),
     Format("nav2-speed", (".yaml", ".yml"),
-           "mask of nav2's speed filter: limits in rooms and polygons, NAME=PERCENT each",
-           "nav2:encode_speed", None, ("level", "image", "zone", "zones")),
+           "mask of nav2's speed filter: limits in areas, rooms and polygons, NAME=PERCENT each",
+           "nav2_masks:encode_speed", "nav2_masks:read_speed",
+           ("level", "image", "zone", "zones", "agent", "absolute"), "nav2:list_images"),
     Format("procthor", (".png",), "ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
            "procthor:encode_procthor", "procthor:read_procthor", ("level", "radius")),
     Format("omnigibson", (".png",),
@@ -68,6 +72,9 @@ FORMATS = (
     Format("mjcf", (".xml",),
            "MuJoCo scene of walls and floors, and the settings that bake it to these cells",
            "extrude:encode_mjcf", None, ("level", "height", "flat")),
+    Format("rmf-building", (".building.yaml",),
+           "building of Open-RMF's traffic editor: floors, walls, doors, lifts, lanes",
+           "rmf_building:encode_building"),
     Format("glb", (".glb",), "walkable floor as a mesh, glTF 2.0, for Blender, Unity, Unreal",
            "floor_mesh:encode_glb", None, ("tolerance",)),
     Format("obj", (".obj",), "walkable floor as a mesh, Wavefront OBJ, for Recast and any other",
@@ -110,10 +117,13 @@ def find_format(path: str | os.PathLike[str], name: str | None = None, *, writin
     )
 
 
-def read_as(path: str | os.PathLike[str], name: str | None = None) -> NavGrid:
-    """Read a grid in any format that is read, given by name or else by the file's ending."""
+def read_as(path: str | os.PathLike[str], name: str | None = None, **options: Any) -> NavGrid:
+    """Read a grid in any format that is read, given by name or else by the file's ending.
+
+    `options` are those of the format's reader, see `FORMATS`.
+    """
     form = find_format(path, name, writing=False)
-    grid: NavGrid = resolve(f"navbake.formats.{form.read}")(path)
+    grid: NavGrid = resolve(f"navbake.formats.{form.read}")(path, **options)
     return grid
 
 

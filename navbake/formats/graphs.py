@@ -124,12 +124,14 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     """Make the graph of a grid's free cells, as they are now.
 
     The steps are those of `PathFinder`: over edges and corners of cells whose floors differ by at
-    most the grid's `traversableFloorHeight`, and over links, with the same rules for corners, ramps
-    and the margins of inflated grids. So shortest paths have the same costs.
+    most the grid's `traversableFloorHeight`, and over steps and links, with the same rules for
+    corners, ramps and the margins of inflated grids. So shortest paths have the same costs.
     Raises a QueryError if a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
-    flat, moves, weight = search.flat, search.graph.moves, search.flat.weight
+    flat, moves, weight, links = (
+        search.flat, search.graph.moves, search.flat.weight, search.graph.links
+    )  # fmt: skip
     cells = np.flatnonzero(flat.free)
     # scipy's own dtype, which it doesn't copy
     index = np.int32 if len(cells) * len(WAYS) <= np.iinfo(np.int32).max else np.int64
@@ -146,12 +148,13 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     np.cumsum(np.count_nonzero(is_step, axis=1), out=start[1:])
     # the neighbours are in the matrix's order; links come beside them
     matrix = sparse.csr_array((cost, node[target], start), shape=(len(cells), len(cells)))
-    one, other = flat.link_ends()
+    one = np.repeat(links.cell, np.diff(links.start))
+    other = links.target
     is_open = flat.free[one] & flat.free[other]
     if is_open.any():  # if a link joins neighbours, the cheaper step counts
-        links = flat.links.length[is_open] * flat.weight[other[is_open]]
+        spent = links.length[is_open] * weight[other[is_open]] + links.cost[is_open]
         steps = matrix.tocoo()
-        cost = np.append(steps.data, links)
+        cost = np.append(steps.data, spent)
         source = np.append(steps.row, node[one[is_open]])
         target = np.append(steps.col, node[other[is_open]])
         order = np.lexsort((cost, target, source))
@@ -310,11 +313,11 @@ def _find_openings(search: Search, number: Any) -> Iterator[_Opening]:
             both.append(np.stack([one, one + step]))
             corners.append(np.array([[row + i, col + j] for i, j in (first, (1, 1))]))
         found.append(("open", np.concatenate(both, axis=-1), np.concatenate(corners, axis=-1)))
-    ends = np.stack(flat.link_ends())
+    ends = np.stack(flat.step_ends())
     storey, row, col = flat.split(ends)
     beside = (storey[0] == storey[1]) & (np.abs(row[0] - row[1]) + np.abs(col[0] - col[1]) == 1)
     a, b = number[ends]
-    # each link is there both ways
+    # each step is there both ways
     is_way = flat.free[ends].all(axis=0) & (a > 0) & (a < b) & ~beside
     row = (row + storey * (int(flat.layout.height.max()) + 1))[0, is_way]  # on one lattice for all
     around = [[row + i, col[0, is_way] + j] for i in (0, 1) for j in (0, 1)]

@@ -18,6 +18,7 @@ from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
 
 NO_TEXTS: Mapping[str, str] = MappingProxyType({})
+LUMA = (306, 601, 117)  # of 1024: shares of red, green and blue
 BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 
 
@@ -28,6 +29,9 @@ class Pixels(NamedTuple):
     white: int  #: The largest value of each, 255 or 65535.
     #: 0 to 255, shape (height, width), uint8; None if the image has none.
     opacity: NDArray[np.uint8] | None
+    #: Luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes it with
+    #: quanta of 16 bits.
+    luma: NDArray[np.uint8]
 
 
 def open_image(source: str | PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
@@ -55,13 +59,16 @@ def read_pixels(source: str | PathLike[str]) -> Pixels:
     """Read the pixels of a PGM, PNG or BMP of any depth; see `open_image`."""
     image = open_image(source)
     if image.mode in ("I", "I;16", "I;16B", "I;16L"):
-        return Pixels(3 * np.asarray(image).astype(np.uint32), 65535, None)
+        grey = np.asarray(image).astype(np.uint32)
+        return Pixels(3 * grey, 65535, None, (grey // 257).astype(np.uint8))
     has_opacity = "A" in image.getbands() or "transparency" in image.info
     if not has_opacity and image.mode in ("1", "L"):
-        return Pixels(3 * np.asarray(image.convert("L")).astype(np.uint16), 255, None)
+        luma = np.asarray(image.convert("L"))
+        return Pixels(3 * luma.astype(np.uint16), 255, None, luma)
     channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
     light = channels[..., :3].sum(axis=2, dtype=np.uint16)
-    return Pixels(light, 255, channels[..., 3] if has_opacity else None)
+    luma = (channels[..., :3] @ np.array(LUMA, dtype=np.uint32) >> 10).astype(np.uint8)
+    return Pixels(light, 255, channels[..., 3] if has_opacity else None, luma)
 
 
 def encode_image(

@@ -1,24 +1,25 @@
-"""Maps of ROS and nav2, and masks of its costmap filters: an image of a level, and its YAML.
+"""Maps of ROS and nav2: an image of a level, and its YAML.
 
 A map has its origin at the lower left corner of the image's lower left pixel, and its rows from
 the top. Position (x, y) lies in column ``floor((x - origin_x) / resolution)``, and, from the
 bottom, in the row of the same formula of y.
 
-A mask is a map on the cells of its level, in mode ``raw``; 0 changes nothing. In a keepout mask,
-100 is forbidden. In a speed mask, 1 to 100 is the limit in percent of a robot's speed, for
-a filter info server with ``type: 1``, ``base: 0.0``, ``multiplier: 1.0``.
+Source: ``map_io.cpp`` of ``nav2_map_server``, whose rules for pixels `read_values` follows: the
+three modes, both thresholds, ``negate`` (which ``raw`` ignores), and transparency. The rules are
+those of a version:
 
-Source: nav2's documentation of its costmap filters; ``map_io.cpp`` of ``nav2_map_server``, whose
-rules for pixels `read_values` follows: the three modes, both thresholds, ``negate`` (which ``raw``
-ignores), and transparency, which in mode ``trinary`` counts as a fourth channel and in ``scale``
-makes a pixel unknown.
+- ``humble``, to Jazzy: a grey is the mean of its channels, a value on a threshold is neither free
+  nor occupied, and transparency counts as a fourth channel in mode ``trinary`` and makes a pixel
+  unknown in ``scale``.
+- ``main``: a grey is its luma, of 8 bits; a value on a threshold is free or occupied; what is
+  transparent is unknown in both modes.
+
+Files that `encode_nav2` writes have the same values by both.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,21 +46,19 @@ from navbake.formats.occupancy import (
     level_from_values,
     values_of,
 )
-from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_named, check_path, path_name, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
-from navbake.navgrid.polygon import cover_cells
 from navbake.runtime.inflation import SCALING
-from navbake.types import Bool, Json
+from navbake.types import Json
 
 MODES = ("trinary", "scale", "raw")
+RULES = ("humble", "main")
 IMAGES = ("pgm", "png")
 YAMLS = (".yaml", ".yml")
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196  # of map_saver; 0.25 takes 205 for free
 DIGITS = 9  # of an origin, after the point: nanometres [m]
 GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # of mode trinary, as map_saver writes them
-MAX_LISTED = 20  # names that an error lists
 
 
 class MapRules(NamedTuple):
@@ -107,8 +106,8 @@ def encode_nav2(
         QueryError: a radius, inflation or scaling out of its range.
     """
     image = image or ("png" if mode == "scale" else "pgm")
-    _check_choice(mode, MODES, "mode")
-    _check_choice(image, IMAGES, "image")
+    check_choice(mode, MODES, "mode")
+    check_choice(image, IMAGES, "image")
     if mode == "scale" and image == "pgm":
         raise FormatError("mode scale marks unknown cells by transparency: expected image png")
     if inflation is not None and mode == "trinary":
@@ -125,11 +124,11 @@ def encode_nav2(
         else:
             robot = grid.agent_radius if radius is None else radius
             values = inflated_values(grid, k, robot, inflation, scaling)
-        files |= _encode_map(grid.levels[k], values, yaml_path, mode, image)
+        files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
 
-def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
+def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
     """The image of a level's values, and the YAML that names it."""
     unknown, grey = values == UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
     if mode == "raw":
@@ -160,36 +159,54 @@ def _encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image
     return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
 
 
-def read_nav2(path: str | PathLike[str]) -> SceneGrid2D:
+def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2D:
     """Read a map of ROS 1 or ROS 2 as a grid of one level.
 
     Free and occupied cells have a flat floor at z = 0 (or at navbake's own key
     ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
     to 98 become weights of nav2's costs; 99 is blocked.
 
-    A map with a ``yaw`` of quarter turns is rotated exactly. Otherwise it is resampled on cells
-    along the world's axes: a cell has the value of the map at its centre, but is occupied if an
-    occupied cell of the map overlaps it, so that no wall gets a gap. The content of the YAML is
-    kept as ``nav2`` in the metadata.
+    A map with a ``yaw`` of quarter turns, to a tenth of a cell over its diagonal, is rotated
+    exactly. Otherwise it is resampled on cells along the world's axes: a cell has the value of the
+    map at its centre, but is occupied if occupied cells of the map cover 1 % of it, so that no wall
+    gets a gap. The content of the YAML is kept as ``nav2`` in the metadata.
+
+    Args:
+        path: the YAML.
+        rules: for pixels, those of nav2 from ``humble`` to Jazzy, or of its branch ``main``; see
+            `navbake.formats.nav2`.
 
     Raises:
-        FormatError: the YAML or its image is missing, broken or too large.
+        FormatError: the YAML or its image is missing, broken or too large, or there are no such
+            rules.
     """
-    rules = read_rules(path)
-    if not os.path.exists(rules.image):  # Path.exists raises for names that are too long
-        raise FormatError(f"the image that `image` in {path} names isn't there: {rules.image}")
-    try:
-        check_regular(rules.image)
-    except OSError as error:
-        message = f"cannot read the image that `image` in {path} names: {error.strerror}"
-        raise FormatError(f"{message} at {rules.image}") from error
-    values = read_values(read_pixels(rules.image), rules)
-    values, x, y = lay_along_axes(values, rules.origin, rules.resolution)
-    stated = {**rules._asdict(), "image": rules.image.name, "origin": list(rules.origin)}
-    metadata = {"sceneId": readable_stem(path), "nav2": stated}
-    level = level_from_values(values, rules.resolution, (x, y, rules.ground), metadata)
+    values, (x, y), stated = read_map(path, rules)
+    content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
+    metadata = {"sceneId": readable_stem(path), "nav2": content}
+    level = level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
+
+
+def read_map(
+    path: str | PathLike[str], rules: str = "humble"
+) -> tuple[Values, tuple[float, float], MapRules]:
+    """Read a map's values on cells along the axes, its lower left corner x, y [m], and its YAML.
+
+    See `read_nav2` for the arguments and errors.
+    """
+    check_choice(rules, RULES, "rules")
+    stated = read_rules(path)
+    if not os.path.exists(stated.image):  # Path.exists raises for names that are too long
+        raise FormatError(f"the image that `image` in {path} names isn't there: {stated.image}")
+    try:
+        check_regular(stated.image)
+    except OSError as error:
+        message = f"cannot read the image that `image` in {path} names: {error.strerror}"
+        raise FormatError(f"{message} at {stated.image}") from error
+    values = read_values(read_pixels(stated.image), stated, rules)
+    values, x, y = lay_along_axes(values, stated.origin, stated.resolution)
+    return values, (x, y), stated
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:
@@ -243,121 +260,37 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
-def read_values(pixels: Pixels, rules: MapRules) -> Values:
+def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> Values:
     """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
     light, steps, opacity = pixels.light, 3 * pixels.white, pixels.opacity
-    if rules.mode == "trinary" and opacity is not None:
+    is_main = rules == "main"
+    real: type[np.floating[Any]] = np.float32 if is_main else np.float64
+    if is_main:
+        light, steps = pixels.luma, 255
+    elif stated.mode == "trinary" and opacity is not None:
         light, steps = light + opacity, 4 * pixels.white
-    # a table of the few sums of channels
-    shade = np.arange(steps + 1) / steps
-    occupied = shade if rules.negate else 1.0 - shade
-    if rules.mode == "raw":
+    # a table of the few greys, or sums of channels
+    shade = np.arange(steps + 1, dtype=real) / real(steps)
+    occupied = shade if stated.negate else 1 - shade
+    most, least = real(stated.occupied), real(stated.free)
+    if stated.mode == "raw":
         known = np.rint(shade * 255)
         table = np.where(known <= OCCUPIED, known, UNKNOWN)
     else:
         between: NDArray[Any] = np.full(steps + 1, float(UNKNOWN))
-        if rules.mode == "scale":
-            between = np.rint((occupied - rules.free) / (rules.occupied - rules.free) * 100.0)
-        table = np.where(occupied < rules.free, FREE, between)
-        table = np.where(rules.occupied < occupied, OCCUPIED, table)
+        if stated.mode == "scale":
+            shares = (occupied - least) / real(stated.occupied - stated.free) * 100
+            between = np.floor(shares + real(0.5)) if is_main else np.rint(shares)
+        is_free = occupied <= least if is_main else occupied < least
+        is_occupied = most <= occupied if is_main else most < occupied
+        table = np.where(is_free, FREE, np.where(is_occupied, OCCUPIED, between))
     values: Values = table.astype(np.int8)[light]
-    if rules.mode == "scale" and opacity is not None:
+    if opacity is not None and (stated.mode == "scale" or (is_main and stated.mode == "trinary")):
         values[opacity != 255] = UNKNOWN
     return values
 
 
-def _check_choice(value: str, known: tuple[str, ...], name: str) -> None:
+def check_choice(value: str, known: tuple[str, ...], name: str) -> None:
+    """Raise a FormatError for a value that is none of those known."""
     if value not in known:
         raise FormatError(f"expected {' or '.join(known)} as {name}, got {value!r}")
-
-
-# ---------------------------------------------------------------- masks
-
-
-Zone = tuple[tuple[str, ...], int, int | Bool]
-"""A part of a level: the names that it can be called by, the level, and which cells it has: the
-index of a room, or the mask of a polygon."""
-
-
-def encode_mask(
-    grid: NavGrid,
-    path: Path,
-    *,
-    has_limits: bool,
-    level: int | None = None,
-    image: str | None = None,
-    zone: Sequence[str] | None = None,
-    zones: str | PathLike[str] | None = None,
-) -> Files:
-    """Encode the masks of the keepout filter, or of the speed filter, one for each level.
-
-    Args:
-        path, level, image: as of `encode_nav2`; in mode ``raw``.
-        has_limits: for the speed filter, whose zones have limits.
-        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
-            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
-            Of the keepout filter all polygons if None.
-        zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`.
-
-    Raises:
-        FormatError: a name is unknown, a limit invalid, or a polygon holds no cell's centre
-            of its level.
-    """
-    image = image or "pgm"
-    _check_choice(image, IMAGES, "image")
-    known = _find_zones(grid, zones)
-    chosen: list[tuple[Zone, int]] = []
-    if zone is None and not has_limits:
-        chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
-    for entry in zone or []:
-        name, value = entry, OCCUPIED
-        if has_limits:
-            name, _, text = entry.rpartition("=")
-            if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
-                raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
-            value = int(text)
-        found = [own for own in known if name in own[0]]  # on all levels with that name
-        if not found:
-            names = list(dict.fromkeys(own[0][-1] for own in known))
-            listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
-            there = f"there are: {listed or 'none'}"
-            raise FormatError(f"no room or polygon is called {name!r}; {there}")
-        chosen += [(own, value) for own in found]
-    if not chosen:
-        raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
-    files: Files = {}
-    for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
-        target = grid.levels[k]
-        values: Values = np.full(target.shape, FREE, dtype=np.int8)
-        for (_, own_level, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
-            if own_level == k:
-                is_room = isinstance(cells, int)
-                values[target.room_index == cells if is_room else cells] = value
-        files |= _encode_map(target, values, yaml_path, "raw", image)
-    return files
-
-
-encode_keepout = partial(encode_mask, has_limits=False)
-encode_speed = partial(encode_mask, has_limits=True)
-
-
-def _find_zones(grid: NavGrid, path: str | PathLike[str] | None) -> list[Zone]:
-    """The rooms of a grid, and the polygons of a file."""
-    found: list[Zone] = [
-        ((str(room.index), room.id, *([room.name] if room.name else [])), room.level, room.index)
-        for room in grid.rooms
-    ]
-    names = grid.level_names
-    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
-        name, level = outline["name"] or f"feature {k}", outline["level"]
-        number = names.index(level) if level in names else level
-        if not isinstance(number, int) or number >= len(names):
-            whose = f"{name!r} in {path}"
-            there = ", ".join(names)
-            raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
-        mask = cover_cells([outline["points"], *outline["rings"]], grid.levels[number].lattice)
-        if not mask.any():
-            where = f"lies outside of level {number}: it holds no cell"
-            raise FormatError(f"{name!r} in {path} {where}")
-        found.append(((name,), number, mask))
-    return found

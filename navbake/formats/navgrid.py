@@ -254,7 +254,7 @@ def _read_user_data(value: Any, place: JsonPath, num_cells: int) -> UserData:
 
 
 def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
-    """Check a file's cell size, links, doors and rooms of a whole grid."""
+    """Check a file's cell size, and the tables of a whole grid."""
     for k, level in enumerate(grid.levels):
         place, edge = top[key][k] if key else top, level.lattice.cell_size
         if not edge >= LEAST_EDGE:  # for sizes and areas to be computed
@@ -265,7 +265,8 @@ def checked_grid(grid: NavGrid, top: JsonPath, key: str = "") -> NavGrid:
                 f"{level.height} cells of {edge:g} m from {level.min_yup} on"
             )
     try:
-        _ = grid.link_array, grid.doors, grid.stated_rooms  # checks them
+        # checks them
+        _ = grid.step_array, grid.links, grid.areas, grid.agents, grid.doors, grid.stated_rooms
     except FormatError as error:
         raise FormatError(f"{error} in {top.file}") from None
     return grid
@@ -336,7 +337,7 @@ def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, top, grid.metadata, parts)
     else:
-        _ = grid.link_array  # checks them
+        _ = grid.step_array, grid.links  # checks them
         fields = {
             "type": "MultiLevelGrid",
             "metadata": _metadata(grid, top),

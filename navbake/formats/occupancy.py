@@ -28,8 +28,8 @@ UNKNOWN, FREE, INSCRIBED, OCCUPIED = -1, 0, 99, 100
 LEAST_COST, MOST_COST = 1, 252  # of a cell that isn't blocked
 LETHAL = 253  # least cost of a blocked cell
 QUARTER = math.pi / 2
-YAW_SLACK = 1e-9  # [rad]
-TOUCH = 1e-9  # of a cell: least overlap of two squares
+SLACK = 0.1  # [cells] by which the farthest corner of a map may be off one turned by quarters
+LEAST_COVER = 0.01  # share of a cell that occupied ones have to cover to make it occupied
 PIECE = 1 << 18  # cells compared at once, to limit memory
 
 Values = NDArray[np.int8]
@@ -112,15 +112,16 @@ def lay_along_axes(
 ) -> tuple[Values, float, float]:
     """Resample a map with any yaw onto cells along the world's axes.
 
-    A yaw of whole quarter turns only permutes the cells. Otherwise a new cell has the value of the
-    map at its centre, or -1 outside of the map; but if an occupied cell of the map overlaps it, it
-    is occupied. `origin` is the outer corner of the map's lower left cell, world x, y [m], and its
-    yaw, counter-clockwise [rad]. Also returns x, y of the new lower left corner [m].
+    A yaw of whole quarter turns, to a tenth of a cell over the map's diagonal, only permutes the
+    cells. Otherwise a new cell has the value of the map at its centre, or -1 outside of the map;
+    but it is occupied if occupied cells of the map cover at least 1 % of it. `origin` is the outer
+    corner of the map's lower left cell, world x, y [m], and its yaw, counter-clockwise [rad]. Also
+    returns x, y of the new lower left corner [m].
     """
     x, y, yaw = origin
     height, width = values.shape
     quarters = round(yaw / QUARTER)
-    if abs(yaw - quarters * QUARTER) <= YAW_SLACK:
+    if abs(yaw - quarters * QUARTER) * math.hypot(width, height) <= SLACK:
         left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
         turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
         return turned, x - left * resolution, y - below * resolution
@@ -138,28 +139,59 @@ def lay_along_axes(
     turned = ndimage.affine_transform(
         values, matrix, start, lattice.shape, order=0, mode="grid-constant", cval=UNKNOWN
     )
+    covered = np.zeros(lattice.shape)  # share of each cell, where it isn't occupied already
     full_rows, full_cols = np.nonzero(values == OCCUPIED)
     for begin in range(0, len(full_rows), PIECE):
         part = slice(begin, begin + PIECE)
         right, up = full_cols[part] + 0.5, height - full_rows[part] - 0.5
         centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
-        _occupy_met(turned, lattice, centers, cos, sin)
+        _add_cover(covered, turned, lattice, centers, cos, sin)
+    turned[covered >= LEAST_COVER] = OCCUPIED
     return turned, x + lattice.x_min * resolution, y + lattice.bounds[1] * resolution
 
 
-def _occupy_met(turned: Values, lattice: Lattice, centers: Float, cos: float, sin: float) -> None:
-    """Occupy the cells that overlap the rotated unit squares round some centres.
+def _add_cover(
+    covered: Float, turned: Values, lattice: Lattice, centers: Float, cos: float, sin: float
+) -> None:
+    """Add how much of the cells that aren't occupied the turned unit squares round centres cover.
 
-    Separating axes of two squares: along each side's direction of both, the centres must be
-    nearer than half of the extents together.
+    By separating axes, two squares overlap where their centres are nearer than half of their
+    extents together along each side's direction. The area is half the sum of the cross products of
+    the ends of all sides' parts in the other square (Green's theorem).
     """
-    reach = (1.0 + abs(cos) + abs(sin)) / 2 - TOUCH  # half extents along any of the four directions
+    reach = (1.0 + abs(cos) + abs(sin)) / 2  # half extents along any of the four directions
     row, col = lattice.rows_cols(centers)
     for down, right in np.ndindex(3, 3):
         rows, cols = row + down - 1, col + right - 1
         dx = lattice.x_min + cols + 0.5 - centers[:, 0]
         dy = lattice.y_max - rows - 0.5 - centers[:, 1]
-        far = np.max(np.abs([dx, dy, cos * dx + sin * dy, cos * dy - sin * dx]), axis=0)
-        meets = (far < reach) & (rows >= 0) & (rows < lattice.height)
-        meets &= (cols >= 0) & (cols < lattice.width)
-        turned[rows[meets], cols[meets]] = OCCUPIED
+        u, v = cos * dx + sin * dy, cos * dy - sin * dx
+        meets = np.max(np.abs([dx, dy, u, v]), axis=0) < reach
+        meets &= (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+        meets[meets] = turned[rows[meets], cols[meets]] != OCCUPIED
+        own = np.stack([dx, dy], axis=-1)[meets]  # of the cell, from the square
+        seen = np.stack([u, v], axis=-1)[meets]  # the same along the square's sides
+        # both about the square's centre: the cell's sides in its frame, its own in the cell's
+        area = _sides_inside(seen, cos, -sin, True) + _sides_inside(-own, cos, sin, False)
+        np.add.at(covered, (rows[meets], cols[meets]), area)
+
+
+def _sides_inside(centers: Float, cos: float, sin: float, about_origin: bool) -> Float:
+    """Half the cross products of the parts of a turned square's sides in a unit square at 0, 0.
+
+    The turned squares have these centres, shape (n, 2); the products are about the origin or about
+    each centre. Sides are cut by Liang and Barsky's algorithm. Returns shape (n,).
+    """
+    total = np.zeros(len(centers))
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corners = corners @ [[cos, sin], [-sin, cos]]
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        begin, way = centers + start, end - start
+        shares = np.sort([(-0.5 - begin) / way, (0.5 - begin) / way], axis=0)
+        enter = np.maximum(shares[0].max(axis=1), 0.0)[:, None]
+        leave = np.minimum(shares[1].min(axis=1), 1.0)[:, None]
+        one, other = begin + enter * way, begin + np.maximum(leave, enter) * way
+        if not about_origin:
+            one, other = one - centers, other - centers
+        total += (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+    return total

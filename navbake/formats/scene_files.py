@@ -1,4 +1,4 @@
-"""Lists the files that a scene's MJCF, URDF or glTF refers to."""
+"""Lists the files that a scene's MJCF, URDF, SDF, USD or glTF refers to."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import html
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +16,17 @@ from navbake.errors import SceneError
 from navbake.files import check_regular
 
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
+SDF_SUFFIXES = frozenset({".sdf", ".world"})
+BUILDING_SUFFIXES = frozenset({".building.yaml", ".building.yml"})
+USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})  # a .usdz holds all of its files
+# environment variables with the folders of Gazebo's models, today's first
+MODEL_PATHS = (
+    *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH"),
+    *("GAZEBO_RESOURCE_PATH", "SDF_PATH"),
+)
+URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
+MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
+SDF_NAME = re.compile(rb"<sdf[^>]*>\s*([\w.-]+)\s*</sdf>")  # in a model.config
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
 LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
 # attributes of a compiler that name folders; of looks as well
@@ -30,6 +41,13 @@ LOOK_NAMES = (*NAMES, "fileright", "fileleft", "fileup", "filedown", "filefront"
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 ELEMENT = re.compile(rb"<([A-Za-z_]\w*)((?:[^<>\"']|\"[^\"]*\"|'[^']*')*)>")
 ATTRIBUTE = re.compile(rb"([\w:.-]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """The ending that says what kind of scene a file is: ``.xml``, ``.building.yaml``, …."""
+    name = os.path.basename(os.fsdecode(path)).lower()
+    whole = next((suffix for suffix in BUILDING_SUFFIXES if name.endswith(suffix)), None)
+    return whole or os.path.splitext(name)[1]
 
 
 class Files(Protocol):
@@ -65,14 +83,20 @@ _Element = tuple[str, dict[str, str]]  # tag and attributes
 
 
 def find_inputs(
-    scene: Path, files: Files | None = None, *, looks: bool = False, missing: bool = False
+    scene: Path,
+    files: Files | None = None,
+    *,
+    looks: bool = False,
+    missing: bool = False,
+    folders: Sequence[Path] = (),
 ) -> list[Path]:
     """List the existing files of a scene: itself, then sorted.
 
     In MJCF these are all files that an element refers to, also in included files and attached
     models. A name's folder depends on the compiler's settings and on MuJoCo's version, so files in
     all possible folders count: one too many costs a bake, one too few leaves a stale grid. In URDF
-    they are the meshes, in glTF the buffers.
+    they are the meshes, in glTF the buffers, in SDF models, meshes and height fields (`folders` are
+    those of models, see `sdf_places`), in USD all layers.
 
     `looks` includes textures and skins, `missing` all possible places of each missing file. Raises
     a SceneError for a pipe or a device of this machine, which would block its reader.
@@ -103,6 +127,25 @@ def find_inputs(
     else:
         for places in _places_in_mjcf(scene, elements, read, looks):
             choose(places)
+    suffix = scene.suffix.lower()
+    if suffix in SDF_SUFFIXES | USD_SUFFIXES:
+        left, seen = [scene], set[Path]()
+        while left:
+            file = left.pop()
+            if file in seen:
+                continue
+            seen.add(file)
+            content = COMMENT.sub(b"", read(file))
+            if suffix in USD_SUFFIXES:
+                named = [[file.parent / name] for name in _layers_of(file)] if content else []
+            else:
+                uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
+                named = [_model_places(sdf_places(uri, file, folders)) for uri in uris]
+                if file.name == MODEL_CONFIG:
+                    named = [[file.parent / name.decode()] for name in SDF_NAME.findall(content)]
+            for places in named:
+                choose(places)
+                left += [place for place in places if has(place)]
     for mesh in [scene, *found]:
         if mesh.suffix.lower() == ".gltf":
             for uri in _buffer_names(read(mesh)):
@@ -121,6 +164,58 @@ def mesh_places(urdf: Path, name: str) -> Iterator[Path]:
     for first in range(len(bare.parts)):
         for folder in folders:
             yield folder.joinpath(*bare.parts[first:])
+
+
+def sdf_places(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[Path]:
+    """The possible places of what an SDF file names, first to last.
+
+    Beside the file, unless it is ``model://…`` or the like; in the folders, then in those of the
+    environment variables `MODEL_PATHS`; then in the folders above the file, and in their
+    ``models``. So a checkout of a world with its models needs no variable.
+    """
+    scheme, _, name = uri.rpartition("://")
+    bare = Path(name.lstrip("/") if scheme not in ("", "file") else name)
+    if scheme in ("", "file"):
+        yield file.parent / bare
+    elif scheme in ("http", "https"):  # of Fuel, by the model's own name
+        bare = Path(bare.name)
+    yield from (folder / bare for folder in folders)
+    listed = (os.environ.get(name, "").split(os.pathsep) for name in MODEL_PATHS)
+    yield from (Path(folder) / bare for of_one in listed for folder in of_one if folder)
+    for above in file.absolute().parents:
+        yield from (above / bare, above / "models" / bare)
+
+
+def model_file(place: Path) -> Path:
+    """The SDF file of a model's folder, by its model.config; a file itself."""
+    if not place.is_dir():
+        return place
+    config = place / MODEL_CONFIG
+    content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
+    named = SDF_NAME.findall(content)  # one a version of SDF, the latest one last
+    return place / (named[-1].decode() if named else MODEL_SDF)
+
+
+def _model_places(places: Iterable[Path]) -> list[Path]:
+    """The possible files of what stands at some places, which may be folders of models."""
+    return [
+        path
+        for place in places
+        for path in ([place] if place.suffix else [place / MODEL_CONFIG, place / MODEL_SDF])
+    ]
+
+
+def _layers_of(layer: Path) -> list[str]:
+    """The files that a layer of USD names, without those in stores; none without usd-core."""
+    with suppress(ImportError):
+        from pxr import Tf, UsdUtils  # of the extra [usd]
+
+        quiet = UsdUtils.CoalescingDiagnosticDelegate()
+        with suppress(Tf.ErrorException):  # whoever reads the layer says what is wrong
+            named = UsdUtils.ExtractExternalReferences(str(layer))
+            return [name for names in named for name in names if "://" not in name]
+        quiet.TakeUncoalescedDiagnostics()
+    return []
 
 
 def _places_in_mjcf(

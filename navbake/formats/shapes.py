@@ -263,17 +263,54 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     room. Rings may be closed or not. Errors name the feature. Returns ``name``, ``level``,
     ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and further parts) of each.
     """
+    features = _read_features(path)
+    found = (_read_feature(feature, f"feature {k} of {path}") for k, feature in enumerate(features))
+    return [outline for outline in found if outline is not None]
+
+
+def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
+    """Read the entries of the settings' `areas` or `links` from a JSON or GeoJSON file.
+
+    JSON has a list of them. GeoJSON has a Feature for each, whose properties are its keys: a
+    Polygon or MultiPolygon is an area's `polygon` and `rings`, a LineString or MultiPoint with x,
+    y, z a link's `stops`; without a geometry, the properties say all. Errors name the feature.
+    """
+    features = _read_features(path, with_lists=True)
+    return [
+        _read_entry(feature, f"feature {k} of {path}", section)
+        if isinstance(feature, dict) and feature.get("type") == "Feature"
+        else feature
+        for k, feature in enumerate(features)
+    ]
+
+
+def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) -> list[Any]:
+    """The features of a GeoJSON file; or the list that a JSON file is, `with_lists`."""
     if not os.path.lexists(path):
         raise FormatError(f"no such file: {path_name(path)}")
     content, _ = read_object(path, expected="a GeoJSON FeatureCollection")
+    if with_lists and isinstance(content, list):
+        return content
     kind = content.get("type") if isinstance(content, dict) else None
     features = [content] if kind == "Feature" else None
     if kind == "FeatureCollection":
         features = content.get("features")
     if not isinstance(features, list):
         raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
-    found = (_read_feature(feature, f"feature {k} of {path}") for k, feature in enumerate(features))
-    return [outline for outline in found if outline is not None]
+    return features
+
+
+def _read_entry(feature: Json, where: str, section: str) -> Json:
+    entry, geometry = dict(feature.get("properties") or {}), feature.get("geometry")
+    if geometry is None:
+        return entry
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if section == "links":
+        if kind not in ("LineString", "MultiPoint"):
+            raise FormatError(f"expected a LineString or MultiPoint, got {_shown(kind)} in {where}")
+        return {**entry, "stops": geometry.get("coordinates")}
+    rings = _read_rings(geometry, kind, where)
+    return {**entry, "polygon": rings[0], "rings": rings[1:]}
 
 
 def _read_feature(feature: Any, where: str) -> Json | None:
@@ -300,15 +337,24 @@ def _read_feature(feature: Any, where: str) -> Json | None:
     is_flag = outdoors is None or isinstance(outdoors, bool)
     check(is_flag, "true or false at `properties.outdoors`", outdoors)
     kind = geometry.get("type") if isinstance(geometry, dict) else None
-    check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind)
-    polygons = geometry.get("coordinates")
-    polygons = [polygons] if kind == "Polygon" else polygons
-    is_nested = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
-    check(is_nested, "lists of rings at `coordinates`", polygons)
-    rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
-    check(rings != [], "an outline", None)
+    rings = _read_rings(geometry, kind, where)
     about = {"name": name, "level": level, "outdoors": bool(outdoors)}
     return {**about, "points": rings[0], "rings": rings[1:]}
+
+
+def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]:
+    """All rings of a Polygon or MultiPolygon, the first outline first."""
+    if kind not in ("Polygon", "MultiPolygon"):
+        raise FormatError(f"expected a Polygon or MultiPolygon, got {_shown(kind)} in {where}")
+    polygons = geometry.get("coordinates")
+    polygons = [polygons] if kind == "Polygon" else polygons
+    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
+        text = f"expected lists of rings at `coordinates`, got {_shown(polygons)} in {where}"
+        raise FormatError(text)
+    rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
+    if not rings:
+        raise FormatError(f"expected an outline, got {_shown(None)} in {where}")
+    return rings
 
 
 def _read_ring(ring: Any, where: str) -> list[list[float]]:

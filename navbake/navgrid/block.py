@@ -30,9 +30,14 @@ class Block:
     Attributes:
         cells: flat ids of the cells where an agent can't stand because of the block, by level, each
             ascending, int64; including cells that were not free before.
+        arguments: of `grid.block` that made it.
     """
 
-    def __init__(self, grid: NavGrid, layers: list[Layers]) -> None:
+    def __init__(
+        self, grid: NavGrid, layers: list[Layers], arguments: dict[str, Any] | None = None
+    ) -> None:
+        self.arguments, self._grid = arguments or {}, grid
+        self.copies: list[Block] = []  # on grids for agents of other sizes
         self.cells = [of_level[BLOCKED] for of_level in layers]
         self._held: list[tuple[SceneGrid2D, BlockState, Layers]] = []
         for level, of_level in zip(grid.levels, layers, strict=True):
@@ -40,12 +45,17 @@ class Block:
                 state = level.block_state = level.block_state or _begin(level)
                 _change(level, state, of_level, is_held=True)
                 self._held.append((level, state, of_level))
+        grid.blocks.append(self)
 
     def free(self) -> None:
         """Free the cells, except those held by other blocks. Further calls do nothing."""
         for level, state, of_level in self._held:
             _change(level, state, of_level, is_held=False)
         self._held.clear()
+        for copied in self.copies:
+            copied.free()
+        if self in self._grid.blocks:
+            self._grid.blocks.remove(self)
 
     def __enter__(self) -> Self:
         return self

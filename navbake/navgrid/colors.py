@@ -29,6 +29,8 @@ WALL = 0.6  # rooms with no more than this between them are neighbours [m]
 
 # of links; visible on walls, too
 UP, DOWN, ACROSS = "#3bcb11", "#b870fd", "#889590"
+LINK = "#ff3d78"  # a lift, a drop, …
+KEEP_OUT = "#f05f7f"  # an area that bars every agent
 
 
 def rgb_of(color: str) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""Changes the states of a grid's doors without a new bake."""
+"""Changes the states of a grid's doors and links without a new bake."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.grid import GridBase
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.links import LINK_STATES
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Json
 
@@ -59,6 +60,37 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
             for ids, mask in zip([*cells[0], *cells[1]], [*occupied, *solid], strict=True):
                 mask[ids] = is_there
     return _rebuild(grid, after, occupied, solid)
+
+
+def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
+    """Open or close links; the new grid shares its arrays with this one.
+
+    Args:
+        states: ``open`` or ``closed``, by a link's name.
+
+    Raises:
+        QueryError: a link or a state does not exist.
+    """
+    if not isinstance(states, Mapping):
+        raise QueryError(f"expected states by link, as {{'A': 'closed'}}, got {states!r}")
+    names = [link.name for link in grid.links]
+    for name, state in states.items():
+        if name not in names:
+            raise QueryError(f"no link {name!r} in {grid.scene_id!r}: {suggest(name, names)}")
+        if state not in LINK_STATES:
+            raise QueryError(
+                f"expected one of {', '.join(LINK_STATES)} for {name!r}, got {state!r}"
+            )
+    table = [
+        {**entry, "state": states[entry["name"]]}
+        if isinstance(entry, dict) and entry["name"] in states
+        else entry
+        for entry in grid.navbake.get("links", [])
+    ]
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "links": table}}
+    changed = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    add_layers(changed, {name for level in grid.levels for name in level.attributes} & {"island"})
+    return changed
 
 
 def _rebuild(

@@ -14,16 +14,20 @@ from functools import partialmethod
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.lazy import Method
+from navbake.navgrid.agents import Agent, parse_agents
+from navbake.navgrid.areas import Area, parse_areas
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
-from navbake.navgrid.metadata import Link, cut_metadata, describe_attributes, parse_links
+from navbake.navgrid.links import Link, Step, parse_links, parse_steps
+from navbake.navgrid.metadata import cut_metadata, describe_attributes
 from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -32,6 +36,8 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 Table = TypeVar("Table")
+
+MAX_RADIUS = 10_000.0  # [m]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -47,11 +53,15 @@ class GridBase:
     extra: Json = field(default_factory=dict, repr=False)
     #: The last result of `navbake.navgrid.islands.islands_of`, after its digest.
     found_islands: tuple[bytes, list[Int32]] | None = field(default=None, init=False, repr=False)
+    #: The current blocks, and grids made of this one for agents of other sizes, which follow them.
+    blocks: list[Any] = field(default_factory=list, init=False, repr=False)
+    fitted: WeakSet[Any] | None = field(default=None, init=False, repr=False)
     _tables: dict[str, tuple[Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
         """Leave out caches and blocks in copies and pickles."""
-        return {**self.__dict__, "found_islands": None, "_tables": {}, "block_state": None}
+        without: Json = {"found_islands": None, "_tables": {}, "blocks": [], "fitted": None}
+        return {**self.__dict__, **without, "block_state": None}
 
     @property
     def levels(self) -> list[SceneGrid2D]:
@@ -94,6 +104,25 @@ class GridBase:
     def agent_radius(self) -> float:
         """Radius of the agent of the bake [m]; 0 if the file states none."""
         return self._metres("agentRadius") or 0.0
+
+    @property
+    def exact_inflations(self) -> list[Json]:
+        """What the metadata note of each inflation in mode ``exact``."""
+        done = self.metadata.get("inflation")  # in files of other programs this may be anything
+        entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
+        return [entry for entry in entries if entry.get("mode") == "exact"]
+
+    @property
+    def inflated_radius(self) -> float:
+        """The radius that the grid was inflated for in mode ``exact`` [m]; 0 if it wasn't."""
+        radii = [entry.get("radius") for entry in self.exact_inflations]
+        numbers = (float(r) for r in radii if isinstance(r, int | float))
+        return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
+
+    @property
+    def radius(self) -> float:
+        """The agent's radius [m]: that of the inflation, else that of the bake."""
+        return self.inflated_radius or self.agent_radius
 
     @property
     def max_step(self) -> float:
@@ -157,29 +186,56 @@ class GridBase:
         return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
 
     @property
-    def links(self) -> tuple[Link, ...]:
-        """The steps between levels, and between neighbours on steep ramps; see `Link`.
+    def steps(self) -> tuple[Step, ...]:
+        """The steps between levels, and between neighbours on steep ramps; see `Step`.
 
         Raises:
             FormatError: the metadata name a level or a cell that does not exist.
         """
-        return tuple(Link(*row) for row in self.link_array.tolist())
+        return tuple(Step(*row) for row in self.step_array.tolist())
 
     @property
-    def link_array(self) -> Int:
-        """`links` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+    def step_array(self) -> Int:
+        """`steps` as an array, shape (n, 4), int64: level, cell, other level, other cell."""
+        return self._table("links", lambda stated: parse_steps(stated, self._num_cells), "steps")
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The named links, lifts and others, in the file's order; see `with_links`.
+
+        Raises:
+            FormatError: the file's table of links is broken.
+        """
         return self._table("links", lambda stated: parse_links(stated, self._num_cells))
+
+    @property
+    def areas(self) -> tuple[Area, ...]:
+        """The areas in the file's order, that of the numbers in `SceneGrid2D.area_index`.
+
+        Raises:
+            FormatError: the file's table of areas is broken.
+        """
+        return self._table("areas", parse_areas)
+
+    @property
+    def agents(self) -> dict[str, Agent]:
+        """The agents that the file names, by name.
+
+        Raises:
+            FormatError: the file's table of agents is broken.
+        """
+        return dict(self._table("agents", parse_agents))
 
     @property
     def _num_cells(self) -> list[int]:
         return [level.width * level.height for level in self.levels]
 
-    def _table(self, name: str, parse: Callable[[Any], Table]) -> Table:
-        """A table of navbake's metadata, parsed once for each metadata object."""
-        stated = self.navbake.get(name)
-        if name not in self._tables or self._tables[name][0] is not stated:
-            self._tables[name] = (stated, parse(stated))
-        found: Table = self._tables[name][1]
+    def _table(self, name: str, parse: Callable[[Any], Table], part: str = "") -> Table:
+        """A table of navbake's metadata, or part of it, parsed once for each metadata object."""
+        stated, key = self.navbake.get(name), part or name
+        if key not in self._tables or self._tables[key][0] is not stated:
+            self._tables[key] = (stated, parse(stated))
+        found: Table = self._tables[key][1]
         return found
 
     @property
@@ -203,6 +259,7 @@ class GridBase:
     cells_at = Method[Cells]("navbake.navgrid.cells:cells_at")
     position_of = Method[Float]("navbake.navgrid.cells:position_of")
     with_doors = Method[Any]("navbake.navgrid.door_states:with_doors")
+    with_links = Method[Any]("navbake.navgrid.door_states:with_links")
     at = Method[Any]("navbake.runtime.place:place_at")
     values_at = Method[NDArray[Any]]("navbake.runtime.place:values_at")
     find_path = Method[Any]("navbake.runtime.path_finder:plan_path")
@@ -410,6 +467,19 @@ class SceneGrid2D(GridBase):
         if stored.dtype == np.uint16:
             return stored
         return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
+
+    @property
+    def area_index(self) -> NDArray[np.uint8]:
+        """The place of each cell's area in the grid's `areas`, from 1, 0 for none; as `room_index`.
+
+        It means something only where the grid has areas; numbers beyond their table are none.
+        """
+        stored = self.attributes.get("area")
+        if stored is None:
+            return _derived(np.zeros(self.shape, dtype=np.uint8))
+        if stored.dtype == np.uint8:
+            return stored
+        return _derived(np.where((stored >= 0) & (stored < 256), stored, 0).astype(np.uint8))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
         """Describe the rooms of level `number` of a grid from `room_index` alone."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.navgrid.areas import MAX_AREAS
 from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.navgrid.links import find_arcs
 from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # [m] tolerance of the highest step
@@ -21,8 +23,9 @@ def find_islands(grid: GridBase) -> list[Int32]:
     """Number the connected parts of the free cells, the largest first.
 
     Two free cells are connected if they share an edge and their floors differ by at most the
-    grid's `traversableFloorHeight` (plus 1e-6 m and float32 rounding), or if a link joins them. A
-    free cell without floor height is level with each of its neighbours.
+    grid's `traversableFloorHeight` (plus 1e-6 m and float32 rounding), or if a step or open links
+    lead from each to the other. A free cell without floor height is level with each of its
+    neighbours. Cells of an area whose cost is infinite count as not free.
 
     Returns:
         One array a level, shape (height, width), int32: the number of each free cell's part, else
@@ -33,14 +36,31 @@ def find_islands(grid: GridBase) -> list[Int32]:
     width = np.array([level.width for level in levels], dtype=np.int64)
     free = np.concatenate([level.free.ravel() for level in levels])
     floor = np.concatenate([level.floor_height.ravel() for level in levels])
-    # one row of cells for all levels, so that links join cells like edges do
-    links = start[grid.link_array[:, ::2]] + grid.link_array[:, 1::2]
-    island = label_islands(start, width, free, floor, step_limit(grid), links)
+    free &= ~cells_of_areas(grid, [area.bars(None) for area in grid.areas], False)
+    # one row of cells for all levels, so that steps join cells like edges do
+    steps = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
+    arcs = find_arcs(grid.links, start)
+    ways = arcs.ends[arcs.wide(grid.radius)]
+    island = label_islands(start, width, free, floor, step_limit(grid), steps, ways)
     return [island[start[i] : start[i + 1]].reshape(level.shape) for i, level in enumerate(levels)]
 
 
+def cells_of_areas(grid: GridBase, values: Sequence[Any], outside: Any) -> NDArray[Any]:
+    """The values of areas by their cells, by flat id; without areas one value, `outside`."""
+    if not len(values):
+        return np.array([outside])
+    table = np.array([outside, *values, *[outside] * (MAX_AREAS - len(values))])
+    return np.concatenate([table[level.area_index].ravel() for level in grid.levels])
+
+
 def label_islands(
-    start: Int, width: Int, free: Bool, floor: NDArray[Any], limit: float, links: Int
+    start: Int,
+    width: Int,
+    free: Bool,
+    floor: NDArray[Any],
+    limit: float,
+    steps: Int,
+    ways: Int | None = None,
 ) -> Int32:
     """Number the parts by the rule of `find_islands`; returns int32 by flat id, 0 if not free.
 
@@ -54,11 +74,12 @@ def label_islands(
         width: columns of each level, shape (levels,).
         free, floor: of each cell, shape (n,).
         limit: largest difference of neighbours' floors, in the unit of `floor`.
-        links: pairs of connected cells, shape (m, 2).
+        steps: pairs of connected cells, shape (m, 2).
+        ways: cells that links lead from and to, shape (k, 2).
     """
     # float32, and a difference of two that is rounded to it, could pass a limit
     floor = floor.astype(np.float64)
-    begins, pairs = free.copy(), [links[free[links].all(axis=1)]]
+    begins, pairs = free.copy(), [steps[free[steps].all(axis=1)]]
     for first, last, columns in zip(start[:-1], start[1:], width, strict=True):
         own = slice(first, last)
         is_free, height, is_first = (a[own].reshape(-1, columns) for a in (free, floor, begins))
@@ -80,15 +101,33 @@ def label_islands(
         np.minimum.at(root, ends.max(axis=1), ends.min(axis=1))
         while (root[root] != root).any():
             root = root[root]
-    parts, number = np.unique(root, return_inverse=True)
+    number = np.unique(root, return_inverse=True)[1]
+    if ways is not None and free[ways].all(axis=1).any():
+        number = _join(number, number[run[ways[free[ways].all(axis=1)]]])
     number = number[run[free]]
-    size = np.bincount(number, minlength=len(parts))
-    rank = np.empty(len(parts), dtype=np.int32)
+    size = np.bincount(number, minlength=1)
+    rank = np.empty(len(size), dtype=np.int32)
     # stable, so that equal parts stay in the order of their first cells
-    rank[np.argsort(-size, kind="stable")] = np.arange(1, len(parts) + 1)
+    rank[np.argsort(-size, kind="stable")] = np.arange(1, len(size) + 1)
     island = np.zeros(len(free), dtype=np.int32)
     island[free] = rank[number]
     return island
+
+
+def _join(number: Int, ways: Int) -> Int:
+    """Number parts again, from 0 in their order, where those that lead to each other are one.
+
+    `number` has the part of each run, `ways` the parts that links lead from and to, shape (k, 2).
+    """
+    from scipy.sparse import coo_array  # scipy loads slowly
+    from scipy.sparse.csgraph import connected_components
+
+    count = int(number.max()) + 1
+    graph = coo_array((np.ones(len(ways)), tuple(ways.T)), shape=(count, count))
+    joined = connected_components(graph, connection="strong")[1]
+    lowest = np.full(count, count)
+    np.minimum.at(lowest, joined, np.arange(count))
+    return np.unique(lowest[joined][number], return_inverse=True)[1]
 
 
 def islands_of(grid: GridBase) -> list[Int32]:
@@ -105,8 +144,10 @@ def islands_of(grid: GridBase) -> list[Int32]:
     ):
         return [np.asarray(s).astype(np.int32) for s in stored]
     # a hash of all that the islands depend on, because a grid's arrays can be written to
-    digest = blake2b(repr((step_limit(grid), grid.link_array.tolist())).encode())
+    tables = grid.step_array.tolist(), grid.links, grid.areas, grid.radius
+    digest = blake2b(repr((step_limit(grid), *tables)).encode())
     for level in grid.levels:
+        digest.update(level.area_index.data if grid.areas else b"")
         digest.update(np.packbits(level.free).tobytes())
         digest.update(np.ascontiguousarray(level.floor_height).data)
     if grid.found_islands is None or grid.found_islands[0] != digest.digest():

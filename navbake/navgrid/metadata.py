@@ -1,8 +1,7 @@
-"""A grid's metadata on its attributes, links and single levels."""
+"""A grid's metadata on its attributes and single levels, and how its tables are read."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import msgspec
@@ -10,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.types import Int, Json
+from navbake.types import Json
 
-LINKS = "metadata.navbake.links"
-Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
+Name = Annotated[str, msgspec.Meta(min_length=1)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e10)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 Arrays = Mapping[str, NDArray[Any]]
 
 # Other names that the original client has for datatypes; source: sstk's `TypeUtils.js`
@@ -54,45 +54,6 @@ def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
     return {"name": name, "type": kind, "dataType": data_type} | stated | {"type": kind}
 
 
-@dataclass(frozen=True)
-class Link:
-    """A step between two cells, in both directions, that their heights alone don't show.
-
-    It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
-    """
-
-    level: int  #: One end's level.
-    cell: int  #: The id of its cell on it (col + row * width).
-    other_level: int  #: The other end's level.
-    other_cell: int  #: The id of its cell.
-
-
-def parse_links(stated: Any, num_cells: Sequence[int]) -> Int:
-    """Read ``metadata.navbake.links``, a list of lists of four or a flat list, or None.
-
-    `num_cells` are the levels' numbers of cells. Each row has the fields of a `Link`, shape
-    (n, 4), int64, read-only.
-    """
-    rows = parse_rows(stated or [])
-    links = np.array(rows, dtype=np.int64).reshape(-1, 4)
-    for number, (level, cell) in enumerate(links.reshape(-1, 2).tolist()):
-        if not (0 <= level < len(num_cells) and 0 <= cell < num_cells[level]):
-            raise FormatError(
-                f"expected an existing cell, got cell {cell} of level {level} in link "
-                f"{number // 2} at `{LINKS}`"
-            )
-    links.flags.writeable = False
-    return links
-
-
-def parse_rows(stated: Any) -> list[tuple[int, int, int, int]]:
-    """Links as rows of four int64 numbers, from either form."""
-    if isinstance(stated, list) and stated and not isinstance(stated[0], list | tuple):
-        stated = [stated[i : i + 4] for i in range(0, len(stated), 4)]
-    rows: list[tuple[int, int, int, int]] = read_table(stated, list[tuple[Id, Id, Id, Id]], LINKS)
-    return rows
-
-
 def read_table(stated: Any, kind: Any, where: str) -> Any:
     """Read a table of a file as a type.
 
@@ -118,14 +79,32 @@ def cut_metadata(metadata: Json, level: int) -> Json:
         return metadata
     cut = dict(own)
     for name, cut_table in CUTS.items():
-        with suppress(AttributeError, FormatError, KeyError, TypeError):
+        with suppress(AttributeError, KeyError, TypeError, ValueError):
             cut[name] = cut_table(own[name], level)
     return {**metadata, "navbake": cut}
 
 
+def unflatten(links: Any) -> Any:
+    """The entries of a table of links, whose steps may be one flat list of integers."""
+    if isinstance(links, list) and links and not isinstance(links[0], list | tuple | dict):
+        return [links[i : i + 4] for i in range(0, len(links), 4)]
+    return links
+
+
 def _cut_links(links: Any, level: int) -> list[Any]:
-    """The links within one level."""
-    return [[0, one, 0, other] for at, one, to, other in parse_rows(links) if at == to == level]
+    """The steps within one level, and the named links with two or more stops on it."""
+    cut: list[Any] = []
+    for entry in unflatten(links):
+        if isinstance(entry, dict):
+            pairs = zip(entry["stops"], entry["positions"], strict=True)
+            kept = [([0, cell], position) for (on, cell), position in pairs if on == level]
+            if len(kept) >= 2:
+                stops, positions = map(list, zip(*kept, strict=True))
+                cut.append({**entry, "stops": stops, "positions": positions})
+        else:
+            at, one, to, other = entry
+            cut += [[0, one, 0, other]] if at == to == level else []
+    return cut
 
 
 def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:

@@ -1,11 +1,12 @@
 """Polygons in the horizontal plane: their validity, and the cells they cover."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.navgrid.lattice import FARTHEST, Lattice
+from navbake.navgrid.lattice import CELL_SLACK, FARTHEST, Lattice
 from navbake.types import Bool, Float
 
 MAX_CORNERS = 10_000  # of one outline
@@ -71,3 +72,31 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
             np.add.at(turns, (np.arange(rows.start, rows.stop), cols), 1)
     inside: Bool = np.cumsum(turns[:, :-1], axis=1) % 2 == 1
     return inside
+
+
+def touch_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
+    """Mark the cells whose open squares a polygon meets; rings as of `cover_cells`.
+
+    What reaches less than a millionth of a cell into a square only touches it. So a keep-out zone
+    has no gaps, however thin it is.
+    """
+    met = np.zeros((lattice.height, lattice.width + 1), dtype=np.int32)
+    corner = np.array([lattice.x_min, lattice.y_max])
+    for ring in rings:
+        # column and row, as fractions, of each corner
+        at = (np.asarray(ring, dtype=np.float64).reshape(-1, 2) - corner) / lattice.cell_size
+        at[:, 1] *= -1.0
+        for one, other in zip(at, np.roll(at, -1, axis=0), strict=True):
+            (c0, r0), (c1, r1) = (one, other) if one[1] <= other[1] else (other, one)
+            first, end = math.floor(r0 + CELL_SLACK), math.ceil(r1 - CELL_SLACK)
+            rows = np.arange(max(first, 0), min(end, lattice.height))
+            # the part of the side in each row, by its ends' columns
+            ends = np.clip([rows + CELL_SLACK, rows + 1 - CELL_SLACK], r0, r1)
+            cols = c0 + (ends - r0) * ((c1 - c0) / (r1 - r0) if r1 > r0 else 0.0)
+            cols = np.array([[c0], [c1]]) if r1 - r0 < CELL_SLACK else cols
+            left = np.floor(cols.min(axis=0) + CELL_SLACK).clip(0, lattice.width)
+            right = np.ceil(cols.max(axis=0) - CELL_SLACK).clip(left, lattice.width)
+            np.add.at(met, (rows, left.astype(np.int64)), 1)
+            np.add.at(met, (rows, right.astype(np.int64)), -1)
+    touched: Bool = cover_cells(rings, lattice) | (np.cumsum(met[:, :-1], axis=1) > 0)
+    return touched

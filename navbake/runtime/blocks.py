@@ -29,7 +29,8 @@ def block(
     """Block cells of a grid for a moving thing until they are freed.
 
     The grid's weights, occupancy and ``clearance`` layer change in place, and each
-    `PathFinder` on it takes the change over. Blocks may overlap. A disc or box blocks the cells
+    `PathFinder` on it takes the change over, those of agents of other sizes with the margin of
+    theirs. Blocks may overlap. A disc or box blocks the cells
     where an agent on the floor would collide with it: their square overlaps it, or a disc of
     `margin` round their centre does. Grids derived from this one keep its current blocks.
 
@@ -47,13 +48,31 @@ def block(
     Raises:
         QueryError: not exactly one of cells, disc and box is given, or it is not valid.
     """
+    given: dict[str, Any] = {
+        "cells": cells, "disc": disc, "box": box, "level": level, "height": height, "margin": margin
+    }  # fmt: skip
+    made = Block(grid, _find_layers(grid, **given), given)
+    made.copies += [block(fitted, **given) for fitted in grid.fitted or ()]
+    return made
+
+
+def _find_layers(
+    grid: NavGrid,
+    cells: Cell | Cells | None,
+    disc: tuple[ArrayLike, float] | None,
+    box: tuple[ArrayLike, ArrayLike] | None,
+    level: int | None,
+    height: float | None,
+    margin: float | None,
+) -> list[Layers]:
+    """The cells of each layer of a block's, by level."""
     if sum(thing is not None for thing in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")
     check_level(level, len(grid.levels))
     if cells is not None:
         number, row, col = check_cells(grid, cells)
         ids = [(row * part.width + col)[number == k] for k, part in enumerate(grid.levels)]
-        return Block(grid, [[np.unique(of_level)] * NUM_LAYERS for of_level in ids])
+        return [[np.unique(of_level)] * NUM_LAYERS for of_level in ids]
     # an upright obstacle; from above, a rectangle dilated by a radius
     radius, tall, levels = 0.0, 0.0, len(grid.levels)
     wanted = "a disc's centre and radius" if disc else "a box's lower and upper corner"
@@ -103,4 +122,4 @@ def block(
         first = np.arange(rows.start, rows.stop)[:, None] * part.width
         inside: Int = first + np.arange(cols.start, cols.stop)
         layers.append([inside[mask] for mask in held])
-    return Block(grid, layers)
+    return layers

@@ -12,7 +12,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.cells import check_level
 from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, place_crowd
 from navbake.runtime.flat_grid import REAL, check_distance, text_of
-from navbake.runtime.inflation import agent_radius, check_radius, exact_radius, ledges_of
+from navbake.runtime.inflation import check_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
 from navbake.runtime.surroundings import find_blocked
 from navbake.types import Float, Int
@@ -67,10 +67,10 @@ class DrawQuestions(PlaceQuestions):
             QueryError: there is no such place, or `rng` is no numpy Generator.
         """
         search = self.search
-        if reachable_from is not None:
-            island = search.home_island(reachable_from, island)
-        cells = np.flatnonzero(search.allowed(level=level, room=room, island=island))
-        return self._draw(cells, rng, count, anywhere, level=level, room=room, island=island)
+        islands = search.chosen_islands(island, reachable_from)
+        cells = np.flatnonzero(search.allowed(level=level, room=room, islands=islands))
+        where = ", ".join(map(str, islands or ()))
+        return self._draw(cells, rng, count, anywhere, level=level, room=room, island=where or None)
 
     def random_point_near(
         self,
@@ -194,34 +194,33 @@ class DrawQuestions(PlaceQuestions):
         if rooms is not None and not names:
             raise QueryError("expected at least one room, got none")
         numbers = tuple(sorted({search.rooms.find(name) for name in names}))
-        if island is not None:
-            island = search.islands.check(island)
-        if reachable_from is not None:
-            island = search.home_island(reachable_from, island)
+        islands = search.chosen_islands(island, reachable_from)
         if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 1:
             raise QueryError(f"expected a number of agents n >= 1, got {n!r}")
         if stratify not in (None, *STRATA):
             raise QueryError(f"expected {', '.join(STRATA)} or None as stratify, got {stratify!r}")
-        least, radius = 0.0 if min_distance is None else min_distance, agent_radius(grid)
+        least, radius = 0.0 if min_distance is None else min_distance, grid.radius
         check_distance(least, "min_distance")
         if min_distance is None:
             radius = max(radius, clearance or 0.0)
         ids = [search.rooms.id_of(number) for number in numbers] or [grid.scene_id]
         where = f"in {', '.join(map(repr, ids))}"
         where += f" on level {level}" if level is not None else ""
-        where += f" on island {island}" if island is not None else ""
+        if islands is not None:
+            plural = "s" if len(islands) > 1 else ""
+            where += f" on island{plural} {', '.join(map(str, islands))}"
 
         def find() -> Int:
-            allowed = search.allowed(level=level, island=island)
+            allowed = search.allowed(level=level, islands=islands)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
             if clearance is not None:  # as in `grid.inflate`
-                ledges, levels = ledges_of(grid) if exact_radius(grid) else "avoid", grid.levels
+                ledges, levels = ledges_of(grid) if grid.inflated_radius else "avoid", grid.levels
                 blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
                 allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
-        cells = search.keep("spawns", (numbers, level, island, clearance), find)
+        cells = search.keep("spawns", (numbers, level, islands, clearance), find)
         if not len(cells):
             needed = "" if clearance is None else f" with {clearance:g} m round"
             raise QueryError(f"no free cell{needed} {where}")
@@ -260,7 +259,7 @@ class DrawQuestions(PlaceQuestions):
         reaches its end without sliding and the agent's disc is free of obstacles there. The start
         comes first, then positions by number of steps. `spacing` is at least a cell's size [m].
         """
-        flat, radius = self.search.flat, agent_radius(self.grid)
+        flat, radius = self.search.flat, self.grid.radius
         cell = float(flat.layout.cell_size.max())
         if not isinstance(spacing, REAL) or not cell * (1 - NEAR) <= spacing < np.inf:
             raise QueryError(f"expected a spacing of a cell's {cell:g} m or more, got {spacing!r}")
@@ -330,7 +329,7 @@ class DrawQuestions(PlaceQuestions):
             cells = cells_in_annulus(flat, int(flat.level_of(home)), p, distances, flat.free)
         else:
             flat.free_cell_at(p, level)
-            field = self.search.field(np.array([home]), weighted=False)
+            field = self.search.field(np.array([home]), by="length", backwards=False)
             near = (field >= low) & (field <= high + SLACK)
             cells = np.flatnonzero(near & np.isfinite(field))  # inf <= inf where no path leads
         return cells, {"distance [m]": f"{low:g} to {high:g}"}

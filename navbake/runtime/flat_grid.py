@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
+from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import label_islands, step_limit
+from navbake.navgrid.islands import cells_of_areas, label_islands, step_limit
+from navbake.navgrid.links import Arcs, find_arcs
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32
 
@@ -34,14 +36,18 @@ class FlatGrid:
     """The cells of all levels in one array, and the steps between levels.
 
     The flat id of a cell is ``start[level] + row * width[level] + col``. A step joins two free
-    neighbours whose floors differ by at most `max_step`, or two free cells joined by a link.
+    neighbours whose floors differ by at most `max_step`, or two free cells of the grid's `steps`.
+    Cells of areas that bar the agent aren't free.
     """
 
     layout: Layout  # where the cells of each level lie
-    links: Links  # steps between cells that are not neighbours on one level
+    steps: Links  # between cells that are not neighbours on one level, both ways
+    arcs: Arcs  # passages over named links, for agents of any size
     floors: Floors  # heights of the cells' floors [m], and `max_step`
     free: Bool  # by flat id, shape (n,)
     weight: Float  # cost of a cell, by flat id, inf where it isn't free
+    price: Float  # by which areas multiply weights, inf where they bar; by flat id, or one for all
+    pace: Float  # [s/m] of the agent; by flat id, or one for all
     # by flat id, to which neighbours a link leads on the same level: bits EAST and SOUTH of
     # `navbake.runtime.kernels.arrays`; empty where none does
     slopes: NDArray[np.uint8]
@@ -113,9 +119,45 @@ class FlatGrid:
         z = np.where(np.isnan(floor), self.floors.ground[level], floor)
         return np.stack([x, y, z], axis=-1)
 
-    def link_ends(self) -> tuple[Int, Int]:
-        """The flat ids that each link leads from and to; each link is listed both ways."""
-        return np.repeat(self.links.cell, np.diff(self.links.start)), self.links.target
+    def octile(self, cells: Int, others: Int) -> Float:
+        """The octile distances between the centres of cells, seen from above [m]."""
+        apart = np.abs(self.positions(cells) - self.positions(others))[:, :2]
+        across, along = np.sort(apart, axis=1).T
+        return np.asarray(along + (math.sqrt(2.0) - 1.0) * across)
+
+    def step_ends(self) -> tuple[Int, Int]:
+        """The flat ids that each of `steps` leads from and to; each is listed both ways."""
+        return np.repeat(self.steps.cell, np.diff(self.steps.start)), self.steps.target
+
+    def priced(self, weight: Float, where: Any = np.s_[:]) -> Float:
+        """The weights of cells for the agent, by those of the grid; inf where they aren't free."""
+        price = self.price[where] if len(self.price) > 1 else self.price
+        free = np.isfinite(weight) & np.isfinite(price)
+        return np.where(free, weight * np.where(free, price, 1.0), np.inf)
+
+    def links(self, radius: float, *, by_time: bool = False, backwards: bool = False) -> Links:
+        """Steps, and the passages that an agent of a radius fits through, from or to each cell."""
+        wide = self.arcs.wide(radius)
+        if not wide.any():
+            return self.steps
+        ends = np.concatenate([np.stack(self.step_ends(), axis=1), self.arcs.ends[wide]])
+        of_arcs = (self.arcs.seconds if by_time else self.arcs.cost)[wide]
+        of_steps = self.steps.length
+        length = np.append(of_steps, np.zeros(len(of_arcs)))
+        cost = np.append(np.zeros(len(of_steps)), of_arcs)
+        return list_links(ends[:, ::-1] if backwards else ends, length, cost)
+
+
+def list_links(ends: Int, length: Float, cost: Float) -> Links:
+    """The links of a list of ends, the flat ids that each leads from and to, shape (n, 2)."""
+    order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable: steps before passages
+    source, target = ends[order].T
+    cell = np.unique(ends)
+    start = np.append(np.searchsorted(source, cell), len(source))
+    listed: Links = arrays.Links(
+        cell, start, np.ascontiguousarray(target), length[order], cost[order]
+    )
+    return listed
 
 
 def check_distance(distance: float, name: str = "max_distance") -> None:
@@ -134,8 +176,12 @@ def as_points(p: Float, level: int | None) -> tuple[int, Float]:
     return on, np.ascontiguousarray(p.reshape(-1, p.shape[-1]))
 
 
-def flatten(grid: NavGrid) -> FlatGrid:
-    """Copy the levels of a grid into a flat grid; later changes of the grid don't affect it."""
+def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = None) -> FlatGrid:
+    """Copy the levels of a grid into a flat grid; later changes of the grid don't affect it.
+
+    `agent` is whose rights and speed count. With a `penalty` it may use all links and areas: it
+    is what passages cost more [m] that aren't allowed, and the price of cells that aren't.
+    """
     compiled.ensure_compiled("runtime.")
     levels = grid.levels
     x_min, y_max, cell_size, width, height = np.array([level.lattice for level in levels]).T.copy()
@@ -147,15 +193,11 @@ def flatten(grid: NavGrid) -> FlatGrid:
     ground = np.array([level.ground for level in levels], dtype=np.float64)
     floors = arrays.Floors(z, ground, step_limit(grid) * grid.unit)
     weight = np.concatenate([level.weights.ravel() for level in levels]).astype(np.float64)
-    free = np.isfinite(weight)
-    weight[~free] = np.inf
-    given = grid.link_array
-    # each link both ways and once, and to which neighbours one leads on the same level
+    given = grid.step_array
+    # each step both ways and once, and to which neighbours one leads on the same level
     ends = start[given[:, ::2]] + given[:, 1::2]
     pairs = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    cell, first = np.unique(pairs[:, 0], return_index=True)
-    target = np.ascontiguousarray(pairs[:, 1])
     slopes = np.zeros(0, dtype=np.uint8)
     if (given[:, 0] == given[:, 2]).any():
         slopes = np.zeros(start[-1], dtype=np.uint8)
@@ -163,15 +205,21 @@ def flatten(grid: NavGrid) -> FlatGrid:
         own, of_row = on == given[:, 2], (ends - start[on, None]) // width[on, None]
         slopes[low[own & (step == 1) & (np.diff(of_row)[:, 0] == 0)]] |= np.uint8(arrays.EAST)
         slopes[low[own & (step == width[on])]] |= np.uint8(arrays.SOUTH)
-    links = arrays.Links(cell, np.append(first, len(pairs)), target, np.empty(len(pairs)))
-    flat = FlatGrid(layout, links, floors, free, weight, slopes)
-    # The length of a link is the octile distance between the centres of its cells, from above, and
+    steps = list_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)))
+    speed = SPEED if agent is None else agent.speed
+    bars = [area.bars(agent) for area in grid.areas]
+    prices = [(penalty or np.inf) if no else v.cost for no, v in zip(bars, grid.areas, strict=True)]
+    paces = [1.0 / min(speed, area.speed or speed) for area in grid.areas]
+    price, pace = cells_of_areas(grid, prices, 1.0), cells_of_areas(grid, paces, 1.0 / speed)
+    arcs = find_arcs(grid.links, start, agent, penalty)
+    flat = FlatGrid(layout, steps, arcs, floors, np.isfinite(weight), weight, price, pace, slopes)
+    weight[:] = flat.priced(weight)
+    flat.free[:] = np.isfinite(weight)
+    # The length of a step is the octile distance between the centres of its cells, from above, and
     # at least a cell: between neighbours on one lattice, as navbake links them, exactly a cell.
-    sources, targets = flat.link_ends()
-    apart = np.abs(flat.positions(sources) - flat.positions(targets))[:, :2]
-    across, along = np.sort(apart, axis=1).T
+    sources, targets = flat.step_ends()
     least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
-    links.length[:] = np.maximum(along + (math.sqrt(2.0) - 1.0) * across, least)
+    steps.length[:] = np.maximum(flat.octile(sources, targets), least)
     return flat
 
 
@@ -261,10 +309,11 @@ def doors_on(doors: DoorMap, cells: Int) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class IslandMap:
-    """The connected parts of a grid as it is now, numbered from 1 by falling number of cells."""
+    """The parts of a grid as it is now whose cells reach each other, from 1, the largest."""
 
     number: Int32  #: Of each cell, by flat id, shape (n,); 0 where it isn't free.
     areas: Float  #: Of each island [m²], shape (count + 1,); 0 for number 0.
+    ways: Int  #: Pairs of islands of which links lead from the first to the second only, (k, 2).
 
     @property
     def count(self) -> int:
@@ -277,22 +326,35 @@ class IslandMap:
         there_are = f"1 to {self.count}, 1 the largest" if self.count else "none"
         raise QueryError(f"no island {island!r}: there are {there_are}")
 
+    def reached_from(self, island: int) -> tuple[int, ...]:
+        """The islands that one leads to: itself, then others in ascending order."""
+        found = np.array([island])
+        while True:
+            onward = np.unique(self.ways[np.isin(self.ways[:, 0], found), 1])
+            onward = onward[~np.isin(onward, found)]
+            if not len(onward):
+                return island, *np.sort(found[1:]).tolist()
+            found = np.append(found, onward)
 
-def map_islands(flat: FlatGrid, moves: NDArray[np.uint8] | None = None) -> IslandMap:
+
+def map_islands(flat: FlatGrid, radius: float, moves: NDArray[np.uint8] | None = None) -> IslandMap:
     """As `navbake.navgrid.islands.find_islands`; with `moves`, diagonal moves join cells, too."""
     layout, floors = flat.layout, flat.floors
-    links = [np.stack(flat.link_ends(), axis=1)]
+    steps, passages = [np.stack(flat.step_ends(), axis=1)], flat.arcs.ends[flat.arcs.wide(radius)]
     if moves is not None:
         for bit, across in ((arrays.SOUTH_WEST, -1), (arrays.SOUTH_EAST, 1)):
             cells = np.flatnonzero(moves & bit)
             others = cells + layout.width[flat.level_of(cells)] + across
-            links.append(np.stack([cells, others], axis=1))
+            steps.append(np.stack([cells, others], axis=1))
     number = label_islands(
-        layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(links)
-    )
+        layout.start, layout.width, flat.free, floors.z, floors.max_step, np.concatenate(steps),
+        passages,
+    )  # fmt: skip
     # cells count by the area of their level's, which is the same on all levels but in few files
     areas = np.zeros(int(number.max(initial=0)) + 1)
     for level, size in enumerate(layout.cell_size):
         of_level = np.bincount(number[flat.cells_of(level)], minlength=len(areas))
         areas[1:] += of_level[1:] * size**2
-    return IslandMap(number, areas)
+    ways = number[passages]
+    ways = np.unique(ways[(ways > 0).all(axis=1) & (ways[:, 0] != ways[:, 1])], axis=0)
+    return IslandMap(number, areas, ways.astype(np.int64))

@@ -18,7 +18,7 @@ from navbake.runtime.places import snap
 from navbake.runtime.search import Search
 from navbake.types import Float
 
-DRIVING, WAITING, ARRIVED = "driving", "waiting", "arrived"
+DRIVING, WAITING, RIDING, ARRIVED = "driving", "waiting", "riding", "arrived"
 TURN_FIRST = math.radians(20.0)  # bearing of the point ahead over which a base turns on the spot
 TURN_GAIN = 4.0  # [1/s] how fast it turns there, by the bearing
 CLOSER = (1.0, 0.5, 0.25)  # shares of the lookahead that are tried
@@ -43,8 +43,15 @@ class Follower:
 
     When cells of its grid are blocked or freed, it replans, and switches to the new path if the
     rest of the current one is blocked or a tenth longer. Without a path, it drives up to the
-    blocked part and waits. `path` is the current path, `state` is ``driving``, ``waiting`` or
-    ``arrived``, and `num_replans` counts the switches.
+    blocked part and waits.
+
+    It drives up to the stop of a link, and stands there until the base is at the link's next stop:
+    to call a lift, to jump or to climb is up to the caller. Meanwhile the next stop is the
+    waypoint, and nothing is planned again. A base is there where it is nearer to the next stop than
+    to this one, within the lookahead of it on the map and a step of it in height.
+
+    `path` is the current path, `link` the name of the link that it stands at, else None, `state` is
+    ``driving``, ``waiting``, ``riding`` or ``arrived``, and `num_replans` counts the switches.
     """
 
     def __init__(self, search: Search, path: Path, limits: dict[str, float]) -> None:
@@ -62,6 +69,11 @@ class Follower:
     def left(self) -> float:
         """Length of the rest of the path, seen from above [m]."""
         return self._length - self._distance
+
+    @property
+    def link(self) -> str | None:
+        """Name of the link at whose stop the base stands, None for none."""
+        return self.path.links[self._taken] if self.state == RIDING else None
 
     def command(self, position: ArrayLike, heading: float) -> Command:
         """Compute the velocities of a differential-drive base; call it once per control step.
@@ -83,6 +95,8 @@ class Follower:
             return Command(0.0, math.copysign(rate, bearing), target)
         curvature = 2.0 * math.sin(bearing) / max(float(np.hypot(*way)), STANDSTILL)
         free_ahead = max(self._free_until - self._distance, 0.0)
+        if (stop := self._next_stop) is not None:
+            free_ahead = min(free_ahead, float(np.hypot(*(self._points[stop] - p[:2]))))
         forward = min(self._speed, math.sqrt(2.0 * self._acceleration * free_ahead))
         if forward * abs(curvature) > self._turn_rate:
             forward = self._turn_rate / abs(curvature)
@@ -91,7 +105,8 @@ class Follower:
     def waypoint(self, position: ArrayLike) -> Float:
         """Compute the point for a position-controlled base to head for: world [m], shape (3,).
 
-        It lies on the path within the lookahead; while the base waits, it is its own position.
+        It lies on the path within the lookahead; while the base waits, it is its own position, and
+        at the stop of a link the next stop.
         """
         p = self._advance(position)
         return p if self.state == WAITING else self._point_ahead(p)
@@ -113,6 +128,10 @@ class Follower:
     def _advance(self, position: ArrayLike) -> Float:
         """Update the progress along the path, changes of the grid, and the state."""
         p, search = self._check(position), self._search
+        if self.state == RIDING:
+            self._leave_link(p)
+            if self.state == RIDING:
+                return p
         self._distance = self._nearest(p)
         if search.version != self._version:  # look at the path again
             self._version = search.version
@@ -121,9 +140,11 @@ class Follower:
             if path is not None and (is_blocked or path.length < (1.0 - WORTH) * self.left):
                 self._take(path)
                 self.num_replans += 1
-        off = np.hypot(*(p - self._goal)[:2])
-        if off <= self._tolerance and self.left <= 2 * self._lookahead:
-            self.state = ARRIVED
+        stop = self._next_stop
+        off = np.hypot(*p[:2] - (self._goal[:2] if stop is None else self._points[stop]))
+        end = self._length if stop is None else self._run[stop]
+        if off <= self._tolerance and end - self._distance <= 2 * self._lookahead:
+            self.state = ARRIVED if stop is None else RIDING
         else:
             left = self._free_until - self._distance
             is_stopped = self._free_until < self._length and left <= STANDSTILL
@@ -134,7 +155,9 @@ class Follower:
         """Plan from the base, or from the nearest free place if its own cell isn't free."""
         flat = self._search.flat
         start, cell = snap(flat, flat.free, p, max_distance=self._lookahead)
-        return find_path(self._search, start, self._goal, None, smooth=True) if cell >= 0 else None
+        if cell < 0:
+            return None
+        return find_path(self._search, start, self._goal, None, by=self.path.by, smooth=True)
 
     def _take(self, path: Path) -> None:
         """Set the path, and split it into legs; the level of a leg over a link is -1."""
@@ -145,6 +168,9 @@ class Follower:
         self._length, self._distance = float(self._run[-1]), 0.0
         one, other = path.levels[:-1], path.levels[1:]
         self._leg_level = np.where(one == other, one, -1)
+        for begin, end in path.stops.tolist():
+            self._leg_level[begin:end] = -1
+        self._taken = 0  # of the path's links
         self._is_swept = [
             level >= 0 and self._search.can_pass(p[k], p[k + 1], level)
             for k, level in enumerate(self._leg_level.tolist())
@@ -155,7 +181,9 @@ class Follower:
         """The distance along the path of its point nearest to a position, within two lookaheads."""
         if self._length == 0.0:
             return 0.0
-        low, high = self._distance, min(self._distance + 2.0 * self._lookahead, self._length)
+        stop = self._next_stop
+        end = self._length if stop is None else float(self._run[stop])
+        low, high = self._distance, min(self._distance + 2.0 * self._lookahead, end)
         start, run = self._points[:-1], self._run
         ways, lengths = np.diff(self._points, axis=0), np.diff(run)
         along = ((position[:2] - start) * ways).sum(axis=1) / np.maximum(lengths, LEAST)
@@ -200,16 +228,40 @@ class Follower:
         free = search.free_diagonally if is_diagonal else flat.free
         return bool(free[cells[cells >= 0]].all())
 
+    @property
+    def _next_stop(self) -> int | None:
+        """The point of the path where the next link begins, None for none."""
+        left = self.path.stops[self._taken :]
+        return int(left[0, 0]) if len(left) else None
+
+    def _leave_link(self, p: Float) -> None:
+        """Drive on where the base is at the next stop of the link at whose stop it stood."""
+        here, there = self.path.positions[self.path.stops[self._taken]]
+        off, rise = float(np.hypot(*(p - there)[:2])), abs(p[2] - there[2])
+        is_nearer = np.linalg.norm(p - there) < np.linalg.norm(p - here)
+        step = self._search.flat.floors.max_step
+        if is_nearer and off <= self._lookahead and rise <= step:
+            self._distance = float(self._run[self.path.stops[self._taken, 1]])
+            self.state, self._taken = DRIVING, self._taken + 1
+
     def _level_at(self, distance: float) -> int:
+        stop = self._next_stop
+        if stop is not None and distance >= self._run[stop]:
+            return int(self.path.levels[stop])
         after = int(np.searchsorted(self._run, distance, "right"))
         return int(self.path.levels[min(after, len(self._run) - 1)])
 
     def _point_ahead(self, p: Float) -> Float:
         """The farthest lookahead point that a free straight line leads to."""
+        stop = self._next_stop
+        if self.state == RIDING:
+            return np.asarray(self.path.positions[self.path.stops[self._taken, 1]])
         level, target = self._level_at(self._distance), p
         for share in CLOSER:
             distance = self._distance + share * self._lookahead
             target, is_same = self.path.at(distance), self._level_at(distance) == level
+            if stop is not None and distance >= self._run[stop]:
+                target = self.path.positions[stop]
             if is_same and self._search.can_pass(p[:2], target[:2], level):
                 break
         return target

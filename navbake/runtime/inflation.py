@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.polygon import find_fault
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked
-from navbake.types import Bool, Float, Int, Int32, Json
+from navbake.types import Bool, Float, Int, Int32
 
 ndimage = lazy("scipy.ndimage")
 
@@ -39,7 +39,6 @@ LEDGES = ("avoid", "ignore")
 STEP_COST = 10.0
 LETHAL_COST = 252.0  # nav2's highest cost of a cell that is not blocked
 SCALING = 10.0  # [1/m], nav2's default in code
-MAX_RADIUS = 10_000.0  # [m]
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells] of a footprint
@@ -200,36 +199,18 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
     return inflated
 
 
-def exact_radius(grid: NavGrid) -> float:
-    """The radius that the grid was inflated for in mode `exact` [m]; 0 if it wasn't."""
-    radii = [entry.get("radius") for entry in _exact_entries(grid)]
-    numbers = (float(r) for r in radii if isinstance(r, int | float))
-    return max((r for r in numbers if 0 <= r <= MAX_RADIUS), default=0.0)
-
-
-def _exact_entries(grid: NavGrid) -> list[Json]:
-    done = grid.metadata.get("inflation")  # in files of other programs this may be anything
-    entries = [e for e in done if isinstance(e, dict)] if isinstance(done, list) else []
-    return [entry for entry in entries if entry.get("mode") == "exact"]
-
-
 def ledges_of(grid: NavGrid) -> str:
     """The `ledges` of the grid's inflation; ``ignore`` in files without it."""
-    avoids = any(entry.get("ledges") == "avoid" for entry in _exact_entries(grid))
+    avoids = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
     return "avoid" if avoids else "ignore"
-
-
-def agent_radius(grid: NavGrid) -> float:
-    """The agent's radius [m]: that of the inflation, else that of the bake."""
-    return exact_radius(grid) or grid.agent_radius
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:
     """Least distances [m] from a block to stand, to step diagonally, and to be off the centre."""
     if radius is not None:
         check_radius(radius, "margin")
-    radius = agent_radius(grid) if radius is None else float(radius)
-    if not exact_radius(grid):
+    radius = grid.radius if radius is None else float(radius)
+    if not grid.inflated_radius:
         return radius, radius, radius
     return radius, *_larger(radius, max(p.lattice.cell_size for p in grid.levels))
 
@@ -241,7 +222,7 @@ def find_room(grid: NavGrid) -> tuple[Bool, Bool, Bool] | None:
     step; (2) fits anywhere in the cell; (3) as 2, but cells blocked only by occupied squares of
     their own level count, too. None if the radius is 0.
     """
-    radius = exact_radius(grid)
+    radius = grid.inflated_radius
     if radius == 0.0:
         return None
     ledges, masks = ledges_of(grid), []

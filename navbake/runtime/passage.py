@@ -8,15 +8,18 @@ floors don't count.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.grid import MAX_RADIUS, NavGrid
+from navbake.navgrid.links import SLACK
 from navbake.runtime import inflation
-from navbake.runtime.flat_grid import FlatGrid, doors_on, map_islands, text_of
+from navbake.runtime.cuts import find_cuts
+from navbake.runtime.flat_grid import doors_on, map_islands, text_of
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
 from navbake.runtime.search import NO_CELLS, Search
@@ -64,36 +67,38 @@ def find_passage(
     goals = goals[standable[goals]]
     if not len(goals):
         raise QueryError(f"no way to {target.name}: {reason(bool((target.cells >= 0).any()))}")
-    widest = find_widest(grid, flat, origin, goals, ledges, corners=corners)
+    widest = find_widest(grid, search, origin, goals, ledges, corners=corners)
     if widest is None:
         return None
-    radius, free, for_larger = widest
+    radius = widest[0]
     if math.isinf(radius):
         return Passage(math.inf, None)
-    cell = find_bottleneck(grid, flat, origin, goals, free, free & ~for_larger, corners)
+    cell = find_bottleneck(grid, search, origin, goals, widest, corners)
     return Passage(radius, flat.positions(cell))
 
 
 def find_widest(
-    grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, ledges: str, *, corners: bool = False
+    grid: NavGrid, search: Search, origin: int, goals: Int, ledges: str, *, corners: bool = False
 ) -> tuple[float, Bool, Bool] | None:
     """Find the largest radius that passes from a cell to the nearest of several, by flat ids.
 
     Returns the radius [m], inf if no radius is too large, and the cells free for it and for the
-    next larger radius; None if not even a point passes.
+    next larger radius; None if not even a point passes. Links and areas are as `search` has them.
     """
+    flat, is_barred = search.flat, ~np.isfinite(search.flat.price)
 
     def passes(radius: float) -> bool:
-        free = free_for(grid, radius, ledges)
+        free = free_for(grid, radius, ledges) & ~is_barred
         ends = goals[free[goals]]
         if not free[origin] or not len(ends):
             return False
+        moves = None
         if corners:  # they join islands, too
             weights = np.where(free, 1.0, np.inf)
-            islands = Search(with_weights(grid, weights), cut_corners=True).islands
-        else:
-            islands = map_islands(replace(flat, free=free))
-        return bool((islands.number[ends] == islands.number[origin]).any())
+            moves = Search(with_weights(grid, weights), cut_corners=True).graph.moves
+        islands = map_islands(replace(flat, free=free), radius, moves)
+        reached = islands.reached_from(int(islands.number[origin]))
+        return bool(np.isin(islands.number[ends], reached).any())
 
     if not passes(0.0):
         return None
@@ -101,14 +106,14 @@ def find_widest(
     size = float(flat.layout.cell_size.min())
     low, high = 0.0, size
     while passes(high):
-        if high == inflation.MAX_RADIUS:
-            free = free_for(grid, inflation.MAX_RADIUS, ledges)
+        if high == MAX_RADIUS:
+            free = free_for(grid, high, ledges)
             return math.inf, free, free
-        low, high = high, min(2.0 * high, inflation.MAX_RADIUS)
+        low, high = high, min(2.0 * high, MAX_RADIUS)
     while high - low > size:  # so that few radii are left
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
-    told_apart = [np.array([grid.agent_radius])]
+    told_apart = [np.array([grid.agent_radius]), search.flat.arcs.width / 2.0]
     for cell in set(flat.layout.cell_size.tolist()):
         first, last = math.floor((2 * low / cell) ** 2), math.ceil((2 * high / cell) ** 2)
         told_apart.append(np.sqrt(np.arange(first, last + 1)) * (cell / 2))
@@ -146,26 +151,48 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
     )
 
 
-def find_route(grid: NavGrid, origin: int, goals: Int, corners: bool = False) -> Int | None:
-    found = Search(grid, cut_corners=corners).route(origin, goals)
-    return found and found[0]
+def find_route(grid: NavGrid, like: Search, origin: int, goals: Int, **options: Any) -> Int | None:
+    """The cells of the cheapest route on a grid, for the agent of a search whatever its size."""
+    found = search_as(grid, like, **options).route(origin, goals)
+    return found and found.cells
+
+
+def search_as(grid: NavGrid, like: Search, **options: Any) -> Search:
+    """A search on another grid by the rules of one, for its agent whatever its size."""
+    agent = like.agent and like.agent.of_any_size()
+    options = {"cut_corners": like.cut_corners, "radius": like.radius} | options
+    return Search(grid, agent=agent, **options)
 
 
 def find_bottleneck(
-    grid: NavGrid, flat: FlatGrid, origin: int, goals: Int, free: Bool, lost: Bool, corners: bool
+    grid: NavGrid,
+    search: Search,
+    origin: int,
+    goals: Int,
+    widest: tuple[float, Bool, Bool],
+    corners: bool,
 ) -> int:
     """Find the flat id of the bottleneck, the cell where the widest agent only just fits.
 
-    The route avoids the cells that are `lost` to a larger agent if it can. The bottleneck is the
-    middle of the first run of them on it; without one, a lost cell beside a diagonal step.
+    The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
+    middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
+    diagonal step. `widest` is what `find_widest` returns.
     """
+    flat, (radius, free, for_larger) = search.flat, widest
+    lost = free & ~for_larger
     weights = np.where(free, np.where(lost, NARROW, 1.0), np.inf)
-    route = find_route(with_weights(grid, weights), origin, goals, corners)
-    assert route is not None  # the islands say that there is one
+    like = search_as(with_weights(grid, weights), search, cut_corners=corners, radius=radius)
+    found = like.route(origin, goals)
+    assert found is not None  # the islands say that there is one
+    route = found.cells
     stops = np.flatnonzero(lost[route])
     if len(stops):
         row = np.split(stops, np.flatnonzero(np.diff(stops) > 1) + 1)[0]
         return int(route[row[(len(row) - 1) // 2]])
+    for at in np.flatnonzero(found.by_link).tolist():
+        is_taken = (flat.arcs.ends == route[at - 1 : at + 1]).all(axis=1)
+        if is_taken.any() and math.isclose(flat.arcs.width[is_taken].max(), 2.0 * radius):
+            return int(route[at - 1])
     # the route passes diagonally between two cells
     level, row, col = flat.split(route)
     one = np.flatnonzero((np.abs(np.diff([level, row, col])).T == (0, 1, 1)).all(axis=1))
@@ -191,15 +218,17 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         where = f"no cell of {target.name}"
         if not target.name.startswith("room"):
             where = f"no cell within 1 m of {target.name}, not counting those behind walls,"
-        return f"{where} is free for a radius of {inflation.agent_radius(search.grid):g} m"
+        return f"{where} is free for a radius of {search.grid.radius:g} m"
     if search.route(origin, goals) is not None:
         return None
     apart, cells = _apart(search, origin, goals)
     because = (
         _blocked_for_now(search, origin, goals)
         or _doors(search, origin, goals)
+        or _links_and_areas(search, origin, goals)
+        or _cuts(search, origin, goals)
         or _gap(search, origin, goals)
-        or _links(search, origin, goals)
+        or _steps(search, origin, goals)
     )
     if not because and cells is not None:  # objects on the line between the nearest cells
         on, row, col = flat.split(cells)
@@ -220,6 +249,8 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
         what = f"lies beside the grid, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
         if x0 <= position[0] <= x1 and y0 <= position[1] <= y1:
             what = "has no floor below it"
+    elif (area := _barring_area(search, cell)) is not None:
+        what = f"lies in the {', which '.join(area)}"
     elif (place := place_in(grid, flat.cell(cell))).is_blocked:
         what = "is blocked for now"
     elif place.floor is None:
@@ -228,7 +259,7 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
         names = _names(search, np.array([cell]))
         what = f"is where something stands{f' ({names})' if names else ''}"
     else:
-        radius = f"{inflation.agent_radius(grid):g} m"
+        radius = f"{grid.radius:g} m"
         what = f"is too near to what stands beside it for a radius of {radius}"
     what = f"{_text(position)} {what}"
     free = np.flatnonzero(flat.free)
@@ -274,7 +305,7 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
     clean = grid.without_blocks()
     if clean is grid:
         return None
-    if (route := find_route(clean, origin, goals, search.cut_corners)) is None:
+    if (route := find_route(clean, search, origin, goals)) is None:
         return None
     stops = np.flatnonzero(~flat.free[route])
     around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
@@ -294,17 +325,17 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     grid, flat = search.grid, search.flat
     if not grid.doors:
         return None
-    radius = inflation.exact_radius(grid)
+    radius = grid.inflated_radius
     without = deflated(grid.without_blocks()).with_doors("removed")
     free = np.concatenate([level.free.ravel() for level in without.levels])
     without = with_weights(without, np.where(free, np.where(flat.free, 1.0, SHUT), np.inf))
     if radius:
         without = without.inflate(radius, ledges=inflation.ledges_of(grid))
-    route = find_route(without, origin, goals, search.cut_corners)
+    route = find_route(without, search, origin, goals)
     blocked = NO_CELLS if route is None else route[~flat.free[route]]
     # a door blocks all cells from which the agent's disc reaches it
     stands = np.array([cell for cell in search.doors if search.occupied[cell]], dtype=np.int64)
-    reach = inflation.agent_radius(grid) + 1.5 * float(flat.layout.cell_size.max())
+    reach = grid.radius + 1.5 * float(flat.layout.cell_size.max())
     tree = spatial.cKDTree(flat.positions(stands))
     near = tree.query(flat.positions(blocked), distance_upper_bound=reach)[1]
     names = list(dict.fromkeys(doors_on(search.doors, stands[near[near < len(stands)]])))
@@ -316,18 +347,36 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
 
 
+def _cuts(search: Search, origin: int, goals: Int) -> str | None:
+    """Name the steps and doors on the way that the agent's radius closed; None if it isn't it."""
+    grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
+    if not agent:
+        return None
+    plain = search_as(deflated(grid.without_blocks()), search)
+    weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
+    route = find_route(with_weights(plain.grid, weights), search, origin, goals)
+    if route is None:
+        return None
+    closed = [cut for cut in find_cuts(plain, search) if np.isin(cut.cells, route).any()]
+    widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
+    if not closed or widest is None:
+        return None
+    names, verb = " and ".join(cut.name for cut in closed), "is" if len(closed) == 1 else "are"
+    verb = "are" if names.startswith("the stairs") else verb
+    return f"{names} {verb} closed for a radius of {agent:g} m, and {widest[0]:g} m passes"
+
+
 def _gap(search: Search, origin: int, goals: Int) -> str | None:
     """Describe the gap, its width between obstacles [m], that is too narrow for the agent.
 
     None if the grid isn't inflated, or no smaller radius passes.
     """
-    grid, flat, agent = search.grid, search.flat, inflation.exact_radius(search.grid)
+    grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
     plain = deflated(grid.without_blocks())
-    widest = find_widest(plain, flat, origin, goals, inflation.ledges_of(grid)) if agent else None
+    widest = find_widest(plain, search, origin, goals, inflation.ledges_of(grid)) if agent else None
     if widest is None or math.isinf(widest[0]):
         return None
-    radius, free, for_larger = widest
-    cell = find_bottleneck(plain, flat, origin, goals, free, free & ~for_larger, False)
+    radius, cell = widest[0], find_bottleneck(plain, search, origin, goals, widest, False)
     # the occupied squares round it
     number, row, col = flat.cell(cell)
     level, size, width = plain.levels[number], flat.layout.cell_size[number], 2 * radius
@@ -350,7 +399,49 @@ def _gap(search: Search, origin: int, goals: Int) -> str | None:
     return f"the gap between, at {where}, is {width:.2f} m wide, the agent {2 * agent:.2f} m"
 
 
-def _links(search: Search, origin: int, goals: Int) -> str | None:
+def _links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
+    """Name the first link or area that the agent can't use on the route with all of them open."""
+    grid, flat = search.grid, search.flat
+    if not (grid.links or grid.areas):
+        return None
+    is_open = search_as(grid, search, radius=0.0, penalty=SHUT)
+    found = is_open.route(origin, goals)
+    if found is None:
+        return None
+    numbers = dict(is_open.measure(found, "cost")[2])
+    by_name, radius = {link.name: link for link in grid.links}, search.radius
+    for at, cell in enumerate(found.cells.tolist()):
+        if at in numbers:
+            link = by_name[numbers[at]]
+            width = math.inf if link.width is None else link.width
+            why = link.refuses(search.agent)
+            if why is None and width < 2.0 * radius * (1.0 - SLACK):
+                why = f"is {width:g} m wide, narrower than the agent's {2.0 * radius:g} m"
+            ends = [found.cells[at - 1], cell]
+            if why is None and not (flat.arcs.ends == ends).all(axis=1).any():
+                why = "leads the other way only"
+            if why:
+                return f"the link {link.name!r} ({link.kind}) {why}"
+        if (area := _barring_area(search, cell)) is not None:
+            return f"the {' '.join(area)}"
+    return None
+
+
+def _barring_area(search: Search, cell: int) -> tuple[str, str] | None:
+    """The area of a cell that bars the agent, as "area 'lab'", and whom it bars; None for none."""
+    price, agent = search.flat.price, search.agent
+    if len(price) == 1 or math.isfinite(price[cell]):
+        return None
+    level, row, col = search.flat.cell(cell)
+    area = search.grid.areas[search.grid.levels[level].area_index[row, col] - 1]
+    is_named = agent is not None and math.isfinite(area.cost)
+    return (
+        f"area {area.name!r}",
+        f"bars {agent.name!r}" if agent and is_named else "bars all agents",
+    )
+
+
+def _steps(search: Search, origin: int, goals: Int) -> str | None:
     """Name the levels that no step joins, or only steps that are blocked."""
     flat = search.flat
     home = int(flat.level_of(origin))
@@ -360,7 +451,7 @@ def _links(search: Search, origin: int, goals: Int) -> str | None:
     if closed:
         leads = "leads" if len(closed) == 1 and closed[0].startswith("the step") else "lead"
         return f"{', '.join(closed)} {leads} to cells that aren't free"
-    if not len(flat.links.cell):
+    if not len(flat.steps.cell):
         return f"no steps lead from {_level(search.grid, home)} to another level"
     return None
 
@@ -368,7 +459,7 @@ def _links(search: Search, origin: int, goals: Int) -> str | None:
 def _closed_steps(search: Search) -> list[str]:
     """Describe each pair of levels whose steps are all blocked."""
     flat, closed = search.flat, []
-    source, target = flat.link_ends()
+    source, target = flat.step_ends()
     low, high = flat.level_of(source), flat.level_of(target)
     is_open = flat.free[source] & flat.free[target]
     for a, b in np.unique(np.stack([low, high], axis=1)[low < high], axis=0).tolist():

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import resolve
+from navbake.navgrid.agents import Agent
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
@@ -20,9 +21,16 @@ from navbake.types import Float
 class PathFinder(DrawQuestions):
     """Plans paths on a grid, and answers queries about places on it.
 
-    A path steps over the edges and corners of free cells and over links between levels. Floors of
-    neighbours differ by at most the grid's `traversableFloorHeight`. A step costs its length [m]
-    times the weight of the cell that it leads to.
+    A path steps over the edges and corners of free cells, to other levels where the grid has
+    `steps`, and takes the grid's open `links`. Floors of neighbours differ by at most the grid's
+    `traversableFloorHeight`. A step costs its length [m] times the weight of the cell that it leads
+    to, and times the cost of its area. A link costs what it says, or its length; and lasts as long
+    as it says, or its cost at the agent's speed.
+
+    For an agent, the grid is inflated to its radius, and steps are as low as it takes. Cells of
+    areas that bar it are not free, and links that bar it or are narrower than twice its radius
+    aren't there. Without an agent, the grid is as it is, the speed is 1 m/s, all open links that
+    are wide enough count, and areas bar only where their cost is infinite.
 
     In all methods
 
@@ -40,29 +48,44 @@ class PathFinder(DrawQuestions):
 
     Not thread-safe: use one object per thread.
 
+    Attributes:
+        grid: the grid for the agent's size: that which was given, where it fits.
+
     Args:
         grid: a grid of one or several levels, or its file. Later writes into its arrays have no
             effect; `grid.block` has.
         cut_corners: allow diagonal steps past blocked corners.
+        agent: the name of one of the grid's `agents`, or a `navbake.Agent`.
 
     Raises:
-        QueryError: a weight is negative.
+        QueryError: a weight is negative, or the agent is unknown, higher than the grid's or takes
+            higher steps.
         FormatError: the file can't be read, or is no NavGrid.
     """
 
     def __init__(
-        self, grid: NavGrid | str | os.PathLike[str], *, cut_corners: bool = False
+        self,
+        grid: NavGrid | str | os.PathLike[str],
+        *,
+        cut_corners: bool = False,
+        agent: str | Agent | None = None,
     ) -> None:
-        self._cut_corners = cut_corners
+        self._cut_corners, self._agent = cut_corners, agent
         self.use(grid)
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
         """Switch to another grid, as after `Baker.update`."""
         if isinstance(grid, str | os.PathLike):
-            self.grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
+            read: NavGrid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
         else:
-            self.grid = grid
-        self._search = Search(self.grid, cut_corners=self._cut_corners)
+            read = grid
+        self._search = Search(read, cut_corners=self._cut_corners, agent=self._agent)
+        self.grid = self._search.grid
+
+    @property
+    def agent(self) -> Agent | None:
+        """Who plans; None for the grid's own agent."""
+        return self._search.agent
 
     def __repr__(self) -> str:
         count, area = self.islands.count, self.navigable_area
@@ -75,34 +98,46 @@ class PathFinder(DrawQuestions):
         return self.grid._repr_png_()
 
     def find_path(
-        self, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
+        self,
+        start: ArrayLike,
+        goal: Goal,
+        *,
+        level: int | None = None,
+        by: str = "cost",
+        smooth: bool = True,
     ) -> Path | None:
         """Find the cheapest path; None if there is none, for the reason that `why_not` returns.
+
+        By ``time``, the quickest: steps last their length over the agent's speed or their area's,
+        whatever they cost.
 
         If `smooth`, it is pulled straight where that stays free; else it runs through the cells'
         centres. It begins and ends at the given positions, unless they are nearer to obstacles
         than the agent may be.
         """
-        return find_path(self.search, start, goal, level, smooth=smooth)
+        return find_path(self.search, start, goal, level, by=by, smooth=smooth)
 
     def why_not(self, start: ArrayLike, goal: Goal, *, level: int | None = None) -> str | None:
         """Say in one sentence why there is no path; None if there is one.
 
         The sentence names a start or goal that isn't free, with the nearest free cell; else the
-        islands of both, and the first obstacle found of these: blocked cells, doors, a gap that is
-        too narrow, blocked steps between levels, and things in between by name.
+        islands of both, and the first obstacle found of these: blocked cells, doors, the first link
+        or area that the path would use if all were open, a gap that is too narrow, blocked steps
+        between levels, and things in between by name.
         """
         return why_not(self.search, start, goal, level)
 
     def distance_field(
-        self, goal: Goal, *, level: int | None = None, weighted: bool = True
+        self, goal: Goal, *, level: int | None = None, weighted: bool = True, by: str = "cost"
     ) -> list[Float]:
         """Compute the cost of the cheapest path from every cell to the goal.
 
-        If `weighted`, as in `find_path`; else the length of the shortest path [m]. One array a
-        level, shape (height, width), float64, inf where no path leads to the goal; read-only.
+        If `weighted`, as in `find_path`; else the length of the shortest path [m], on which links
+        count what they cost; by ``time``, the seconds of the quickest. One array a level, shape
+        (height, width), float64, inf where no path leads to the goal; read-only.
         """
-        field, flat = find_field(self.search, goal, level, weighted=weighted), self._search.flat
+        field = find_field(self.search, goal, level, weighted=weighted, by=by)
+        flat = self._search.flat
         return [field[flat.cells_of(k)].reshape(v.shape) for k, v in enumerate(self.grid.levels)]
 
     def distances(
@@ -113,6 +148,7 @@ class PathFinder(DrawQuestions):
         goals: Sequence[Goal] | None = None,
         level: int | None = None,
         weighted: bool = True,
+        by: str = "cost",
     ) -> Float:
         """Look up `distance_field` at starts of shape (..., 3): shape (...), inf for no path.
 
@@ -120,13 +156,15 @@ class PathFinder(DrawQuestions):
         the last few goals are cached.
         """
         if goal is not None and goals is None:
-            return self.distances(starts, goals=[goal], level=level, weighted=weighted)[..., 0]
+            return self.distances(starts, goals=[goal], level=level, weighted=weighted, by=by)[
+                ..., 0
+            ]
         if goal is not None or goals is None:
             raise QueryError("expected a goal, or goals=[…], one of them")
         cells = self.search.flat.cells_at(starts, level)
         found = np.full((*cells.shape, len(goals)), np.inf)
         for k, one in enumerate(goals):
-            field = find_field(self._search, one, level, weighted=weighted)
+            field = find_field(self._search, one, level, weighted=weighted, by=by)
             found[..., k] = np.where(cells >= 0, field[cells], np.inf)
         return found
 
@@ -136,9 +174,10 @@ class PathFinder(DrawQuestions):
         """Find the widest agent that can get from a place to a goal, and its bottleneck.
 
         ``find_path`` finds a path on ``grid.inflate(radius)`` for every radius up to this one, and
-        for no larger one; `ledges` as there. Current blocks count. The result for an inflated grid
-        is that of the grid before, if the file has it. None if not even a point gets there. Raises
-        QueryError if start or goal is outside the grid or occupied, or if the goal is an object.
+        for no larger one; `ledges` as there. Current blocks, and the agent's rights but not its
+        size count. The result for an inflated grid is that of the grid before, if the file has it.
+        None if not even a point gets there. Raises QueryError if start or goal is outside the grid
+        or occupied, or if the goal is an object.
         """
         return find_passage(self.search, start, goal, level, ledges)
 
@@ -175,10 +214,18 @@ class PathFinder(DrawQuestions):
 
 
 def plan_path(
-    grid: NavGrid, start: ArrayLike, goal: Goal, *, level: int | None = None, smooth: bool = True
+    grid: NavGrid,
+    start: ArrayLike,
+    goal: Goal,
+    *,
+    level: int | None = None,
+    by: str = "cost",
+    smooth: bool = True,
+    agent: str | Agent | None = None,
 ) -> Path | None:
     """Find the cheapest path on a grid, see `PathFinder.find_path`.
 
     Each call prepares the whole grid; use a `PathFinder` for many queries.
     """
-    return PathFinder(grid).find_path(start, goal, level=level, smooth=smooth)
+    finder = PathFinder(grid, agent=agent)
+    return finder.find_path(start, goal, level=level, by=by, smooth=smooth)

@@ -14,6 +14,7 @@ from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_on
+from navbake.runtime.inflation import check_word
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Json
 
@@ -23,6 +24,7 @@ ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 Goal: TypeAlias = ArrayLike | str
 """A position, several of them, ``room:NAME`` or ``object:NAME``."""
 
+BY = ("cost", "time")
 NOWHERE = np.full(2, np.nan)
 MAX_REACH = 1.0  # [m] from an object to a place next to it
 
@@ -38,16 +40,23 @@ class Path:
     """Level, row and column of each cell of the route, shape (m, 3), int64. A smooth path may
     leave these cells where that is shorter and costs no more."""
     length: float  #: Of the path, seen from above [m].
-    cost: float  #: Of the route: of each step [m] times the weight of the cell that it leads to.
+    #: Of the route: of each step [m] times the weight of the cell that it leads to, and its area's
+    #: cost; and of links [m].
+    cost: float
     rooms: list[str]  #: Ids of the rooms on the way, in order, repeated where entered again.
     doors: list[str]  #: Ids of the doors on the way, in order.
+    links: list[str]  #: Names of the links that it takes, in order.
+    seconds: float  #: Of the route, at the agent's speed and those of areas and links.
+    by: str  #: What it was planned for, ``cost`` or ``time``.
+    #: From which of the positions each of `links` leads on, and to which, shape (k, 2).
+    stops: Int
     grid: NavGrid | None = None  #: The grid of the search.
 
     _repr_png_ = Method[bytes | None]("navbake.views.notebook:draw_path")
 
     def __repr__(self) -> str:
         text = f"Path({self.length:.2f} m, cost {self.cost:.2f}, {len(self.positions)} points"
-        for kind, names in (("rooms", self.rooms), ("doors", self.doors)):
+        for kind, names in (("rooms", self.rooms), ("doors", self.doors), ("links", self.links)):
             text += f", {kind} {' '.join(names)}" if names else ""
         return f"{text})"
 
@@ -167,24 +176,32 @@ def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
 
 
 def find_path(
-    search: Search, start: ArrayLike, goal: Goal, level: int | None, *, smooth: bool
+    search: Search,
+    start: ArrayLike,
+    goal: Goal,
+    level: int | None,
+    *,
+    by: str = "cost",
+    smooth: bool,
 ) -> Path | None:
     """`PathFinder.find_path`."""
+    check_word(by, BY, "by")
     flat, rooms = search.flat, search.rooms
     p, origin = flat.locate(start, level, "start")
     target = find_target(search, goal, level)
     goals = target.free_cells(flat)
     if origin < 0 or not flat.free[origin] or not len(goals):
         return None
-    found = search.route(origin, goals)
+    found = search.route(origin, goals, by)
     if found is None:
         return None
-    route, cost = found
+    route, by_link, _ = found
+    cost, seconds, links = search.measure(found, by)
     end = NOWHERE
     if target.positions is not None:  # the first that is in the cell
         end = target.positions[int(np.argmax(target.cells == route[-1])), :2]
-    positions, levels = lines.lay_route(
-        route, p[:2], end, smooth, search.graph, flat.floors, search.off_center
+    positions, levels, leads_to = lines.lay_route(
+        route, by_link, p[:2], end, smooth, search.graph_by(by), flat.floors, search.off_center
     )
     numbers = rooms.number[route]
     entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
@@ -196,18 +213,32 @@ def find_path(
         cost=cost,
         rooms=[str(rooms.id_of(int(n))) for n in entered if n],
         doors=doors_on(search.doors, route),
+        links=[name for _, name in links],
+        seconds=seconds,
+        by=by,
+        stops=_find_stops(leads_to, [at for at, _ in links]),
         grid=search.grid,
     )
 
 
-def find_field(search: Search, goal: Goal, level: int | None, *, weighted: bool = True) -> Float:
+def _find_stops(leads_to: Int, taken: list[int]) -> Int:
+    """`Path.stops`, by the cell that a link leads to after each position, and those of links."""
+    stops = [np.flatnonzero(leads_to == at)[[0, -1]] + [0, 1] for at in taken]
+    return np.array(stops, dtype=np.int64).reshape(-1, 2)
+
+
+def find_field(
+    search: Search, goal: Goal, level: int | None, *, weighted: bool = True, by: str = "cost"
+) -> Float:
     """The costs of `PathFinder.distance_field`, by flat id; read-only."""
+    check_word(by, BY, "by")
+    by = by if weighted or by == "time" else "length"
     # goals of the same cells share a field
     goals = find_target(search, goal, level).free_cells(search.flat)
 
     def make() -> Float:
-        field = search.field(goals, weighted=weighted)
+        field = search.field(goals, by=by)
         field.flags.writeable = False
         return field
 
-    return search.keep("fields", (weighted, goals.tobytes()), make)
+    return search.keep("fields", (by, goals.tobytes()), make)

@@ -37,13 +37,14 @@ class Place:
     occupied: bool  #: Something stands in the agent's way.
     weight: float  #: Cost of the cell, infinite where it isn't free.
     room: str | None  #: Id of the room in the grid's `rooms`, None for none.
+    area: str | None  #: Name of the area in the grid's `areas`, None for none.
     grid: NavGrid = field(repr=False, compare=False)  #: The grid.
 
     @property
     def island(self) -> int | None:
         """Number of the connected part, from 1, the largest; None where the cell isn't free."""
         level, row, col = self.cell
-        return int(islands_of(self.grid)[level][row, col]) if self.free else None
+        return int(islands_of(self.grid)[level][row, col]) or None if self.free else None
 
     @property
     def is_blocked(self) -> bool:
@@ -63,7 +64,7 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
     part, at = grid.levels[cell.level], (cell.row, cell.col)
     floor, weight = float(part.floor_height[at]), float(part.weights[at])
     free = math.isfinite(weight)
-    index = int(part.room_index[at])
+    index, area = int(part.room_index[at]), int(part.area_index[at])
     of_table = (r.id for r in grid.stated_rooms or () if (r.level, r.index) == (cell.level, index))
     return Place(
         cell=cell,
@@ -72,6 +73,7 @@ def place_in(grid: NavGrid, cell: Cell) -> Place:
         occupied=bool(part.occupancy[at]),
         weight=weight if free else math.inf,
         room=next(of_table, f"{cell.level}:{index}") if index else None,
+        area=grid.areas[area - 1].name if 0 < area <= len(grid.areas) else None,
         grid=grid,
     )
 

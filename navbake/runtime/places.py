@@ -77,7 +77,7 @@ class PlaceQuestions:
         return int(self.islands.number[cell]) or None if cell >= 0 else None
 
     def same_island(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
-        """Whether both positions are on one island, so that a path joins them."""
+        """Whether both positions are on one island, so that paths lead from each to the other."""
         one, other = (self.island_at(p, level=level) for p in (a, b))
         return one is not None and one == other
 
@@ -177,7 +177,7 @@ class PlaceQuestions:
             if here is None or self.rooms.find(room or here) != self.rooms.find(here):
                 return None
             room = here
-        allowed = search.allowed(room=room, island=island)
+        allowed = search.allowed(room=room, islands=search.chosen_islands(island, None))
         if in_sight:
             return _snap_in_sight(search, allowed, p, level, same_level, max_distance)
         found, cells = snap(
@@ -191,9 +191,9 @@ class PlaceQuestions:
         """Move straight from a position towards another, and stop at cells that are not free.
 
         Starts of shape (..., 3) have an end each, or one in common. The way runs over the map from
-        cell to cell, up steps and over links, and so never passes thin walls. It may end anywhere
-        in a free cell, up to half a cell nearer to obstacles than at its centre. The end's z is
-        ignored. Raises QueryError if the start isn't free.
+        cell to cell and over steps to other levels, not over links, and so never passes thin walls.
+        It may end anywhere in a free cell, up to half a cell nearer to obstacles than at its
+        centre. The end's z is ignored. Raises QueryError if the start isn't free.
 
         Sliding goes on from where the straight way stops, to the point nearest to the end among
         those within a walk as long as the rest of the way.
@@ -207,7 +207,7 @@ class PlaceQuestions:
         on, points = flat_grid.as_points(p, level)
         to = np.broadcast_to(q[..., :2], (*p.shape[:-1], 2)).reshape(-1, 2)
         found, bad = walks.step_each(
-            flat.layout, flat.links, flat.floors, flat.free, on, points,
+            flat.layout, flat.steps, flat.floors, flat.free, on, points,
             np.ascontiguousarray(to), slide,
         )  # fmt: skip
         if bad >= 0:
@@ -217,7 +217,7 @@ class PlaceQuestions:
     def line_of_sight(self, a: ArrayLike, b: ArrayLike, *, level: int | None = None) -> bool:
         """Whether the straight line between two positions crosses no occupied cell.
 
-        The line runs over the map, from cell to cell and over links, and through a corner of four
+        The line runs over the map, from cell to cell and over steps, and through a corner of four
         if one of the two cells beside it is clear; heights are not compared. False also if one of
         the positions is outside the grid or occupied.
         """

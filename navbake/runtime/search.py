@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
+from navbake.navgrid.agents import Agent
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime import flat_grid
-from navbake.runtime.inflation import exact_radius, find_room
+from navbake.runtime.agents import find_agent, fit_grid
+from navbake.runtime.inflation import find_room
 from navbake.types import Bool, Float, Int, Int32
+
+if TYPE_CHECKING:
+    from navbake.runtime.kernels.arrays import Graph
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
 lines = lazy("navbake.runtime.kernels.lines")
@@ -25,47 +30,72 @@ routes = lazy("navbake.runtime.kernels.routes")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
+ROUNDING = 1e-12  # share by which an estimate stays below what it estimates
 MAX_KEPT = 8  # cached results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
 Kept = TypeVar("Kept")
 
 
+class Route(NamedTuple):
+    """The cheapest cells from one to another."""
+
+    cells: Int  # flat ids
+    by_link: Bool  # whether a link led to each, or a step to another level
+    spent: float  # by what was planned for
+
+
 class Search:
     """Searches over the cells of all levels of a grid, and cached results.
 
-    Not thread-safe. `flat` are the cells, `graph` the steps between them; `free_diagonally` marks
-    free cells with room for a diagonal step, `off_center` those where a line may leave the centres.
-    `update` takes over the grid's blocks; each change increments `version`.
+    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.agents`; `flat` are its
+    cells, `graph` the steps between them; `free_diagonally` marks free cells with room for a
+    diagonal step, `off_center` those where a line may leave the centres. `update` takes over the
+    grid's blocks; each change increments `version`.
+
+    Args:
+        grid: as it was loaded or baked.
+        cut_corners: see `PathFinder`.
+        agent: who plans.
+        radius: that links have to be wide enough for [m]; the grid's if None.
+        penalty: see `navbake.runtime.flat_grid.flatten`.
     """
 
-    def __init__(self, grid: NavGrid, *, cut_corners: bool = False) -> None:
+    def __init__(
+        self,
+        grid: NavGrid,
+        *,
+        cut_corners: bool = False,
+        agent: str | Agent | None = None,
+        radius: float | None = None,
+        penalty: float | None = None,
+    ) -> None:
+        self.agent = find_agent(grid, agent)
+        self.grid = grid = fit_grid(grid, self.agent)
         clean = grid.without_blocks()
-        self.grid, self.cut_corners, self.version = grid, cut_corners, 0
-        self.flat = flat = flat_grid.flatten(clean)
+        self.cut_corners, self.version = cut_corners, 0
+        self.radius = grid.radius if radius is None else radius
+        self.flat = flat = flat_grid.flatten(clean, self.agent, penalty)
         self._kept: dict[str, dict[Any, Any]] = {}
         self._room = find_room(clean)
         self._masks = [mask & flat.free for mask in self._room or (flat.free,) * 3]
         self.free_diagonally, anywhere, by_squares = self._masks
         solid = [v.solid.ravel() != 0 for v in clean.levels] if self._room else [NO_CELLS]
         before = np.append(np.int32(0), np.cumsum(np.concatenate(solid), dtype=np.int32))
-        radius, is_closed = exact_radius(grid), len(grid.levels) > 1
-        self.off_center = arrays.OffCenter(anywhere, by_squares, before, radius, is_closed)
-        weights = flat.weight[flat.free]
-        least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
-        if least < 0:
-            raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
-        # the buckets fit the weights of all cells, blocked ones included
-        size, longest = float(flat.layout.cell_size.min()), float(flat.links.length.max(initial=0))
-        moves = np.zeros(flat.num_cells, dtype=np.uint8)
-        buckets = routes.bucket_width(size, least, most, longest)
-        same = least if least == most else 0.0
-        self.graph = arrays.Graph(
-            flat.layout, flat.links, moves, flat.weight, same, least, *buckets
+        is_closed = len(grid.levels) > 1
+        self.off_center = arrays.OffCenter(
+            anywhere, by_squares, before, grid.inflated_radius, is_closed
         )
+        weights = flat.weight[flat.free]
+        if weights.min(initial=0.0) < 0:
+            least = f"{weights.min():g}"
+            raise QueryError(f"expected weights >= 0, got {least}: no path is the cheapest then")
+        # the buckets fit the weights of all cells, blocked ones included
+        self._moves = np.zeros(flat.num_cells, dtype=np.uint8)
+        self.graph = self._make_graph("cost", False)
         self._visits = arrays.Visits(
             mark=np.zeros(flat.num_cells, dtype=np.int32),
             cost=np.zeros(flat.num_cells, dtype=np.float64),
-            link_from=np.zeros(len(flat.links.cell), dtype=np.int64),
+            link_from=np.zeros(len(self.graph.links.cell), dtype=np.int64),
             entry_cell=np.empty(FIRST_ROOM, dtype=np.int32),
             entry_next=np.empty(FIRST_ROOM, dtype=np.int32),
         )
@@ -74,6 +104,40 @@ class Search:
         for number, level in enumerate(grid.levels):
             self._find_moves(number, (0, level.height, 0, level.width))
         self.update()
+
+    def graph_by(self, by: str, *, backwards: bool = False) -> Graph:
+        """The steps and what they cost: ``cost`` [m], ``time`` [s], or their ``length`` [m].
+
+        Of `length` only passages over links have a cost of their own. `backwards`, links are turned
+        round.
+        """
+        if by == "cost" and not (backwards and len(self.flat.arcs.ends)):
+            return self.graph
+        if by == "cost":
+            return self.graph._replace(links=self.flat.links(self.radius, backwards=True))
+        return self.keep("graphs", (by, backwards), lambda: self._make_graph(by, backwards))
+
+    def _make_graph(self, by: str, backwards: bool) -> Graph:
+        flat, weight, weights = self.flat, self.flat.weight, np.ones(1)
+        if by == "time":
+            weights = flat.pace
+            if len(flat.pace) > 1:
+                weight, weights = np.where(flat.free, flat.pace, np.inf), flat.pace[flat.free]
+        elif by == "cost":
+            weights = flat.weight[flat.free]
+        least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
+        links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
+        size, longest = float(flat.layout.cell_size.min()), float(links.length.max(initial=0))
+        buckets = routes.bucket_width(size, least, most, longest, float(links.cost.max(initial=0)))
+        same = least if least == most else 0.0
+        # a passage that costs less than the estimate for what it covers lowers the estimate
+        wide = flat.arcs.wide(self.radius)
+        covered = least * flat.octile(*flat.arcs.ends[wide].T)
+        spent = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[wide]
+        shares = spent[covered > 0] / covered[covered > 0]
+        least *= min(1.0, float(shares.min(initial=1.0)) * (1.0 - ROUNDING))
+        graph: Graph = arrays.Graph(flat.layout, links, self._moves, weight, same, least, *buckets)
+        return graph
 
     def update(self) -> None:
         """Take over cells that were blocked or freed since the last call."""
@@ -97,10 +161,12 @@ class Search:
         def cut(array: NDArray[Any]) -> NDArray[Any]:
             return array[cells].reshape(level.shape)[inside]
 
+        first = cells.start + np.arange(row0, row1)[:, None] * level.width
         weight = level.weights[inside].astype(np.float64)
+        weight = self.flat.priced(weight, first + np.arange(col0, col1))
         free = np.isfinite(weight)
         cut(self.flat.free)[:] = free
-        cut(self.flat.weight)[:] = np.where(free, weight, np.inf)
+        cut(self.flat.weight)[:] = weight
         for k, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
             cut(self._masks[k])[:] = free
             if self._room is not None:
@@ -112,7 +178,7 @@ class Search:
         flat, layout = self.flat, self.flat.layout
         routes.find_moves(
             flat.free, self.free_diagonally, flat.floors, flat.slopes, self.cut_corners, layout,
-            level, window, self.graph.moves,
+            level, window, self._moves,
         )  # fmt: skip
 
     def keep(self, kind: str, key: Any, make: Callable[[], Kept], most: int = MAX_KEPT) -> Kept:
@@ -137,7 +203,9 @@ class Search:
     def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
-        return self.keep("islands", None, lambda: flat_grid.map_islands(self.flat, moves), 1)
+        return self.keep(
+            "islands", None, lambda: flat_grid.map_islands(self.flat, self.radius, moves), 1
+        )
 
     @property
     def occupied(self) -> Bool:
@@ -147,15 +215,19 @@ class Search:
 
     @property
     def sight(self) -> tuple[Any, ...]:
-        """The arguments of line-of-sight walks: layout, links, unlimited floors and clear cells."""
+        """The arguments of line-of-sight walks: layout, steps, unlimited floors and clear cells."""
         clear = self.keep("clear", None, lambda: ~self.occupied, 1)
         floors = self.flat.floors._replace(max_step=math.inf)
-        return self.flat.layout, self.flat.links, floors, clear
+        return self.flat.layout, self.flat.steps, floors, clear
 
     def allowed(
-        self, *, level: int | None = None, room: str | None = None, island: int | None = None
+        self,
+        *,
+        level: int | None = None,
+        room: str | None = None,
+        islands: Sequence[int] | None = None,
     ) -> Bool:
-        """The free cells on a level, in a room and on an island, by flat id."""
+        """The free cells on a level, in a room and on some islands, by flat id."""
         allowed = self.flat.free
         if level is not None:
             check_level(level, self.flat.num_levels)
@@ -163,32 +235,83 @@ class Search:
             allowed[inside] = self.flat.free[inside]
         if room is not None:
             allowed = allowed & (self.rooms.number == self.rooms.find(room))
-        if island is not None:
-            allowed = allowed & (self.islands.number == self.islands.check(island))
+        if islands is not None:
+            allowed = allowed & np.isin(self.islands.number, islands)
         return allowed
 
-    def home_island(self, position: ArrayLike, island: int | None) -> int:
-        """The island of a free position; raises QueryError if it isn't the given `island`."""
-        home = int(self.islands.number[self.flat.free_cell_at(position)[1]])
-        if island not in (None, home):
+    def chosen_islands(
+        self, island: int | None, reachable_from: ArrayLike | None
+    ) -> tuple[int, ...] | None:
+        """The islands that a free position leads to, of these the given one; None for all.
+
+        Raises:
+            QueryError: there is no such island, or the position doesn't lead there.
+        """
+        if reachable_from is None:
+            return None if island is None else (self.islands.check(island),)
+        home = int(self.islands.number[self.flat.free_cell_at(reachable_from)[1]])
+        reached = self.islands.reached_from(home)
+        if island is None:
+            return reached
+        if island not in reached:
             raise QueryError(f"island {island} can't be reached: the position is on {home}")
-        return home
+        return (island,)
 
-    def route(self, origin: int, goals: Int) -> tuple[Int, float] | None:
-        """The cheapest route to the cheapest of several free cells, by flat ids, and its cost."""
+    def route(self, origin: int, goals: Int, by: str = "cost") -> Route | None:
+        """The cheapest route to the cheapest of several free cells."""
         if (goals == origin).any():
-            return np.array([origin]), 0.0
-        route = self._find(self.graph, np.array([origin]), goals)
-        return (route, float(self._visits.cost[route[-1]])) if len(route) else None
+            return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
+        cells = self._find(self.graph_by(by), np.array([origin]), goals)
+        if not len(cells):
+            return None
+        by_link = self._visits.mark[cells] & routes.WAY == routes.LINK
+        return Route(cells, by_link, float(self._visits.cost[cells[-1]]))
 
-    def field(self, goals: Int, *, weighted: bool = True) -> Float:
-        """The cost of the cheapest route from each cell to any goal, inf for none."""
-        return self._flood(goals, weighted)[0]
+    def measure(self, route: Route, by: str) -> tuple[float, float, list[tuple[int, str]]]:
+        """The cost of a route that was found by cost or time [m], its seconds, and its links.
+
+        Links are named after the place in the route of the cell that they lead to.
+        """
+        flat, graph = self.flat, self.graph
+        is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not route.by_link.any()
+        if by == "cost" and is_plain:
+            return route.spent, route.spent / graph.same_weight * float(flat.pace[0]), []
+        level, row, col = flat.split(route.cells)
+        diagonal = (np.abs(np.diff(row)) + np.abs(np.diff(col)))[~route.by_link[1:]] == 2
+        length = np.zeros(len(route.cells))
+        length[1:][~route.by_link[1:]] = np.where(diagonal, math.sqrt(2.0), 1.0)
+        length *= flat.layout.cell_size[level]
+        cost, seconds, names = np.zeros_like(length), np.zeros_like(length), list[tuple[int, str]]()
+        sources, targets = flat.step_ends()
+        for k in np.flatnonzero(route.by_link).tolist():
+            ends = route.cells[k - 1 : k + 1]
+            step = np.flatnonzero((sources == ends[0]) & (targets == ends[1]))
+            length[k] = flat.steps.length[step[0]] if len(step) else 0.0
+            arcs = (flat.arcs.ends == ends).all(axis=1) & flat.arcs.wide(self.radius)
+            if not arcs.any():
+                continue
+            spent = flat.arcs.seconds if by == "time" else flat.arcs.cost
+            arc = int(np.argmin(np.where(arcs, spent, np.inf)))
+            price = self.graph_by(by)
+            of_step = length[k] * (price.same_weight or price.weight[ends[1]])
+            if not len(step) or spent[arc] < of_step:
+                names.append((k, self.grid.links[flat.arcs.link[arc]].name))
+                length[k], cost[k], seconds[k] = 0.0, flat.arcs.cost[arc], flat.arcs.seconds[arc]
+        pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
+        cost, seconds = cost + length * flat.weight[route.cells], seconds + length * pace
+        return route.spent if by == "cost" else float(cost.sum()), float(seconds.sum()), names
+
+    def field(self, goals: Int, *, by: str = "cost", backwards: bool = True) -> Float:
+        """What the cheapest route from each cell to any goal costs, or to each cell; inf for none.
+
+        See `graph_by`; routes to each cell are measured by ``length`` only.
+        """
+        return self._flood(goals, by, backwards)[0]
 
     def onward(self, goals: Int) -> tuple[Float, Int]:
-        """The weighted `field`, and the next cell of each route: itself at a goal, -1 for none."""
-        flat, links = self.flat, self.flat.links
-        cost, way = self._flood(goals, True)
+        """The `field` by cost, and the next cell of each route: itself at a goal, -1 for none."""
+        flat, links = self.flat, self.graph.links
+        cost, way = self._flood(goals, "cost", True)
         cells = np.arange(flat.num_cells)
         # the field grew from the goals: the next cell is the reversed move
         steps = np.zeros((2, routes.WAY + 1), dtype=np.int64)
@@ -200,16 +323,9 @@ class Search:
         onward[links.cell[by_link]] = self._visits.link_from[by_link]
         return cost, onward
 
-    def _flood(self, goals: Int, weighted: bool) -> tuple[Float, Int32]:
-        """Search backwards from goals; returns each cell's cost and the move that reached it."""
-        flat, graph = self.flat, self.graph
-        if not weighted:
-            size, longest = flat.layout.cell_size.min(), flat.links.length.max(initial=0)
-            bucket, num = routes.bucket_width(float(size), 1.0, 1.0, float(longest))
-            graph = graph._replace(
-                same_weight=1.0, least_weight=1.0, bucket=bucket, num_buckets=num
-            )
-        self._find(graph, goals, NO_CELLS)
+    def _flood(self, goals: Int, by: str, backwards: bool) -> tuple[Float, Int32]:
+        """Search from goals; returns each cell's cost and the move that reached it."""
+        self._find(self.graph_by(by, backwards=backwards), goals, NO_CELLS)
         mark, cost = self._visits.mark, self._visits.cost
         return np.where(mark >= self._number * routes.SEARCH, cost, np.inf), mark & routes.WAY
 

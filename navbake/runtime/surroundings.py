@@ -171,7 +171,7 @@ def _find_slopes(
     grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
     """The `slopes` of Storeys; `at` has each level's index, row and column in them."""
-    links, none = grid.link_array, np.zeros((0, 0, 0), dtype=np.uint8)
+    links, none = grid.step_array, np.zeros((0, 0, 0), dtype=np.uint8)
     links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
     if not len(links):
         return none

@@ -9,6 +9,7 @@ here: it uses the caller's by the Python array API (https://data-apis.org/array-
 from navbake.tensors.build import make_tensors
 from navbake.tensors.grid_tensors import GridTensors
 from navbake.tensors.questions import (
+    area,
     clearance,
     distance_to_goal,
     distances,
@@ -25,6 +26,7 @@ from navbake.tensors.questions import (
 
 __all__ = [
     "GridTensors",
+    "area",
     "clearance",
     "distance_to_goal",
     "distances",

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
-from navbake.navgrid.islands import clearance
+from navbake.navgrid.agents import Agent
+from navbake.navgrid.islands import cells_of_areas, clearance
 from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
@@ -36,6 +37,7 @@ def make_tensors(
     goals: Sequence[Goal] | Sequence[Sequence[Goal]] = (),
     max_drop: float = MAX_DROP,
     cut_corners: bool = False,
+    agent: str | Agent | None = None,
 ) -> GridTensors:
     """Turn one or several grids into arrays of one library, on one device.
 
@@ -54,6 +56,7 @@ def make_tensors(
             this order.
         max_drop: largest height above the floor for `is_navigable` [m], >= 0.
         cut_corners: as in `PathFinder`.
+        agent: as in `PathFinder`: the arrays are those of the grids for its size.
     """
     is_one = hasattr(grids, "levels")
     if not is_one and not isinstance(grids, Iterable):
@@ -71,7 +74,8 @@ def make_tensors(
     xp, make = _open_library(xp, device, dtype)
     of_library = make(np.zeros(1)).dtype
     floating: Floating = np.dtype("float64" if of_library == xp.float64 else "float32")
-    searches = [Search(grid, cut_corners=cut_corners) for grid in several]
+    searches = [Search(grid, cut_corners=cut_corners, agent=agent) for grid in several]
+    several = [search.grid for search in searches]
     levels = [level for grid in several for level in grid.levels]
     most = max(len(grid.levels) for grid in several)
     shape = Shape(len(several), most, *np.max([v.shape for v in levels], axis=0).tolist())
@@ -91,6 +95,7 @@ def make_tensors(
         shape=shape,
         num_rooms=num_rooms,
         rooms=rooms,
+        areas=tuple(tuple(area.name for area in grid.areas) for grid in several),
         goals=tuple(str(goal) for goal in per_grid[0]),
         **{name: make(value) for name, value in made.items()},
     )
@@ -182,6 +187,7 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
+        areas = np.arange(1, len(search.grid.areas) + 1, dtype=np.int32)
         layers = {
             "reach": (lowest_reaching(stand, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
@@ -189,6 +195,7 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
             "floor": (z, np.nan),
             "room": (search.rooms.number, 0),
             "island": (island, 0),
+            "area": (cells_of_areas(search.grid, areas, 0) + np.zeros_like(island), 0),
             "clearance": (np.concatenate([clearance(v).ravel() for v in levels]), 0),
         }
         for name, (values, outside) in layers.items():

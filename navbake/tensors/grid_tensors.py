@@ -46,6 +46,7 @@ class GridTensors:
     shape: Shape  # padded
     num_rooms: int  # the most rooms of a scene
     rooms: tuple[tuple[str, ...], ...]  # number r of `room` is ``rooms[scene][r - 1]``
+    areas: tuple[tuple[str, ...], ...]  # likewise of `area`
     goals: tuple[str, ...]  # the given goals by number
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
@@ -68,6 +69,7 @@ class GridTensors:
     floor: Array  # by cell [m], NaN for no floor
     ground: Array  # by level, z of its ground [m]
     room: Array  # by cell, int32, 0 for no room
+    area: Array  # by cell, int32, 0 for no area
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     clearance: Array  # by cell [m], see `navbake.navgrid.islands.clearance`; 0 where it isn't free
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
@@ -82,7 +84,7 @@ class GridTensors:
         return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
 
 
-STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "goals")
+STATIC = ("xp", "dtype", "index", "shape", "num_rooms", "rooms", "areas", "goals")
 
 
 def register_pytree(xp: Any) -> None:

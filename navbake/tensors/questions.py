@@ -57,6 +57,11 @@ def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) 
     return _value(t, t.room, 0, positions, scene_id)
 
 
+def area(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+    """The area of each position, int32, 0 for none; ``t.areas[scene][number - 1]`` is its name."""
+    return _value(t, t.area, 0, positions, scene_id)
+
+
 def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
     """The connected part of each position, int32, 0 for none.
 
@@ -144,6 +149,7 @@ LAYERS: dict[str, Any] = {
     "floor": floor,
     "free": is_navigable,
     "room": room,
+    "area": area,
     "island": island,
     "clearance": partial(clearance, mode="nearest"),
 }
@@ -179,8 +185,8 @@ def patch(
 
     The agent is in the middle. Each pixel, of edge `cell` [m], shows the cell at its middle, by the
     rule of `level_at` at the agent's z. The layer is ``free`` (bool), ``floor``, ``clearance``
-    (both [m]), ``room`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows, columns);
-    False, NaN or 0 outside.
+    (both [m]), ``room``, ``area`` or ``island`` (int32); `yaw` as of `heights`. Shape (..., rows,
+    columns); False, NaN or 0 outside.
     """
     if layer not in LAYERS:
         raise QueryError(f"no layer {layer!r}: expected one of {', '.join(LAYERS)}")
@@ -257,8 +263,9 @@ def path_step(
 ) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
-    Following it stays in the cells of that path, also over links to other levels. World
-    x, y of unit vectors, shape (..., 2): zeros in the goal's cell, NaN for no path.
+    Following it stays in the cells of that path, also over steps to other levels; at the stop of a
+    link it points to the stop that the path leads to. World x, y of unit vectors, shape (..., 2):
+    zeros in the goal's cell and in a lift whose stops lie over each other, NaN for no path.
     """
     xp = t.xp
 
@@ -322,7 +329,7 @@ def sample(
             Shape (..., 1) returns centres.
         room: only in this room, by its number (see `room`); an integer or integers of shape (...).
         min_clearance: only in cells with at least this `clearance` [m]; one number.
-        reachable_from: only cells connected with these world positions, shape (..., 3) or (3,).
+        reachable_from: only cells of the island of these world positions, shape (..., 3) or (3,).
 
     Returns:
         World x, y and floor z [m], shape (..., 3); NaN if there is no such place.

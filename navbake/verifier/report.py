@@ -15,6 +15,8 @@ NO_FLOOR = "free cell without floor"
 FLOOR_OFF = "floor off"
 PLACE_LOST = "place lost"
 PATH_TOUCHES = "path touches"
+LINK_TOUCHES = "link touches"
+NO_LANDING = "link without landing"
 MOST_FINDINGS = 10_000  # that are listed; all are counted
 
 

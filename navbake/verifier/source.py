@@ -16,9 +16,9 @@ from navbake.baker.scene.model import is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import (
-    YAML_SUFFIXES,
     BakeConfig,
     as_config,
+    is_settings,
     memory_path,
     parse_config,
     settings_digest,
@@ -66,7 +66,7 @@ def find_source(
     own = own if isinstance(own, dict) else {}
     if given is None:
         given = _find_file(grid, own.get("path"), grid_path)
-    is_file = isinstance(given, str | PathLike) and Path(given).suffix.lower() not in YAML_SUFFIXES
+    is_file = isinstance(given, str | PathLike) and not is_settings(given)
     opened, in_memory = None, is_in_memory(given)
     if data is not None:
         if not in_memory:

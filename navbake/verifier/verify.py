@@ -18,6 +18,7 @@ from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.floors import FloorCheck
 from navbake.verifier.lines import Lines
+from navbake.verifier.links import check_links
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
 from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Probes
@@ -152,6 +153,7 @@ def verify_scene(
         findings += check.check_free(own, counts, volume_over(own, agent, around, cylinder))
         findings += check.check_blocked(own, counts, volume_over(own, agent, around), excused)
         findings += [] if floors is None else floors.run(own, counts)
+    findings += check_links(grid, scene, probes, lines, agent, tolerance)
     if floors is None:
         notes.append(
             "the grid states no floors of cells, so cells are judged over their level's ground: "

@@ -30,7 +30,8 @@ def describe(grid: NavGrid) -> Json:
 
     ``agent`` and ``made_by`` are the agent's settings, and the versions and digests, as far as the
     file has them; ``levels`` begin with the lowest, in cells, m and m2, heights are world z, None
-    without floor; ``inflated`` has radius and clearance [m] and mode of each inflation since the
+    without floor; ``links``, ``areas`` and ``agents`` are as in the file, areas with their ``m2``;
+    ``inflated`` has radius and clearance [m] and mode of each inflation since the
     bake. For ``doors`` see `navbake.navgrid.doors.Door.to_json`.
     """
     islands, levels = find_islands(grid), []
@@ -62,7 +63,13 @@ def describe(grid: NavGrid) -> Json:
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
         "num_islands": max(int(island.max(initial=0)) for island in islands),
-        "num_links": len(grid.link_array),
+        "num_steps": len(grid.step_array),
+        "links": [link.to_json() for link in grid.links],
+        "areas": [
+            {**area.to_json(), "m2": _rounded(_size_of_area(grid, number))}
+            for number, area in enumerate(grid.areas, start=1)
+        ],
+        "agents": {name: agent.to_json() for name, agent in grid.agents.items()},
         "doors": [door.to_json() for door in grid.doors],
         # what `inflate` noted; a file of another program may have anything there
         "inflated": [
@@ -72,6 +79,14 @@ def describe(grid: NavGrid) -> Json:
         ],
         "warnings": list(grid.warnings),
     }
+
+
+def _size_of_area(grid: NavGrid, number: int) -> float:
+    """Of all cells of an area [m²], free or not."""
+    return sum(
+        float(np.count_nonzero(level.area_index == number)) * level.lattice.cell_size**2
+        for level in grid.levels
+    )
 
 
 def _rounded(value: float) -> float:
@@ -86,8 +101,9 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m]), ``floor``
         (world z [m], None for none), ``free``, ``occupied``, ``weight`` (None for infinite),
         ``room`` (its entry in the grid's `rooms`, else its index, None for none), ``island``
-        (from 1, the largest; None where it isn't free); names of what stands in the cell:
-        ``doors``, ``objects``, ``walls``, and of what blocks it, if stated: ``blockers``.
+        (from 1, the largest; None where it isn't free), ``area`` (its name, None for none) and
+        ``links`` (names of those with a stop in it); names of what stands in the cell: ``doors``,
+        ``objects``, ``walls``, and of what blocks it, if stated: ``blockers``.
     """
     place = place_at(grid, (x, y), level)
     if place is None:
@@ -113,6 +129,12 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         "weight": place.weight if place.free else None,
         "room": next(rooms, index or None),
         "island": place.island,
+        "area": place.area,
+        "links": [
+            link.name
+            for link in grid.links
+            if any((stop.level, stop.cell) == (number, cell) for stop in link.stops)
+        ],
         **names,
         # a file lists blockers only where they differ from all that stands in the cell
         "blockers": [] if place.free else sorted(names_in(entry, "blockers")) or standing,

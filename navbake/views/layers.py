@@ -20,6 +20,7 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
+from navbake.views.links import Way, describe_area, find_ways
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding
@@ -100,6 +101,7 @@ class Panel(NamedTuple):
     legend: Legend = ()
     labels: tuple[Label, ...] = ()
     doors: tuple[DoorLine, ...] = ()
+    ways: tuple[Way, ...] = ()  # links and stairs that are drawn, of all levels
     relief: float = 0.0  # a step of values that gets 3/4 of the most light or shade; 0: no relief
 
 
@@ -313,7 +315,18 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
 
 
 def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
-    """The names of rooms, each in the middle of the runs of cells through its largest disc."""
+    rooms = [room for room in grid.rooms if room.level == number]
+    names = [(room.index, room.name, f"{number}:{room.index}") for room in rooms]
+    return _label_parts(grid.levels[number], grid.levels[number].room_index, names)
+
+
+def _label_parts(
+    level: SceneGrid2D, index: NDArray[Any], names: Iterable[tuple[int, str | None, str]]
+) -> tuple[Label, ...]:
+    """Names of a level's parts, each in the middle of the runs of cells through its largest disc.
+
+    Each has a number in `index`, a name or None, and what is written where it has no name.
+    """
     from scipy import ndimage  # takes longer to load than most pictures to draw
 
     def ends_of_run(line: NDArray[np.bool_], at: int) -> list[int]:
@@ -322,13 +335,13 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
         ends: list[int] = np.flatnonzero(part == part[at])[[0, -1]].tolist()
         return ends
 
-    level, labels = grid.levels[number], []
-    boxes = dict(enumerate(ndimage.find_objects(level.room_index.astype(np.int32)), 1))
-    for room in grid.rooms:
-        box = boxes.get(room.index) if room.level == number else None
+    labels = []
+    boxes = dict(enumerate(ndimage.find_objects(index.astype(np.int32)), 1))
+    for which, name, fallback in names:
+        box = boxes.get(which)
         if box is None:
             continue
-        mask = level.room_index[box] == room.index
+        mask = index[box] == which
         stride = max(1, -(-max(mask.shape) // MAX_SIDE))
         mask, edge = mask[::stride, ::stride], level.lattice.cell_size * stride
         space = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
@@ -338,9 +351,8 @@ def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
         across = box[1].start + (first + last) / 2 * stride
         x, y = level.lattice.positions(box[0].start + row * stride, across).tolist()
         half = min(row - top, bottom - row)  # the name's middle is in this row
-        fallback = f"{room.level}:{room.index}"
         size = (last - first + 1) * edge, (2 * half + 1) * edge
-        labels.append(Label(room.name or fallback, fallback, x, y, *size, room.index))
+        labels.append(Label(name or fallback, fallback, x, y, *size, which))
     return tuple(labels)
 
 
@@ -357,13 +369,35 @@ def _show_doors(grid: NavGrid, number: int) -> Panel:
 
 def _show_links(grid: NavGrid, number: int) -> Panel:
     rgb, legend = _occupancy(grid.levels[number])
-    ends = np.concatenate([grid.link_array, grid.link_array[:, [2, 3, 0, 1]]])
+    ends = np.concatenate([grid.step_array, grid.step_array[:, [2, 3, 0, 1]]])
     ends = ends[ends[:, 0] == number]
-    ways = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
-    for color, way in zip(ways.values(), (1, -1, 0), strict=True):
-        cells = ends[np.sign(ends[:, 2] - number) == way, 1]
+    colored = {"leads up": colors.UP, "leads down": colors.DOWN, "steep, same level": colors.ACROSS}
+    for color, sign in zip(colored.values(), (1, -1, 0), strict=True):
+        cells = ends[np.sign(ends[:, 2] - number) == sign, 1]
         rgb.reshape(-1, 3)[cells] = colors.rgb_of(color)
-    return Panel("links", rgb, legend=(*ways.items(), *legend))
+    ways, labels = find_ways(grid), []
+    for place, way in enumerate(ways, 1):
+        here = [(x, y) for level, x, y, _ in way.places if level == number]
+        labels += [Label(way.label(), str(place), *at, 0.0, 0.0, place) for at in here[:1]]
+    drawn = (*colored.items(), *legend)
+    drawn = (("link", colors.LINK), *drawn) if grid.links else drawn
+    return Panel("links", rgb, legend=drawn, labels=tuple(labels), ways=tuple(ways))
+
+
+def _show_areas(grid: NavGrid, number: int) -> Panel:
+    level, areas = grid.levels[number], grid.areas
+    index = level.area_index
+    rgb, legend = _occupancy(level)
+    entries = []
+    for place, area in enumerate(areas, 1):
+        color = colors.ROOMS[place % len(colors.ROOMS)]
+        color = colors.KEEP_OUT if math.isinf(area.cost) else color
+        here, tint = index == place, np.array(colors.rgb_of(color), dtype=np.uint8)
+        rgb[here & level.free] = tint
+        rgb[here & ~level.free] = colors.darkened(tint)
+        entries += [(describe_area(area), color)] if here.any() else []
+    names = [(place, area.name, str(place)) for place, area in enumerate(areas, 1)]
+    return Panel("areas", rgb, legend=(*entries, *legend), labels=_label_parts(level, index, names))
 
 
 def _show_disagreements(grid: NavGrid, number: int, findings: Sequence[Finding]) -> Panel:
@@ -393,5 +427,6 @@ LAYERS: dict[str, Callable[[NavGrid, int], Panel]] = {
     "island": _show_islands,
     "weights": _show_weights,
     "links": _show_links,
+    "area": _show_areas,
 }
 """How each layer of a level is shown, by the layer's name."""

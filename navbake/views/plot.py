@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import textwrap
 import warnings
@@ -17,10 +18,11 @@ from PIL import Image
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.colors import DOOR, DOORWAY, ROUTE
+from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
+from navbake.views.links import Way
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 
@@ -47,6 +49,9 @@ STROKES = {  # colours and widths [points] of lines, from below
     "door, closed": (("#ffffff", 4.2), (DOOR, 2.6)),
     "door, open": ((DOOR, 3.8), ("#ffffff", 1.6)),
     "path, from o to x": (("#ffffff", 3.4), (ROUTE, 1.8)),
+    "link": (("#ffffff", 3.2), (LINK, 1.6)),
+    "link, closed": (("#ffffff", 3.2), (FAINT, 1.6)),
+    "stairs": (("#ffffff", 2.8), (INK, 1.0)),
 }
 
 
@@ -164,6 +169,8 @@ def render_picture(
         facts = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
         text = wrap("   ".join([facts, *entries]), figure.get_figwidth() * 1.2, lines=99)
         legend.set_title(text, {"size": LEGEND_POINTS})
+        own = [(ax, number) for ax, (number, panel) in zip(axes, shown, strict=True) if panel.ways]
+        _draw_ways(figure, {number: ax for ax, number in own}, panels)
         content = io.BytesIO()
         metadata = {"Software": None} if form == "png" else {"Creator": None, "Date": None}
         # lines of the key hang below the figure, which grows by them
@@ -269,6 +276,34 @@ def _strokes(name: str) -> dict[str, Any]:
     return {"path_effects": drawn, "linewidth": max(width for _, width in STROKES[name])}
 
 
+def _draw_ways(figure: Any, axes: dict[int, Any], panels: Sequence[Panel]) -> None:
+    """Draw links and stairs from stop to stop, also from storey to storey; axes are by level."""
+    from matplotlib.patches import ConnectionPatch
+
+    for way in next((panel.ways for panel in panels if panel.ways), ()):
+        style = _strokes(_way_line(way))
+        color, places = STROKES[_way_line(way)][1][0], way.places
+        for level, x, y, _ in places[: 1 if way.one_way else None]:
+            if level in axes and way.link is not None:
+                axes[level].plot(x, y, "o", color=color, markeredgecolor="white", markersize=6)
+        for (one, x0, y0, _), (other, x1, y1, _) in itertools.pairwise(places):
+            if one in axes and other in axes:
+                arc = ConnectionPatch(
+                    (x0, y0), (x1, y1), coordsA=axes[one].transData, coordsB=axes[other].transData,
+                    arrowstyle="-|>" if way.one_way else "-", mutation_scale=7,
+                    connectionstyle=f"arc3,rad={0.15 if one != other else 0}", shrinkA=0,
+                    shrinkB=0, color=color, alpha=0.9, **style,
+                )  # fmt: skip
+                figure.add_artist(arc)
+
+
+def _way_line(way: Way) -> str:
+    """The name of the line of a link or stair in `STROKES`."""
+    if way.link is None:
+        return "stairs"
+    return "link, closed" if way.is_closed else "link"
+
+
 def _door_line(state: str) -> str:
     return "door, closed" if state == "closed" else "door, open"
 
@@ -339,8 +374,9 @@ def _draw_legend(
 
     meanings = dict(entry for panel in panels for entry in panel.legend)
     lines = {_door_line(door.state) for panel in panels for door in panel.doors}
-    if lines:  # they stand for doors in the legend
-        meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY)}
+    lines |= {_way_line(way) for panel in panels for way in panel.ways}
+    if lines:  # they stand for doors and links in the legend
+        meanings = {name: c for name, c in meanings.items() if c not in (DOOR, DOORWAY, LINK)}
     lines |= {"path, from o to x"} if with_route else set()
     entries: list[Any] = [
         Patch(facecolor=color, edgecolor="#777777", linewidth=0.5, label=printable(name))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from navbake.errors import printable
 
 if TYPE_CHECKING:
     from navbake.navgrid.doors import Door
+    from navbake.navgrid.links import Link
     from navbake.navgrid.rooms import Room
     from navbake.types import Json
 
@@ -61,7 +62,8 @@ def summarize(facts: Json) -> list[tuple[str, str]]:
         *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
         *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
         ("islands", str(facts["num_islands"])),
-        ("links", str(facts["num_links"])),
+        ("steps", str(facts["num_steps"])),
+        *((key, str(len(facts[key]))) for key in ("links", "areas", "agents") if facts[key]),
         ("doors", str(len(facts["doors"]))),
     ]
 
@@ -116,6 +118,61 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     return make_table(headings, rows).without_empty_columns()
 
 
+def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
+    """A row for each named link, without empty columns; `levels` are the levels' names."""
+    rows = [
+        (
+            link.name,
+            link.kind,
+            f"{' > ' if link.one_way else ' - '}".join(
+                _place(stop.position) for stop in link.stops
+            ),
+            ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops)),
+            *(_number(value) for value in (link.width, link.cost, link.seconds)),
+            _names(link.agents),
+            link.state,
+        )
+        for link in links
+    ]
+    headings = ("link", "kind", "stops x y z m", "levels", "wide m", "cost m", "s", "for", "is")
+    return make_table(headings, rows, numbers=("wide m", "cost m", "s")).without_empty_columns()
+
+
+def area_table(areas: Sequence[Json]) -> Table:
+    """A row for each area, from `navbake.views.describe.describe`, without empty columns."""
+    rows = [
+        (
+            area["name"],
+            area["cost"],
+            _number(area.get("speed")),
+            _names(area.get("agents")),
+            f"{area['m2']:.2f}",
+        )
+        for area in areas
+    ]
+    headings = ("area", "cost", "m/s", "for", "m2")
+    return make_table(headings, rows, numbers=("cost", "m/s", "m2")).without_empty_columns()
+
+
+def agent_table(agents: Mapping[str, Json]) -> Table:
+    """A row for each agent, from `navbake.views.describe.describe`, without empty columns."""
+    keys = {"radius": "radius m", "height": "height m", "step": "step m", "speed": "m/s"}
+    rows = [(name, *(_number(agent.get(key)) for key in keys)) for name, agent in agents.items()]
+    return make_table(("agent", *keys.values()), rows, keys.values()).without_empty_columns()
+
+
+def _place(position: Iterable[float]) -> str:
+    return " ".join(f"{value:.2f}" for value in position)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
+
+
+def _names(agents: Iterable[str] | None) -> str:
+    return "" if agents is None else ", ".join(agents) or "nobody"
+
+
 def _shown_state(door: Door) -> str:
     """A door's state; of one as modelled also which state that is the same as, if it is known."""
     is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
@@ -134,5 +191,7 @@ def cell_facts(facts: Json) -> dict[str, str | list[str]]:
         "weight": "infinite" if weight is None else f"{weight:g}",
         "room": str(room["id"] if isinstance(room, dict) else room or "none"),
         "island": str(facts["island"] or "none"),
+        **({"area": facts["area"]} if facts["area"] else {}),
+        **({"links": facts["links"]} if facts["links"] else {}),
         **{key: facts[key] for key in ("doors", "objects", "walls")},
     }

@@ -104,7 +104,7 @@ def of_door(name: str) -> Where:
 
 def of_first_link(grid: Any) -> list[tuple[int, int]]:
     """Where the first link begins."""
-    return [(grid.links[0].level, grid.links[0].cell)]
+    return [(grid.steps[0].level, grid.steps[0].cell)]
 
 
 def load(sample: str) -> Any:
@@ -462,6 +462,23 @@ def blocked_farther_than_inflated(grid):
 @plant("apartment", ERROR, "expected .* at `metadata.navbake.rooms", -1)
 def broken_room_table(grid):
     return restated(grid, rooms=[{"index": "one"}])
+
+
+@plant(
+    "tower",
+    REMARK,
+    "all 2 stops of lift 'lift_b' are on one level",
+    lambda grid: [(0, grid.links[1].stops[0].cell)],
+)
+def lift_without_storeys(grid: Any) -> None:
+    link = next(e for e in grid.metadata["navbake"]["links"] if "lift_b" in str(e))
+    link["stops"][1] = [0, link["stops"][0][1] - 300]
+
+
+@plant("tower", REMARK, "area 'lab' covers no cell of any level", -1)
+def area_without_cells(grid: Any) -> None:
+    for level in grid.levels:
+        level.attributes["area"][level.attributes["area"] == 2] = 0
 
 
 def eroded(mask: Any) -> Any:

@@ -106,12 +106,12 @@ def check_same(first, second, move=(0.0, 0.0), quarters: int = 0) -> None:
         corners = np.array([x.min(), y.min(), x.max(), y.max()])
         corners += np.array([*move, *move])
         np.testing.assert_allclose(b.lattice.bounds, corners, atol=1e-9)
-    links = first.link_array.copy()
+    links = first.step_array.copy()
     for k, level in enumerate(first.levels):
         for side in (0, 2):
-            here = first.link_array[:, side] == k
+            here = first.step_array[:, side] == k
             links[here, side + 1] = turned_ids(links[here, side + 1], level, quarters)
-    assert sorted(map(tuple, links)) == sorted(map(tuple, second.link_array))
+    assert sorted(map(tuple, links)) == sorted(map(tuple, second.step_array))
 
 
 def saved(grid) -> bytes:
@@ -206,7 +206,7 @@ def test_shifted_and_turned(name: str, radius: float) -> None:
 def test_house_has_levels_and_links() -> None:
     grid = bake(HOUSE)
     assert len(grid.levels) == 2
-    assert len(grid.links) >= 4
+    assert len(grid.steps) >= 4
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -36,7 +36,7 @@ def check_same(grid, back):
         assert other.timings == level.timings and dict(other.user_data) == dict(level.user_data)
         assert other.lattice == level.lattice
     assert back.timings == grid.timings and back.extra == grid.extra
-    assert (back.rooms, back.doors, back.links) == (grid.rooms, grid.doors, grid.links)
+    assert (back.rooms, back.doors, back.steps) == (grid.rooms, grid.doors, grid.steps)
     assert back.level_names == grid.level_names and back.warnings == grid.warnings
 
 

@@ -1,7 +1,6 @@
 """Maps of ROS: what is written is what nav2 reads, by its own formulas, written out here."""
 
 import itertools
-import json
 import math
 import struct
 import warnings
@@ -9,6 +8,8 @@ import zlib
 
 import numpy as np
 import pytest
+import shapely
+import shapely.affinity
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,36 +27,59 @@ from project_paths import SHARED_DATA
 
 
 def load_as_nav2(path):
-    """The occupancy grid that nav2's map server makes, by its rules, pixel by pixel: the data, row
-    0 at the bottom, and what the YAML says. Pillow and PyYAML read the files."""
+    """The occupancy grid that nav2's map server makes, by its rules from Humble to Jazzy, pixel by
+    pixel: the data, row 0 at the bottom, and what the YAML says. Pillow and PyYAML read the files.
+    Its branch main makes the same of every file of these tests."""
     stated = yaml.safe_load(path.read_text())
     image = Image.open(path.parent / stated["image"])
     has_alpha = "A" in image.getbands()
-    pixels = np.array(image.convert("RGBA" if has_alpha else "RGB")).astype(float) / 255
+    pixels = np.array(image.convert("RGBA" if has_alpha else "RGB"))
     data = np.full(pixels.shape[:2], -1)
     for row in range(data.shape[0]):
         for col in range(data.shape[1]):
-            channels = list(pixels[row, col, :3])
-            if stated["mode"] == "trinary" and has_alpha:
-                channels.append(pixels[row, col, 3])
-            shade = sum(channels) / len(channels)
-            occ = shade if stated["negate"] else 1.0 - shade
-            if stated["mode"] == "raw":
-                value = round(shade * 255)
-                value = value if value <= 100 else -1
-            elif stated["mode"] == "scale" and has_alpha and pixels[row, col, 3] != 1:
-                value = -1
-            elif stated["occupied_thresh"] < occ:
-                value = 100
-            elif occ < stated["free_thresh"]:
-                value = 0
-            elif stated["mode"] == "trinary":
-                value = -1
-            else:
-                span = stated["occupied_thresh"] - stated["free_thresh"]
-                value = round((occ - stated["free_thresh"]) / span * 100)
+            rgb, alpha = pixels[row, col, :3].tolist(), pixels[row, col, -1] if has_alpha else None
+            value = humble_value(stated, rgb, alpha)
+            assert value == main_value(stated, rgb, alpha)
             data[data.shape[0] - row - 1, col] = value
     return data, stated
+
+
+def humble_value(stated, rgb, alpha):
+    channels = [value / 255 for value in rgb]
+    if stated["mode"] == "trinary" and alpha is not None:
+        channels.append(alpha / 255)
+    shade = sum(channels) / len(channels)
+    occ = shade if stated["negate"] else 1.0 - shade
+    if stated["mode"] == "raw":
+        value = round(shade * 255)
+        return value if value <= 100 else -1
+    if stated["mode"] == "scale" and alpha not in (None, 255):
+        return -1
+    if stated["occupied_thresh"] < occ:
+        return 100
+    if occ < stated["free_thresh"]:
+        return 0
+    span = stated["occupied_thresh"] - stated["free_thresh"]
+    return -1 if stated["mode"] == "trinary" else round((occ - stated["free_thresh"]) / span * 100)
+
+
+def main_value(stated, rgb, alpha):
+    """By the rules of nav2's branch main, whose numbers have single precision."""
+    red, green, blue = (257 * int(value) for value in rgb)  # GraphicsMagick's quanta
+    grey = (306 * red + 601 * green + 117 * blue) // 1024 // 257
+    if stated["mode"] == "raw":
+        return grey if grey <= 100 else -1
+    if alpha not in (None, 255):
+        return -1
+    occ = np.float32(grey) / np.float32(255)
+    occ = occ if stated["negate"] else np.float32(1) - occ
+    free, most = np.float32(stated["free_thresh"]), np.float32(stated["occupied_thresh"])
+    if occ <= free:
+        return 0
+    if occ >= most:
+        return 100
+    span = np.float32(stated["occupied_thresh"] - stated["free_thresh"])
+    return -1 if stated["mode"] == "trinary" else math.floor((occ - free) / span * 100 + 0.5)
 
 
 def expected_values(level):
@@ -235,41 +259,87 @@ def test_modes_thresholds_and_negate(tmp_path, changed, expected):
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_reads_every_pixel_as_nav2_does(data):
+    free = data.draw(st.floats(0, 0.9) | st.integers(0, 51).map(lambda k: k / 255))
+    most = data.draw(st.floats(min(free + 0.05, 1), 1) | st.just(min(free + 0.2, 1)))
     mode = data.draw(st.sampled_from(["trinary", "scale", "raw"]))
-    free = data.draw(st.floats(0, 0.9))
-    rules = {"mode": mode, "negate": data.draw(st.booleans()), "free_thresh": free}
-    rules["occupied_thresh"] = data.draw(st.floats(min(free + 0.05, 1), 1))
-    r, g, b = (data.draw(st.integers(0, 255)) for _ in range(3))
-    alpha = data.draw(st.none() | st.integers(0, 255))
-    shade = (r + g + b) / 765
-    if mode == "trinary" and alpha is not None:
-        shade = (r + g + b + alpha) / 1020
-    occ = shade if rules["negate"] else 1 - shade
-    if mode == "raw":
-        expected = {round(shade * 255 - 1e-9), round(shade * 255 + 1e-9)}
-        expected = {value if value <= 100 else -1 for value in expected}
-    elif mode == "scale" and alpha not in (None, 255):
-        expected = {-1}
-    elif occ > rules["occupied_thresh"] or occ < rules["free_thresh"]:
-        expected = {100 if occ > rules["occupied_thresh"] else 0}
-    elif mode == "trinary":
-        expected = {-1}
-    else:
-        exact = (occ - free) / (rules["occupied_thresh"] - free) * 100
-        expected = {round(exact - 1e-9), round(exact + 1e-9)}
+    negate, alpha = data.draw(st.booleans()), data.draw(st.none() | st.integers(0, 255))
+    own = {"mode": mode, "negate": negate, "free_thresh": free, "occupied_thresh": most}
+    rgb = [data.draw(st.integers(0, 255)) for _ in range(3)]
     opacity = None if alpha is None else np.array([[alpha]], np.uint8)
-    pixels = Pixels(np.array([[r + g + b]], np.uint16), 255, opacity)
-    stated = MapRules("", 1, (0, 0, 0), mode, rules["negate"], rules["occupied_thresh"], free)
-    assert int(read_values(pixels, stated)[0, 0]) in expected
+    luma = np.array([[(306 * rgb[0] + 601 * rgb[1] + 117 * rgb[2]) // 1024]], np.uint8)
+    pixels = Pixels(np.array([[sum(rgb)]], np.uint16), 255, opacity, luma)
+    stated = MapRules("", 1, (0, 0, 0), mode, negate, most, free)
+    assert int(read_values(pixels, stated, "main")[0, 0]) == main_value(own, rgb, alpha)
+    # sums of floats may round to either side of a threshold, or of a half
+    near = [{**own, "free_thresh": free + e, "occupied_thresh": most + e} for e in (-1e-9, 0, 1e-9)]
+    read = int(read_values(pixels, stated)[0, 0])
+    assert read in [humble_value(each, rgb, alpha) for each in near]
 
 
-def test_transparency_counts_as_nav2_counts_it(tmp_path):
-    pixels = [[[0, 0, 0, 255], [254, 254, 254, 255], [254, 254, 254, 0], [0, 0, 0, 0]]]
-    path = write_map(tmp_path, pixels, image="map.png")
-    assert kinds_of(navbake.from_nav2(path)) == ["#.?#"]  # a fourth channel
-    path = write_map(tmp_path, pixels, image="map.png", mode="scale")
-    assert kinds_of(navbake.from_nav2(path)) == ["#.??"]
-    np.testing.assert_array_equal(load_as_nav2(path)[0], [[100, 0, -1, -1]])
+COLOURS = [
+    [0, 0, 0, 255], [254, 254, 254, 255], [254, 254, 254, 0], [0, 0, 0, 0],  # opaque or not
+    [255, 90, 0, 255], [0, 200, 0, 255],  # luma 129 and 117
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "humble", "main"),
+    [
+        ({}, "#.?#??", "#.????"),
+        ({"occupied_thresh": 0.5}, "#.?#?#", "#.???#"),
+        # on both thresholds: black is 1.0, white 0.0
+        ({"occupied_thresh": 1.0, "free_thresh": 0.0}, "??????", "#?????"),
+        ({"mode": "scale"}, "#.??.#", "#.??.."),
+    ],
+)
+def test_rules_by_version(tmp_path, changed, humble, main):
+    path = write_map(tmp_path, [COLOURS], image="map.png", **changed)
+    assert kinds_of(navbake.from_nav2(path)) == [humble]
+    assert kinds_of(navbake.from_nav2(path, rules="humble")) == [humble]
+    assert kinds_of(navbake.from_nav2(path, rules="main")) == [main]
+
+
+def test_thresholds_are_inclusive_on_main(tmp_path):
+    path = write_map(tmp_path, [[0, 1, 254, 255]], occupied_thresh=1.0, free_thresh=0.0)
+    assert kinds_of(navbake.from_nav2(path)) == ["????"]
+    assert kinds_of(navbake.from_nav2(path, rules="main")) == ["#??."]
+    with pytest.raises(FormatError, match="expected humble or main as rules, got 'jazzy'"):
+        navbake.from_nav2(path, rules="jazzy")
+
+
+@pytest.mark.parametrize("yaw", [1.5708, -1.5708, 3.1416, 6.2832])
+def test_a_rounded_quarter_turn_is_a_quarter(tmp_path, yaw):
+    level = sample("apartment")
+    (_, path) = level.to_nav2(tmp_path / "map.yaml")
+    stated = yaml.safe_load(path.read_text())
+    levels = []
+    for turn in (yaw, round(yaw / (math.pi / 2)) * math.pi / 2):
+        stated["origin"][2] = turn
+        path.write_text(yaml.safe_dump(stated))
+        levels.append(navbake.from_nav2(path))
+    np.testing.assert_array_equal(levels[0].weights, levels[1].weights)
+    assert levels[0].lattice == levels[1].lattice
+    assert np.count_nonzero(levels[0].free) == np.count_nonzero(level.free)
+
+
+@pytest.mark.parametrize("yaw", [0.3, -1.2, math.pi / 4, math.pi / 2 + 0.005])
+def test_a_turned_cell_is_occupied_from_a_hundredth_on(tmp_path, yaw):
+    level = random_level(5, (17, 23))
+    (_, path) = level.to_nav2(tmp_path / "map.yaml")
+    stated = yaml.safe_load(path.read_text())
+    stated["origin"] = [0.0, 0.0, yaw]
+    path.write_text(yaml.safe_dump(stated))
+    turned = navbake.from_nav2(path)
+    blocked = np.argwhere(~level.free & ~np.isnan(level.floor))
+    squares = [shapely.box(c, level.height - 1 - r, c + 1, level.height - r) for r, c in blocked]
+    full = shapely.affinity.rotate(shapely.union_all(squares), yaw, (0, 0), use_radians=True)
+    full = shapely.affinity.scale(full, 0.05, 0.05, origin=(0, 0))
+    values = values_of(turned, 0)
+    for (row, col), value in np.ndenumerate(values):
+        x, y = turned.lattice.positions(row, col)
+        share = full.intersection(shapely.box(x - 0.025, y - 0.025, x + 0.025, y + 0.025)).area
+        if abs(share / 0.05**2 - 0.01) > 1e-6:
+            assert (value == 100) == (share > 0.01 * 0.05**2)
 
 
 @pytest.mark.parametrize("quarters", [-1, 0, 1, 2, 3, 4])
@@ -319,34 +389,11 @@ def check_turned(level, turned, stated, exact):
     if exact:
         np.testing.assert_array_equal(values, map_at((0, 0)))
         return
+    # which are occupied otherwise: `test_a_turned_cell_is_occupied_from_a_hundredth_on`;
     # a centre may lie on the line between cells, as it does for a turn of 3 : 4; rounding decides
     # then which of them it is in
     sides = [map_at(nudge) for nudge in itertools.product((-1e-9, 1e-9), repeat=2)]
     assert ((values == sides).any(axis=0) | (values == 100)).all()
-    # any position in an occupied cell of the map is in an occupied cell
-    full = np.argwhere(level.occupancy.astype(bool) & ~np.isnan(level.floor))
-    if len(full):
-        row, col = full[rng.integers(0, len(full), 500)].T
-        own = (np.stack([col, level.height - 1 - row], axis=1) + rng.random((500, 2))) * 0.1
-        world = own @ [[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]] + (x, y)
-        assert (values_of(turned, 0)[turned.lattice.rows_cols(world)] == 100).all()
-    # and each occupied cell touches one of the map
-    corners = np.argwhere(values_of(turned, 0) == 100)
-    if len(corners):
-        row, col = corners.T
-        steps = (np.stack(np.meshgrid(*[np.linspace(0.001, 0.999, 25)] * 2), axis=-1)).reshape(
-            -1, 2
-        )
-        low = np.stack(
-            [turned.lattice.x_min + 0.1 * col, turned.lattice.y_max - 0.1 * (row + 1)], 1
-        )
-        points = low[:, None] + 0.1 * steps
-        along = (points - (x, y)) @ [
-            [math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)],
-        ]  # fmt: skip
-        reach = np.array([[c, level.height - 1 - r] for r, c in full]) * 0.1
-        gaps = np.abs(along[:, :, None] - reach - 0.05).max(axis=-1).min(axis=(1, 2))
-        assert (gaps <= 0.05 + 0.1 / 24).all()
 
 
 @pytest.mark.parametrize("world", ["aws_small_house", "turtlebot3_world"])
@@ -494,83 +541,3 @@ def test_options_that_make_no_sense_are_refused_before_anything_is_written(
 def test_a_house_of_levels_without_metadata_is_written(tmp_path):
     grid = house_from([small(), small(ground=3.0)])
     assert len(grid.to_nav2(tmp_path / "map.yaml")) == 4
-
-
-# ---------------------------------------------------------------- masks
-
-
-def mask(path):
-    """The values of a mask as nav2's map server reads raw images, row 0 at the top."""
-    stated = yaml.safe_load(path.read_text())
-    assert stated["mode"] == "raw" and stated["negate"] == 0
-    return np.array(Image.open(path.parent / stated["image"]))
-
-
-def polygons(path, *features):
-    def feature(name, x0, y0, x1, y1, **properties):
-        ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
-        geometry = {"type": "Polygon", "coordinates": [ring]}
-        return {"type": "Feature", "properties": {"name": name, **properties}, "geometry": geometry}
-
-    found = [feature(*args, **properties) for args, properties in features]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": found}))
-    return path
-
-
-def test_robots_stay_out_of_rooms_by_name_id_and_number(tmp_path):
-    house = sample("house")
-    room = house.rooms[1]
-    level = house.levels[room.level]
-    for name in (room.name or room.id, room.id):
-        house.convert(tmp_path / "m.yaml", "nav2-keepout", level=room.level, zone=[name])
-        inside = level.room_index == room.index
-        np.testing.assert_array_equal(mask(tmp_path / "m.yaml"), np.where(inside, 100, 0))
-    paths = house.convert(tmp_path / "m.yaml", "nav2-keepout", zone=["1"])
-    for path, level in zip(paths[1::2], house.levels, strict=True):
-        np.testing.assert_array_equal(mask(path) == 100, level.room_index == 1)
-
-
-def test_polygons_hold_the_cells_whose_centres_they_hold(tmp_path):
-    # 5 × 3 cells of 0.1 m from x -3.7, y 12.1
-    path = polygons(tmp_path / "z.json", (("desk", -3.68, 12.28, -3.46, 12.5), {}))
-    small().convert(tmp_path / "m.yaml", "nav2-keepout", zones=path)
-    expected = [[100, 100, 0, 0, 0], [0] * 5, [0] * 5]
-    assert mask(tmp_path / "m.yaml").tolist() == expected
-
-
-def test_the_least_speed_counts(tmp_path):
-    path = polygons(
-        tmp_path / "z.json",
-        (("slow", -3.7, 12.1, -3.5, 12.4), {}),
-        (("all", -3.7, 12.1, -3.2, 12.4), {}),
-        (("up", -3.7, 12.1, -3.2, 12.4), {"level": 1}),
-    )
-    grid = house_from([small(), small(ground=3.0)])
-    zone = ["slow=20", "all=60", "up=5"]
-    first, second = grid.convert(tmp_path / "m.yaml", "nav2-speed", zone=zone, zones=path)[1::2]
-    assert mask(first).tolist() == [[20, 20, 60, 60, 60]] * 3
-    assert mask(second).tolist() == [[5] * 5] * 3
-
-
-@pytest.mark.parametrize(
-    ("to", "options", "culprit"),
-    [
-        ("nav2-keepout", {}, "a mask needs zones"),
-        ("nav2-speed", {}, "a mask needs zones"),
-        ("nav2-keepout", {"zone": ["attic"]}, "called 'attic'; there are: .+, "),
-        ("nav2-speed", {"zone": ["kitchen"]}, "NAME=PERCENT, 1 to 100, as zone, got 'kitchen'"),
-        ("nav2-speed", {"zone": ["kitchen=0"]}, "got 'kitchen=0'"),
-        ("nav2-speed", {"zone": ["kitchen=101"]}, "got 'kitchen=101'"),
-        ("nav2-keepout", {"zone": ["1"], "image": "tif"}, "pgm or png"),
-        ("nav2-keepout", {"zones": "away.json"}, "'far' in away.json lies outside of level 0"),
-        ("nav2-keepout", {"zones": "up.json"}, "no level 7"),
-        ("nav2-keepout", {"zones": "absent.json"}, "absent.json"),
-    ],
-)
-def test_what_makes_no_mask_is_refused(tmp_path, monkeypatch, to, options, culprit):
-    monkeypatch.chdir(tmp_path)
-    polygons(tmp_path / "away.json", (("far", 900, 900, 901, 901), {}))
-    polygons(tmp_path / "up.json", (("up", 0, 0, 1, 1), {"level": 7}))
-    with pytest.raises(FormatError, match=culprit) as caught:
-        sample("house").convert(tmp_path / "m.yaml", to, **options)
-    assert "\n" not in str(caught.value) and not (tmp_path / "m.yaml").exists()

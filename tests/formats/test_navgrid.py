@@ -279,7 +279,7 @@ def test_levels_take_over_what_they_lack():
     assert [level.cell_size for level in grid.levels] == [0.5, 0.5]
     assert [level.unit for level in grid.levels] == [0.5, 2]
     assert [level.scene_id for level in grid.levels] == ["house", "attic"]
-    assert grid.link_array.tolist() == [[0, 1, 1, 2]]
+    assert grid.step_array.tolist() == [[0, 1, 1, 2]]
 
 
 def test_the_cell_size_of_the_whole_may_be_missing():
@@ -681,7 +681,7 @@ def test_write_then_read_is_the_identity(grid):
     assert first_difference(grid, again) is None
     assert first_difference(again, grid) is None
     assert again.timings == grid.timings
-    assert again.link_array.tolist() == grid.link_array.tolist()
+    assert again.step_array.tolist() == grid.step_array.tolist()
     assert dumps_navgrid(again) == data
 
 

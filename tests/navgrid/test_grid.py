@@ -73,7 +73,7 @@ def test_named_layers_are_the_attributes_themselves():
     assert level.room_index is level.attributes["roomIndex"]
     np.testing.assert_array_equal(level.free, level.weights == 1)
     assert level.levels == [level]
-    assert level.link_array.shape == (0, 4)
+    assert level.step_array.shape == (0, 4)
 
 
 def test_missing_layers_follow_from_the_weights():
@@ -136,13 +136,13 @@ def test_levels_take_over_the_metadata_of_the_whole():
 
 @pytest.mark.parametrize("links", [[0, 6, 1, 7, 1, 0, 0, 19], [[0, 6, 1, 7], [1, 0, 0, 19]]])
 def test_links_are_read_flat_or_nested(links):
-    found = make_house(metadata={"navbake": {"links": links}}).link_array
+    found = make_house(metadata={"navbake": {"links": links}}).step_array
     assert found.dtype == np.int64
     assert found.tolist() == [[0, 6, 1, 7], [1, 0, 0, 19]]
 
 
 def test_no_links_is_an_answer():
-    assert make_house(metadata={}).link_array.shape == (0, 4)
+    assert make_house(metadata={}).step_array.shape == (0, 4)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_no_links_is_an_answer():
 def test_links_that_lead_nowhere_are_refused(links, culprit):
     house = make_house(metadata={"navbake": {"links": links}})
     with pytest.raises(FormatError, match=culprit) as caught:
-        _ = house.links
+        _ = house.steps
     assert "metadata.navbake.links" in str(caught.value)
 
 
@@ -349,7 +349,7 @@ def test_a_grid_with_other_levels_keeps_the_rest():
     opened = house.with_levels(
         [level.with_layers(weights=level.weights + 1) for level in house.levels]
     )
-    assert (opened.extra, opened.timings, opened.links) == (house.extra, house.timings, house.links)
+    assert (opened.extra, opened.timings, opened.steps) == (house.extra, house.timings, house.steps)
     assert opened.metadata is house.metadata
     assert opened.levels[0].weights[1, 1] == 2 and house.levels[0].weights[1, 1] == 1
 

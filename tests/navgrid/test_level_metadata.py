@@ -12,7 +12,8 @@ from differences import first_difference
 from grid_maps import house_from, level_from
 from navbake import PathFinder
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.navgrid.metadata import Link, cut_metadata
+from navbake.navgrid.links import Step
+from navbake.navgrid.metadata import cut_metadata
 from project_paths import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"
@@ -60,7 +61,7 @@ def test_a_level_of_a_sample_is_a_grid_by_itself(name, number, tmp_path):
         assert [room.id for room in grid.rooms] == [r.id for r in whole.rooms if r.level == number]
         assert [door.id for door in grid.doors] == [d.id for d in whole.doors if number in d.levels]
         assert {room.level for room in grid.rooms} <= {0}
-        assert grid.links == ()
+        assert grid.steps == ()
         finder = PathFinder(grid)
         start, goal = finder.random_point(np.random.default_rng(0), 2, island=1)
         path = finder.find_path(start, goal)
@@ -71,7 +72,7 @@ def test_a_level_of_a_sample_is_a_grid_by_itself(name, number, tmp_path):
 
 def test_what_a_level_takes_over():
     house = make_house()
-    assert house.links == (Link(0, 3, 1, 0),)
+    assert house.steps == (Step(0, 3, 1, 0),)
     below, above = house.levels
     assert [[way.room for way in room.neighbours] for room in below.rooms] == [["den"], ["hall"]]
     assert [room.neighbours for room in above.rooms] == [()]

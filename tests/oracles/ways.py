@@ -78,7 +78,7 @@ def step_graph(grid, *, cut_corners=False):
                         length = level.cell_size * math.hypot(r - row, c - col)
                         a, b = (start[k] + y * level.width + x for y, x in ((row, col), (r, c)))
                         add(steps, a, b, length * level.weights[r, c])
-    for a, cell_a, b, cell_b in grid.link_array.tolist():
+    for a, cell_a, b, cell_b in grid.step_array.tolist():
         for (i, one), (j, other) in (((a, cell_a), (b, cell_b)), ((b, cell_b), (a, cell_a))):
             levels = grid.levels[i], grid.levels[j]
             places = [
@@ -106,7 +106,7 @@ def add(steps, a, b, cost):
 def slopes_of(grid, number):
     """The pairs of neighbours on a level that a link joins, as sets of (row, col)."""
     width = grid.levels[number].width
-    links = [link for link in grid.link_array.tolist() if link[0] == link[2] == number]
+    links = [link for link in grid.step_array.tolist() if link[0] == link[2] == number]
     return {frozenset((divmod(a, width), divmod(b, width))) for _, a, _, b in links}
 
 

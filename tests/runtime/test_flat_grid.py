@@ -58,17 +58,17 @@ def test_links_go_both_ways_once():
     links = [[0, 5, 1, 0], [1, 0, 0, 5], [0, 4, 1, 0], [0, 2, 0, 2]]
     flat = flatten(two_levels(links))
     lists = {
-        int(cell): flat.links.target[flat.links.start[i] : flat.links.start[i + 1]].tolist()
-        for i, cell in enumerate(flat.links.cell)
+        int(cell): flat.steps.target[flat.steps.start[i] : flat.steps.start[i + 1]].tolist()
+        for i, cell in enumerate(flat.steps.cell)
     }
     assert lists == {4: [6], 5: [6], 6: [4, 5]}
 
 
 def test_without_links_the_lists_are_empty():
     flat = flatten(make_level([[1]], [[0.0]]))
-    assert flat.links.cell.tolist() == []
-    assert flat.links.start.tolist() == [0]
-    assert flat.links.target.tolist() == []
+    assert flat.steps.cell.tolist() == []
+    assert flat.steps.start.tolist() == [0]
+    assert flat.steps.target.tolist() == []
 
 
 def test_everything_is_in_metres():

@@ -12,7 +12,7 @@ from oracles.ways import make_level, random_grid, stack, step_graph
 
 
 def assert_is_route(found, origin, goals, graph):
-    route, cost = found
+    route, _, cost = found
     assert route[0] == origin
     assert route[-1] in goals
     steps = [graph[a, b] for a, b in pairwise(route)]
@@ -39,7 +39,7 @@ def test_routes_and_fields_equal_scipy(seed, cut_corners):
             assert found is None
         else:
             assert_is_route(found, origin, goals, graph)
-            assert found[1] == pytest.approx(expected, rel=1e-8, abs=1e-12)
+            assert found.spent == pytest.approx(expected, rel=1e-8, abs=1e-12)
     field, onward = search.onward(goals)
     np.testing.assert_array_equal(field, search.field(goals))
     assert np.isinf(field[~search.flat.free]).all()
@@ -60,9 +60,7 @@ def test_fields_of_lengths_leave_weights_out(seed):
         level.weights[level.free] = 1.0
     goals = rng.choice(free, 1)
     exact = dijkstra(step_graph(grid), indices=free)[:, goals[0]]
-    np.testing.assert_allclose(
-        search.field(goals, weighted=False)[free], exact, rtol=1e-8, atol=1e-12
-    )
+    np.testing.assert_allclose(search.field(goals, by="length")[free], exact, rtol=1e-8, atol=1e-12)
 
 
 def test_weights_far_apart_stay_exact():
@@ -73,7 +71,7 @@ def test_weights_far_apart_stay_exact():
     exact = dijkstra(step_graph(grid), indices=np.arange(144))
     np.testing.assert_allclose(search.field(np.array([77])), exact[:, 77], rtol=1e-8)
     for origin in range(0, 144, 13):
-        _, cost = search.route(origin, np.array([77]))
+        cost = search.route(origin, np.array([77])).spent
         assert cost == pytest.approx(exact[origin, 77], rel=1e-8)
 
 
@@ -95,7 +93,7 @@ def test_a_route_that_opens_more_cells_than_there_is_room_for_at_first():
     weights = 10.0 ** rng.uniform(0, 4, shape)
     search = Search(make_level(np.ones(shape), np.zeros(shape), weights))
     goal = np.array([weights.size - 1])
-    assert search.route(0, goal)[1] == pytest.approx(search.field(goal)[0], rel=1e-8)
+    assert search.route(0, goal).spent == pytest.approx(search.field(goal)[0], rel=1e-8)
 
 
 def test_searches_may_be_counted_from_one_again(monkeypatch):
@@ -111,7 +109,7 @@ def test_a_link_may_be_the_only_way():
     lower, upper = make_level([[1, 1, 0, 1]], np.zeros((1, 4))), make_level([[1]], [[0.0]], col0=2)
     grid = stack([lower, upper], [[0, 1, 1, 0], [0, 3, 1, 0]])
     search = Search(grid)
-    route, cost = search.route(0, np.array([3]))
+    route, _, cost = search.route(0, np.array([3]))
     assert route.tolist() == [0, 1, 4, 3]
     assert cost == pytest.approx(0.3)
 

@@ -135,10 +135,10 @@ def plain_neighbours(flat, cell):
     level = int(flat.level_of(np.array(cell)))
     row, col = divmod(cell - int(flat.layout.start[level]), int(flat.layout.width[level]))
     found = {}
-    slot = np.flatnonzero(flat.links.cell == cell)
+    slot = np.flatnonzero(flat.steps.cell == cell)
     if len(slot):
         here = flat.positions(np.array(cell))
-        for other in flat.links.target[flat.links.start[slot[0]] : flat.links.start[slot[0] + 1]]:
+        for other in flat.steps.target[flat.steps.start[slot[0]] : flat.steps.start[slot[0] + 1]]:
             if flat.free[other]:
                 offset = np.round((flat.positions(other) - here)[:2] / 0.1 * [1, -1])
                 found[tuple(offset.astype(int))] = int(other)

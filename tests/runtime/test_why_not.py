@@ -112,7 +112,7 @@ def test_steps_that_cannot_be_taken():
 
 
 def link_cells(grid):
-    links = grid.link_array[:, :2]
+    links = grid.step_array[:, :2]
     widths = np.array([level.width for level in grid.levels])[links[:, 0]]
     return Cells(links[:, 0], *np.divmod(links[:, 1], widths))
 
@@ -129,7 +129,7 @@ def test_the_stairs_of_the_house_blocked(house):
             assert_says(
                 finder.why_not(start, f"room:{room}"),
                 "the stairs at",
-                f"all {len(house.links)} steps from level 0 to level 1",
+                f"all {len(house.steps)} steps from level 0 to level 1",
                 "are blocked for now",
             )
     assert all(finder.find_path(start, f"room:{room}") for room in above)

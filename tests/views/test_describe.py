@@ -105,7 +105,7 @@ def test_describes_a_house(house):
             },
         ],
         "num_islands": 2,
-        "num_links": 1,
+        "num_steps": 1,
         "doors": [],
         "inflated": [],
         "warnings": [],

@@ -1,6 +1,6 @@
 """Which geoms of a model count, by the settings, and why. Does not import mujoco."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ def choose_geoms(
     settings: SceneSettings,
     hides_room: Callable[[int], bool],
     ground: int | None = None,
+    said: Mapping[int, str] | None = None,
 ) -> tuple[list[Choice], list[str]]:
     """Decide for each geom whether it counts, and meshes as what.
 
@@ -35,7 +36,8 @@ def choose_geoms(
     counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw), but for
     those that can collide on a body, not the world, with drawn geoms of another group that can't.
     `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless that hides
-    room for an agent. `ground` always counts.
+    room for an agent; or as `said`, by geom id, where the scene's file says it. `ground` always
+    counts.
 
     Returns a choice for each geom, by its id, and what the user should know.
     """
@@ -57,6 +59,8 @@ def choose_geoms(
         of_meshes = np.flatnonzero(np.isin(model.geom_type, (MESH, SDF)))
         known = [text for geom in of_meshes for text in names[geom]]
         notes += _unused("scene.meshes", by_pattern, known, "no mesh")
+    for geom, mode in (said or {}).items():
+        modes[geom] = mode if modes[geom] == "auto" else modes[geom]
     opened = []
     # MuJoCo collides meshes by their hull, but not signed distance fields
     for geom in np.flatnonzero(collides & (model.geom_type == MESH)).tolist():

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import mujoco
 
 from navbake.baker.scene.mesh_scene import MeshPart
-from navbake.baker.scene.model import OpenScene, catch_warnings, ground_of, load_model
+from navbake.baker.scene.model import OpenScene, ground_of, load_model
+from navbake.baker.scene.specs import catch_warnings
 from navbake.config.settings import SceneSettings
 from navbake.errors import NavbakeError, SceneError
 from navbake.files import scratch_folder

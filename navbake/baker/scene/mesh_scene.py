@@ -55,6 +55,7 @@ class MeshPart(NamedTuple):
     name: str  # the file's; unique once it is in the world's frame
     vertices: Float
     faces: Int32
+    mode: str = "auto"  # as what the file says that `scene.meshes: auto` counts it
 
 
 def read_mesh_parts(path: Path, up: Direction = "z", unit: float = 1.0) -> list[MeshPart]:
@@ -94,7 +95,7 @@ def take_mesh_parts(
             reason = " ".join(str(error).split())[:200]
             raise SceneError(f"cannot take the meshes of {path}: {reason}") from error
     # kernels are compiled for arrays that can be written, and the caller may change these later
-    own = [MeshPart(name, vertices.copy(), faces.copy()) for name, vertices, faces in found]
+    own = [MeshPart(name, vertices.copy(), faces.copy()) for name, vertices, faces, _ in found]
     return _to_world(own, path, up, unit)
 
 
@@ -274,6 +275,12 @@ def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
     vertices, faces = _only_used(part.vertices, part.faces)
     with np.errstate(all="ignore"):
         vertices = _turn(vertices, turn)
+    return check_part(MeshPart(name, vertices, faces), path)
+
+
+def check_part(part: MeshPart, path: Path) -> MeshPart:
+    """Refuse coordinates that are no places; leave out triangles without area."""
+    name, vertices, faces, mode = part
     # two reductions, where `isfinite` and `abs` make arrays as large; NaN is the least of all
     low, high = (float(vertices.min()), float(vertices.max())) if len(vertices) else (0.0, 0.0)
     if not np.isfinite([low, high]).all():
@@ -284,7 +291,7 @@ def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
         )
     has_area = measure_areas(vertices, faces) > NO_AREA
     used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
-    return MeshPart(name, *used)
+    return MeshPart(name, *used, mode)
 
 
 def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:

@@ -1,10 +1,7 @@
 """The compiled MuJoCo model of any scene: MJCF, URDF, MJB, a mesh, or one in memory."""
 
-import threading
-import warnings as python_warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,23 +17,44 @@ from navbake.baker.scene.mesh_scene import (
     take_mesh_parts,
 )
 from navbake.baker.scene.names import name_at, unique_name
+from navbake.baker.scene.pieces import build_model
 from navbake.baker.scene.pose import data_with_joints
+from navbake.baker.scene.specs import (
+    catch_warnings,
+    compile_geometry,
+    compile_model,
+    compile_spec,
+    fill_mesh,
+    model_of_parts,
+)
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
-from navbake.formats.scene_files import XML_SUFFIXES, check_inputs, mesh_places
-from navbake.processes import lacked_memory
-from navbake.types import Float, Int
+from navbake.formats.scene_files import (
+    BUILDING_SUFFIXES,
+    XML_SUFFIXES,
+    check_inputs,
+    mesh_places,
+    suffix_of,
+)
+from navbake.lazy import resolve
 
 MJB_SUFFIX = ".mjb"
-TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-"""Vertices and faces, counter-clockwise from outside."""
+# The readers of scenes that become pieces, see `navbake.baker.scene.pieces`
+STAGE, WORLD = "navbake.baker.scene.usd:read_stage", "navbake.baker.scene.sdf:read_world"
+READERS = dict.fromkeys([".usd", ".usda", ".usdc", ".usdz"], STAGE)
+READERS |= dict.fromkeys([".sdf", ".world"], WORLD)
+READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.scene.building:read_building")
+# What is not read, and what to do with it
+CONVERT = "convert it first, as docs/scenes.md says: "
+REFUSED = {
+    ".fbx": f"{CONVERT}`assimp export SCENE.fbx SCENE.glb` (Debian's assimp-utils)",
+    ".ifc": f"{CONVERT}`pip install ifcopenshell`, then its `IfcConvert`-like export to OBJ",
+}
 BROKEN_XML = (ElementTree.ParseError, ValueError, LookupError)
-BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
 NO_NAME = "MuJoCo Model"  # what MuJoCo calls a model that was given no name
 # What decides where a model's geoms stand: a data fits a model that is the same in these
 SIZES = ("nq", "nmocap", "nbody", "ngeom")
-_WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 
 
 def mujoco_version() -> str:
@@ -66,7 +84,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     """
     path, ground = Path(settings.path), settings.ground
     parts: dict[int, MeshPart] = {}
-    suffix = path.suffix.lower()
+    suffix = suffix_of(path)
     try:
         if not path.exists():
             raise SceneError(f"no scene file at {path}")
@@ -90,8 +108,13 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
         elif suffix in XML_SUFFIXES:
             check_inputs(path)
             model = _load_xml(settings, warnings)
+        elif suffix in READERS:
+            pieces = resolve(READERS[suffix])(path, settings)
+            model, parts = build_model(pieces, path, ground, warnings)
+        elif suffix in REFUSED:
+            raise SceneError(f"cannot read {path}: {REFUSED[suffix]}")
         else:
-            known = ", ".join(sorted({MJB_SUFFIX} | XML_SUFFIXES | MESH_SUFFIXES))
+            known = ", ".join(sorted({MJB_SUFFIX, *XML_SUFFIXES, *MESH_SUFFIXES, *READERS}))
             raise SceneError(f"cannot tell what {path} is: expected one of {known}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
@@ -158,67 +181,6 @@ def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
         warnings.append(f"texture {missing[0]!r}{more} of {path} not found: drawn plain")
 
 
-def model_of_parts(
-    parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
-) -> tuple[Any, dict[int, MeshPart]]:
-    """A model with mesh parts' names, and the parts by geom id.
-
-    Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would
-    compile the part's triangles for many seconds.
-    """
-
-    def build() -> Any:
-        spec = mujoco.MjSpec()
-        for part in parts:
-            _fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
-            body = spec.worldbody.add_body(name=part.name)
-            geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
-            geom.meshname, geom.contype, geom.conaffinity = part.name, 0, 0
-        return _compile_geometry(spec, ground, warnings)
-
-    model = compile_model(path, warnings, build)
-    return model, {int(model.geom(part.name).id): part for part in parts}
-
-
-def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
-    """Call `load`; MuJoCo's error is raised as a SceneError, with its warnings."""
-    try:
-        return load()
-    except (ConfigError, SceneError):
-        raise
-    except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
-        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)]
-        lines = dict.fromkeys(" ".join(line.split()) for line in said or [type(error).__name__])
-        reason = "; ".join(line for line in lines if line)  # each once, in order
-        reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
-        hint = "" if lacked_memory(error) else hint
-        raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
-
-
-def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec; what MuJoCo warns of is added to `warnings`.
-
-    Endless ground is added at a height, under a name that nothing else has.
-    """
-    for mesh in spec.meshes:
-        # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
-        # to fill. They count by their triangles here. Older MuJoCos fill it always.
-        if hasattr(mesh, "octree_maxdepth"):
-            mesh.octree_maxdepth = 0
-    if ground is not None:
-        name = unique_name("ground", {thing.name for thing in (*spec.geoms, *spec.bodies)})
-        body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
-        # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
-        plane = mujoco.mjtGeom.mjGEOM_PLANE
-        body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
-    with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
-        python_warnings.simplefilter("always")
-        model = spec.compile()
-    texts = [f"{BY_MUJOCO}{each.message}" for each in said]
-    warnings.extend(text for text in texts if text not in warnings)
-    return model
-
-
 def _build_urdf(
     text: str, files: dict[str, Path], ground: float | None, warnings: list[str]
 ) -> Any:
@@ -229,23 +191,8 @@ def _build_urdf(
         parts, mesh.file = read(mesh.file), ""
         first = np.cumsum([0, *(len(part.vertices) for part in parts)])
         faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
-        _fill_mesh(mesh, np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
-    return _compile_geometry(spec, ground, warnings)
-
-
-def _compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
-    """Compile a spec with any masses and inertias, which a bake does not need."""
-    spec.compiler.balanceinertia = True
-    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
-    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
-    return compile_spec(spec, ground, warnings)
-
-
-def _fill_mesh(mesh: Any, vertices: Float, faces: Int) -> None:
-    spare = np.repeat(vertices[-1:], max(0, 4 - len(vertices)), axis=0)  # MuJoCo wants four
-    mesh.uservert = np.concatenate([vertices, spare]).astype(np.float32).ravel()
-    mesh.userface = faces.astype(np.int32).ravel()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
+        fill_mesh(mesh, np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+    return compile_geometry(spec, ground, warnings)
 
 
 def read_urdf(
@@ -316,22 +263,6 @@ def _not_found(urdf: Path, filename: str) -> str:
         f"mesh {filename!r} of {urdf} not found there, in {urdf.absolute().parent} or in the "
         f"folders above it: {also}{package}write its path from the URDF's folder"
     )
-
-
-@contextmanager
-def catch_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which otherwise go to stderr and ./MUJOCO_LOG.TXT.
-
-    Each begins with `BY_MUJOCO`.
-    """
-    with _WARNING_LOCK:
-        before = mujoco.get_mju_user_warning()
-        warnings: list[str] = []
-        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{BY_MUJOCO}{text}"))
-        try:
-            yield warnings
-        finally:
-            mujoco.set_mju_user_warning(before)
 
 
 def is_in_memory(scene: Any) -> bool:

@@ -13,10 +13,11 @@ from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shape
 from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.mesh_scene import MeshPart, box_of
-from navbake.baker.scene.model import OpenScene, catch_warnings, load_model
+from navbake.baker.scene.model import OpenScene, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
+from navbake.baker.scene.specs import catch_warnings
 from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, stem_of
 from navbake.errors import SceneError
 from navbake.navgrid.user_data import collector_off
@@ -85,7 +86,8 @@ def load_scene(
     meshes = MeshTriangles(model)
     room = HiddenRoom(model, data, meshes, agent or AgentSettings(), floors or FloorSettings())
     try:
-        choices, notes = choose_geoms(model, settings, room.is_in_hull, ground)
+        said = {geom: part.mode for geom, part in parts.items()}
+        choices, notes = choose_geoms(model, settings, room.is_in_hull, ground, said)
         collected = collect_shapes(model, data, choices, parts, meshes=meshes)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error

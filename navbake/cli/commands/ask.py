@@ -22,11 +22,20 @@ from navbake.cli.options import (
     option,
     parse_place,
     position_of_place,
+    refuse_unused,
     write_picture,
 )
 from navbake.cli.printing import print_json, print_tables, say, verify_table
 from navbake.errors import QueryError
-from navbake.views.tables import door_table, level_table, room_table
+from navbake.formats.convert import read_as
+from navbake.views.tables import (
+    agent_table,
+    area_table,
+    door_table,
+    level_table,
+    link_table,
+    room_table,
+)
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -41,7 +50,7 @@ SHOWN = 20  # printed disagreements
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
-    """Print a summary of a grid: levels, areas, doors, versions.
+    """Print a summary of a grid: levels, doors, links, areas, agents, versions.
 
     Example: navbake info house.grid.json
     """
@@ -52,8 +61,14 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
     if as_json:
         printing.print_json(facts)
         return
-    doors = [door_table(content.doors, content.level_names)] if content.doors else []
-    print_tables(printing.summary_table(facts), level_table(facts), *doors)
+    tables = [
+        door_table(content.doors, content.level_names),
+        link_table(content.links, content.level_names),
+        area_table(facts["areas"]),
+        agent_table(facts["agents"]),
+    ]
+    shown = [table for table in tables if table.rows]
+    print_tables(printing.summary_table(facts), level_table(facts), *shown)
     printing.print_warnings(content.warnings)
 
 
@@ -130,6 +145,10 @@ def path(
         default=...,
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
+    agent: str | None = option("NAME", "Plan for one of the grid's agents."),
+    by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost"),
+    close: list[str] = option("LINK", "Close a link; may be repeated.", "--close", default=[]),
+    open_: list[str] = option("LINK", "Open a link; may be repeated.", "--open", default=[]),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT),
@@ -148,9 +167,11 @@ def path(
     begin = None if start.startswith("room:") else parse_place(start, "--from")
     ends = [] if is_named else [parse_place(text, "--to") for text in goals]
     content = navbake.load(grid)
+    if close or open_:
+        content = content.with_links(dict.fromkeys(open_, "open") | dict.fromkeys(close, "closed"))
     if radius is not None:
         content = content.inflate(radius)
-    finder = navbake.PathFinder(content)
+    finder = navbake.PathFinder(content, agent=agent)
     origin: Any = position_of_place(content, begin, "--from") if begin else None
     if origin is None:
         name = start.removeprefix("room:")
@@ -159,7 +180,7 @@ def path(
         if origin is None:
             raise QueryError(f"no agent can stand in room {name!r}")
     goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
-    found = finder.find_path(origin, goal, smooth=smooth)
+    found = finder.find_path(origin, goal, by=by, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     with beside_output(output):
         if as_json:
@@ -167,8 +188,11 @@ def path(
         elif found:
             print(f"length  {found.length:.3f} m")
             print(f"cost    {found.cost:.3f}")
+            print(f"time    {found.seconds:.1f} s")
             say(f"rooms   {', '.join(found.rooms) or '-'}")
             say(f"doors   {', '.join(found.doors) or '-'}")
+            if content.links:
+                say(f"links   {', '.join(found.links) or '-'}")
             print("      x       y       z  level")
             for (x, y, z), level in zip(found.positions, found.levels, strict=True):
                 print(f"{x:7.3f} {y:7.3f} {z:7.3f}  {level}")
@@ -181,7 +205,7 @@ def path(
 
 
 def _print_json(found: paths.Path | None, reason: str | None) -> None:
-    keys = ("length", "cost", "rooms", "doors", "positions", "levels", "cells")
+    keys = ["length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"]
     values = {key: getattr(found, key) for key in keys} if found else {}
     lists = {
         key: value.tolist() if hasattr(value, "tolist") else value for key, value in values.items()
@@ -281,20 +305,33 @@ def audit(
     grid: GridFile,
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
+    on: Path | None = option(
+        "FILE", "GRID is a graph of routes on this grid, or map of nav2.", "--grid"
+    ),
+    radius: float | None = option(
+        "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
+    ),
 ) -> None:
-    """Look at a grid of any program for what a person would notice.
+    """Look at a grid of any program, or at a graph of routes, for what a person would notice.
 
     It needs no scene. The exit status is 1 if there are errors, 0 if there are only remarks.
 
     Example: navbake audit house.grid.json -o remarks.png
     """
+    refuse_unused(("--radius", radius is not None, on is not None, "--grid"))
     if output is not None:
-        check_output(output, ".png", ".svg", inputs=[grid])
+        check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
     from navbake.auditor.audit import audit as look_at  # loads numpy
     from navbake.auditor.report import count_of  # loads it too
 
-    content = navbake.load(grid)
-    report = look_at(content)
+    if on is None:
+        content = navbake.load(grid)
+        report = look_at(content)
+    else:
+        from navbake.auditor.routes import audit_routes  # loads it too
+
+        content = read_as(on)
+        report = audit_routes(grid, content, radius=radius)
     with beside_output(output):
         if as_json:
             print_json(report.to_json())

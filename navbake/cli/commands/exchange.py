@@ -53,6 +53,9 @@ class FormatOptions(NamedTuple):
     image: str | None = option(
         "pgm|png", "pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
     )
+    rules: str | None = option(
+        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
+    )
     inflation: float | None = option(
         "METRES", "Costs by nav2's formula, up to this distance from obstacles [m]."
     )
@@ -62,6 +65,10 @@ class FormatOptions(NamedTuple):
     zones: Path | None = option(
         "GEOJSON", "Polygons of a mask; all of them unless --zone names some."
     )
+    agent: str | None = option(
+        "NAME", "Agent that a mask of the grid's areas is for.  [default: any]"
+    )
+    absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
     height: float | None = option(
         "METRES", "How far walls rise over the highest floor [m].  [default: 2.5]"
     )
@@ -111,8 +118,10 @@ def convert(
         return
     refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
+    read_options = {key: given.pop(key) for key in reader.read_options if key in given}
     for key in given.keys() - {*writer.write_options}:
         takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
+        takers += [f"{form.name} as IN" for form in FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
     inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
@@ -122,7 +131,7 @@ def convert(
         missing = f"cannot read {source}: No such file or directory"
         raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
-    grid = read_as(source, reader.name)
+    grid = read_as(source, reader.name, **read_options)
     if route := given.get("route"):
         inflated = grid if chosen.radius is None else grid.inflate(chosen.radius)
         given["route"] = [_plan(inflated, text) for text in route]
@@ -217,7 +226,9 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.inflation import SCALING, check_arguments, exact_radius  # loads numpy
+    from navbake.runtime.cuts import find_cuts  # loads numpy
+    from navbake.runtime.inflation import SCALING, check_arguments
+    from navbake.runtime.search import Search
 
     given = [value for value in (metres, radius) if value is not None]
     if len(given) != 1:
@@ -232,7 +243,7 @@ def inflate(
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
-    held = exact_radius(before) if mode == "exact" else 0.0
+    held = before.inflated_radius if mode == "exact" else 0.0
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
@@ -245,6 +256,12 @@ def inflate(
         for content in (before, after)
     ]
     share = f" ({areas[1] / areas[0]:.1%})" if areas[0] else ""
+    cuts = find_cuts(one := Search(before), other := Search(after)) if mode == "exact" else []
+    if cuts:
+        closed, were = one.islands.count, "was" if one.islands.count == 1 else "were"
+        listed = ", ".join(cut.name for cut in cuts)
+        count = f"{other.islands.count} islands where there {were} {closed}"
+        print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
     with beside_output(output):
         say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "

@@ -38,15 +38,17 @@ class Layout(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Steps between cells that are not neighbours on one level; each is listed both ways.
+    """Steps between cells that are not neighbours on one level, and passages over named links.
 
-    From ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``.
+    From ``cell[i]``, links lead to ``target[start[i]:start[i + 1]]``. A link costs its length times
+    the weight of its target, plus its cost.
     """
 
-    cell: Int  # flat ids of the cells that links lead from, ascending, each once
+    cell: Int  # flat ids of all cells that links lead from or to, ascending, each once
     start: Int
     target: Int  # flat ids, ascending for each cell
-    length: Float  # of each link [m], as `target`
+    length: Float  # of each step [m], as `target`; 0 of a passage
+    cost: Float  # of each passage [m] or [s]; 0 of a step
 
 
 class Floors(NamedTuple):
@@ -58,14 +60,18 @@ class Floors(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """The steps of an agent and what they cost: the length [m] times the target's weight."""
+    """The steps of an agent and what they cost: the length [m] times the target's weight.
+
+    Planned by time, the weight is seconds for each metre.
+    """
 
     layout: Layout
     links: Links
     moves: NDArray[np.uint8]  # by cell, a bit for each direction
     weight: Float  # by cell, inf where it isn't free
     same_weight: float  # the weight of all free cells, 0 where they differ
-    least_weight: float  # the smallest weight of a free cell, >= 0
+    # the smallest weight of a free cell, >= 0; less where a passage costs less than such cells
+    least_weight: float
     bucket: float  # width and number of the queue's buckets, see `navbake.runtime.kernels.routes`
     num_buckets: int
 

@@ -178,8 +178,11 @@ def can_pass(a, b, level, graph, off_center):
 
 
 @kernel
-def lay_route(route, start, end, is_smooth, graph, floors, off_center):
+def lay_route(route, by_link, start, end, is_smooth, graph, floors, off_center):
     """Make a line along a route of cells: world x, y, floor z [m], (m, 3), and the level of each.
+
+    `by_link` says which cells a link led to. Also returned is the place in `route` of the cell
+    that the link leads to which is between a point and the next, 0 where none is, (m,).
 
     It runs through the cells' centres or, if smooth, straight on wherever `can_pass` allows it and
     the cost is no higher. It begins and ends at `start` and `end`, x, y in the first and last cell;
@@ -187,14 +190,12 @@ def lay_route(route, start, end, is_smooth, graph, floors, off_center):
     """
     layout, num = graph.layout, route.shape[0]
     points, levels = np.empty((num + 2, 2)), np.empty(num + 2, np.int64)
-    is_link = np.zeros(num + 1, np.bool_)  # whether a link leads from a point to the next
+    # the place of the cell that a link leads to from a point to the next, 0 for none
+    is_link = np.zeros(num + 1, np.int64)
     for i in range(num):
         levels[i + 1] = level_of(layout.start, route[i])
         points[i + 1, 0], points[i + 1, 1] = center(layout, route[i])
-        if i > 0 and graph.links.cell.shape[0] > 0:  # to another level, or far
-            row, col = divmod(route[i] - layout.start[levels[i + 1]], layout.width[levels[i + 1]])
-            r, c = divmod(route[i - 1] - layout.start[levels[i]], layout.width[levels[i]])
-            is_link[i] = levels[i] != levels[i + 1] or abs(row - r) > 1 or abs(col - c) > 1
+        is_link[i] = i if by_link[i] else 0
     levels[0], levels[num + 1] = levels[1], levels[num]
     kept = np.ones(num + 2, np.bool_)
     for at, beside, given in ((0, 1, start), (num + 1, num, end)):
@@ -277,6 +278,7 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
     """
     num = points.shape[0]
     out, on, count = np.empty((4 * num + 16, 3)), np.empty(4 * num + 16, np.int64), 0
+    by = np.zeros(4 * num + 16, np.int64)
     for i in range(num):
         level = levels[i]
         start = in_cells(layout, level, points[i, 0], points[i, 1])
@@ -289,12 +291,14 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
         while here == 0 or here < profile.shape[0] - 1:
             if count + 3 > out.shape[0]:
                 out, on = np.concatenate((out, out)), np.concatenate((on, on))
+                by = np.concatenate((by, np.zeros_like(by)))
             for axis in range(2):
                 out[count, axis] = points[i, axis] + profile[here, 0] * way[axis]
             out[count, 2], on[count] = profile[here, 1], level
             count += 1
             here = _next_bend(profile, here)
         if i + 1 < num and is_link[i]:
+            by[count - 1] = is_link[i]
             after = levels[i + 1]
             there = in_cells(layout, after, points[i + 1, 0], points[i + 1, 1])
             z = floor_at(floors, after, _cell_of(layout, after, there))
@@ -304,8 +308,9 @@ def _lay_on_floor(points, levels, is_link, layout, floors):
                     out[count, axis], out[count + 1, axis] = middle, middle
                 out[count, 2], out[count + 1, 2] = out[count - 1, 2], z
                 on[count], on[count + 1] = level, after
+                by[count], by[count + 1] = is_link[i], is_link[i]
                 count += 2
-    return out[:count].copy(), on[:count].copy()
+    return out[:count].copy(), on[:count].copy(), by[:count].copy()
 
 
 @part

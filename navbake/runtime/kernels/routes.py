@@ -4,7 +4,8 @@
 A step costs its length [m] times the weight of the cell that it leads to. What is left to the goals
 is estimated by the octile distance to the box round them times the smallest weight, which is never
 too much, so the answer is the cheapest route. On another level the same estimate holds along x and
-y, since a link costs at least what it covers there.
+y, since a link costs at least what it covers there: where a passage costs less, the smallest weight
+is lowered to what it costs for each metre.
 
 The queue has buckets (Dial 1969), each as wide as a share of the cheapest step, whose cells come
 out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro (2006). Unlike there,
@@ -111,13 +112,17 @@ def _joined(a, b, free, floor, max_step, slopes):
     return slopes[min(a, b)] & bit != 0
 
 
-def bucket_width(size: float, least: float, most: float, longest_link: float) -> tuple[float, int]:
+def bucket_width(
+    size: float, least: float, most: float, longest_link: float, dearest: float = 0.0
+) -> tuple[float, int]:
     """Return the width of a bucket, a cost [m], and the number of buckets, a power of two.
 
     A bucket is `SHARE` of the cheapest step wide, wider where that would take over `MAX_BUCKETS`.
-    `size` is the smallest cell's edge [m], `least` and `most` bound the weights of cells.
+    `size` is the smallest cell's edge [m], `least` and `most` bound the weights of cells, `dearest`
+    is the cost of the dearest passage.
     """
-    farthest = 2.0 * most * max(DIAGONAL * size, longest_link)  # from a bucket to a new entry
+    # from a bucket to a new entry
+    farthest = 2.0 * max(most * max(DIAGONAL * size, longest_link), dearest)
     width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
@@ -154,16 +159,16 @@ def _lower_bound(row, col, box, scale):
 def find_route(graph, sources, goals, number, visits):
     """Find the cheapest route from a source to a goal; all are free cells, no source is a goal.
 
-    Without goals all cells are reached, and a step is taken backwards: then ``visits.cost`` is
-    what the route from a cell to the nearest source costs. The search's number must be larger than
-    any that wrote into ``visits.mark``.
+    Without goals all cells are reached, and a step is taken backwards, as links must be turned
+    round for: then ``visits.cost`` is what the route from a cell to the nearest source costs. The
+    search's number must be larger than any that wrote into ``visits.mark``.
 
     Returns DONE, or NO_ROOM if there are too few entries for the open cells; and the route's flat
     ids from source to goal, none where there is no route.
     """
     layout, route = graph.layout, np.empty(256, np.int64)
     start, width, cell_size = layout.start, layout.width, layout.cell_size
-    link_cell, link_start, link_target, link_length = graph.links
+    link_cell, link_start, link_target, link_length, link_cost = graph.links
     moves, weight = graph.moves, graph.weight
     same_weight, least_weight, bucket = graph.same_weight, graph.least_weight, graph.bucket
     mark, cost, link_from, entry_cell, entry_next = visits
@@ -224,7 +229,7 @@ def find_route(graph, sources, goals, number, visits):
             return NO_ROOM, route[:0]
         row, col = divmod(cell - first, columns) if has_goals else (np.int64(0), np.int64(0))
         for way in range(8 + num_links):
-            r, c, on = row, col, level
+            r, c, on, extra = row, col, level, 0.0
             if way < 8:
                 if not (ways >> way) & 1:
                     continue
@@ -233,16 +238,16 @@ def find_route(graph, sources, goals, number, visits):
                 length = size if way < 4 else size * DIAGONAL
             else:
                 link = link_start[slot] + way - 8
-                target, length = link_target[link], link_length[link]
+                target, length, extra = link_target[link], link_length[link], link_cost[link]
                 if not math.isfinite(weight[target]):
                     continue
                 if has_goals:
                     on = level_of(start, target)
                     r, c = divmod(target - start[on], width[on])
             # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
-            # moves out of a cell are those into it.
+            # moves out of a cell are those into it; links are given turned round.
             price = same_weight if same_weight > 0.0 else weight[target if has_goals else cell]
-            total = there = here + length * price
+            total = there = here + length * price + extra
             goal = 0
             if mark[target] >= mine:  # no search has a larger number
                 if there >= cost[target] - slack:

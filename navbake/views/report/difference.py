@@ -103,7 +103,7 @@ def _show_level(level: LevelDifference, names: tuple[str, str]) -> Json:
         "of": [[0, level.first], [1, level.second]],
         "cells": pack({"change": change.ravel()}),
         "kinds": [*COLORS],
-        "layers": [{**layer, "scale": None, "labels": [], "doors": []}],
+        "layers": [{**layer, "scale": None, "labels": [], "doors": [], "ways": []}],
         "marks": [],
     }
 

@@ -100,6 +100,12 @@ function draw() {
     pen.setLineDash(closed ? [] : [3, 3]);
     stroke([[toPixels(...door.start), toPixels(...door.end)]], [["#fff", 4], ["#b02a1e", closed ? 3 : 2]]);
   }
+  for (const way of drawn.ways) { // on this level; names say where else it stops
+    pen.setLineDash(way.closed ? [4, 3] : []);
+    const stops = way.stops.map((stop) => stop && toPixels(...stop)), color = way.link ? (way.closed ? "#868e96" : "#ff3d78") : "#222";
+    stroke(stops.slice(1).flatMap((to, i) => (stops[i] && to ? [[stops[i], to]] : [])), [["#fff", 4], [color, 2]]);
+    stops.forEach((stop, i) => { if (stop && way.link) drawStop(stop, color, way.oneWay && i > 0); });
+  }
   pen.setLineDash([]);
   drawLabels(drawn);
   for (const mark of shownMarks()) {
@@ -124,6 +130,16 @@ function stroke(lines, strokes) {
     for (const [from, to] of lines) { pen.moveTo(...from); pen.lineTo(...to); }
     pen.stroke();
   }
+}
+
+// Where a link stops: a disc, or a square where one only arrives.
+function drawStop([px, py], color, arrives) {
+  Object.assign(pen, { fillStyle: color, strokeStyle: "#fff", lineWidth: 1.5 });
+  pen.setLineDash([]);
+  pen.beginPath();
+  if (arrives) pen.rect(px - 4, py - 4, 8, 8); else pen.arc(px, py, 5, 0, 2 * Math.PI);
+  pen.fill();
+  pen.stroke();
 }
 
 // Names of rooms: those that fit into their rooms, in full or as their number; none over another.

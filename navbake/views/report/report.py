@@ -21,9 +21,20 @@ from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views.describe import describe
 from navbake.views.layers import LAYERS, make_panel, paint
+from navbake.views.links import Way, stair_table
 from navbake.views.page.page import make_page, pack, show_table
 from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
-from navbake.views.tables import Table, door_table, level_table, make_table, room_table, summarize
+from navbake.views.tables import (
+    Table,
+    agent_table,
+    area_table,
+    door_table,
+    level_table,
+    link_table,
+    make_table,
+    room_table,
+    summarize,
+)
 
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
@@ -170,7 +181,10 @@ def _describe_grid(
         "Levels": level_table(facts),
         "Rooms": room_table(grid.rooms, grid.level_names),
         "Doors": door_table(grid.doors, grid.level_names),
-        "Links between levels": link_table(grid),
+        "Stairs and steep ramps": stair_table(grid),
+        "Links": link_table(grid.links, grid.level_names),
+        "Areas": area_table(facts["areas"]),
+        "Agents": agent_table(facts["agents"]),
         **dict(made for _, made in remarks),
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
@@ -188,24 +202,6 @@ def _describe_grid(
             show_table(*one, folded=one[0] in FOLDED) for one in tables.items() if one[1].rows
         ],
     }
-
-
-def link_table(grid: NavGrid) -> Table:
-    """How many steps lead from level to level side by side, as of a stair, and their middle."""
-    from scipy import ndimage  # takes longer to load than most pages to make
-
-    links, rows = grid.link_array, []
-    for level, other in np.unique(links[:, ::2], axis=0).tolist():
-        own = links[(links[:, 0] == level) & (links[:, 2] == other)]
-        lattice, mask = grid.levels[level].lattice, np.zeros(grid.levels[level].shape, np.bool_)
-        cells = np.divmod(own[:, 1], lattice.width)
-        mask[cells] = True
-        stair = ndimage.label(mask, np.ones((3, 3)))[0][cells]
-        for number in np.unique(stair).tolist():
-            xy = lattice.positions(*cells)[stair == number]
-            names = grid.level_names[level], grid.level_names[other]
-            rows.append((*names, len(xy), _place(xy.mean(axis=0).tolist())))
-    return make_table(("from", "to", "steps", "mean place x, y [m]"), rows, numbers=("steps",))
 
 
 def _place(position: Iterable[float]) -> str:
@@ -246,7 +242,9 @@ def describe_map(grid: NavGrid, number: int) -> Json:
     }
     every = place["every"]
     cells = {key: layer[::every, ::every].ravel() for key, layer in layers.items()}
-    drawn = [_draw_layer(grid, number, layer, every) for layer in LAYERS]
+    drawn = [
+        _draw_layer(grid, number, layer, every) for layer in LAYERS if layer != "area" or grid.areas
+    ]
     return {**place, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn}
 
 
@@ -296,4 +294,12 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],
+        "ways": [_draw_way(way, number) for way in panel.ways],
     }
+
+
+def _draw_way(way: Way, number: int) -> Json:
+    """Where a link or stair stops on a level, in order, null on another, and how it is drawn."""
+    stops = [[x, y] if level == number else None for level, x, y, _ in way.places]
+    named = way.link is not None
+    return {"stops": stops, "link": named, "closed": way.is_closed, "oneWay": way.one_way}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -20,6 +21,7 @@ from navbake.runtime.place import place_at
 from navbake.scores import Trajectory
 from navbake.types import Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
+from navbake.views.links import bend, find_ways
 from navbake.views.viewer import meshes
 from navbake.views.viewer.meshes import Drawing, Pick, Surface
 
@@ -33,6 +35,7 @@ CUT_OVER = 1.3  # a level is looked into from so high over its ground [m]
 # colours on the page: of free cells, as one sees them on grey floors, too, and of marks
 TINT = "#a9dfc4"
 START, GOAL, LIT, TRAJECTORY = "#2f9e44", colors.ROUTE, "#ff922b", "#c2255c"
+STAIRS, CLOSED = "#495057", "#868e96"  # arcs of stairs and of closed links
 NAME_HEIGHT, POINT_HEIGHT = 0.4, 0.18  # of letters: at most, and of names of points [m]
 NAME_OVER = 1.0  # of names over the floor: most furniture is lower [m]
 LETTER = 0.65  # how wide a letter is by its height
@@ -187,7 +190,8 @@ class Exhibit:
     @property
     def layers(self) -> tuple[str, ...]:
         """Names of the layers that can be chosen."""
-        names = tuple(name for name in LAYERS if name != "doors" or self.grid.doors)
+        tables = {"doors": self.grid.doors, "area": self.grid.areas}
+        names = tuple(name for name in LAYERS if tables.get(name, True))
         return names if self.scene is None else (*names, DISAGREEMENTS)
 
     @property
@@ -254,6 +258,20 @@ class Exhibit:
             if not any(_overlap(name, other) for other in names[number]):
                 names[number].append(name)
         return [name for own in names.values() for name in own]
+
+    @kept("levels", "layer")
+    def arcs(self, chosen: Choices) -> list[tuple[Float, str]]:
+        """Arcs of links and stairs between stops on shown levels, and their colours."""
+        if chosen.layer != "links":
+            return []
+        found = []
+        for way in find_ways(self.grid):
+            color = colors.LINK if way.link else STAIRS
+            for (one, *start), (other, *end) in itertools.pairwise(way.places):
+                if {one, other} <= {*chosen.levels}:
+                    color = CLOSED if way.is_closed else color
+                    found.append((bend(np.array(start), np.array(end)), color))
+        return found
 
     @kept("doors", "with_hidden")
     def drawing(self, chosen: Choices) -> Drawing | None:

@@ -233,6 +233,10 @@ class Viewer:
         path = route.positions if isinstance(route, Route) else np.empty((0, 3))
         drawn = ends, [(path, GOAL)], radius
         self._put("/path", repr(drawn), lambda: self._draw_ways("/path", *drawn))
+        arcs = exhibit.arcs(chosen)
+        stops = [(arc[at], color) for arc, color in arcs for at in (0, -1)]
+        joined = "/links", stops, arcs, radius / 2
+        self._put("/links", id(arcs), lambda: self._draw_ways(*joined))
         episode, trajectory = exhibit.runs.get(chosen.episode, (None, None))
         ends, ways = [], []
         if episode is not None:

@@ -177,7 +177,7 @@ def test_two_storeys_joined_by_nothing(bake):
     upper = [box(0, 10, 0, 8, 2.7, 3), *walls(0, 10, 0, 8, 3, 5.7, door=False)]
     grid = bake([*lower, *upper, box(0, 10, 0, 8, 5.7, 5.9)])
     assert grounds(grid) == [0, 3]
-    assert len(grid.links) == 0
+    assert len(grid.steps) == 0
     assert floor_area(grid, 0) == pytest.approx(80) == floor_area(grid, 1)
 
 
@@ -208,7 +208,7 @@ def storeys_with_stair(closed: bool) -> list[str]:
 def test_stair_joins_two_storeys(bake, closed):
     grid = bake(storeys_with_stair(closed))
     assert grounds(grid) == [0, 3]
-    assert len(grid.links) > 0
+    assert len(grid.steps) > 0
     assert island_at(grid, 0, 8, 6) == island_at(grid, 1, 8, 6) > 0
     # every tread is somewhere, once
     for i in range(16):
@@ -233,7 +233,7 @@ def test_tread_over_a_floor_goes_up_into_the_stairwell(bake):
 def test_links_join_neighbours_a_step_apart(bake):
     grid = bake(storeys_with_stair(closed=False))
     step = 0.25 + 1e-6
-    for level_a, cell_a, level_b, cell_b in grid.link_array.tolist():
+    for level_a, cell_a, level_b, cell_b in grid.step_array.tolist():
         assert level_a < level_b
         a, b = grid.levels[level_a], grid.levels[level_b]
         spot_a = a.lattice.positions(*divmod(cell_a, a.width))

@@ -83,14 +83,14 @@ def test_step_beside_a_ramp_is_none(bake):
 
 def test_with_a_usual_step_no_slope_is_needed(bake):
     grid = bake(scene(1.0), step=0.25)
-    assert grid.link_array.shape == (0, 4)
+    assert grid.step_array.shape == (0, 4)
     assert find_islands(grid)[0].max() == 1
 
 
 def test_agents_walk_over_it(bake, tmp_path):
     grid = bake(scene(3.7))
-    assert len(grid.link_array)
-    assert (grid.link_array[:, [0, 2]] == 0).all()
+    assert len(grid.step_array)
+    assert (grid.step_array[:, [0, 2]] == 0).all()
     finder = PathFinder(grid)
     path = finder.find_path((-2.0, 0.0, 0.0), (5.0, 1.5, 1.0))
     # pulled straight, up the slope in one line
@@ -106,7 +106,7 @@ def test_links_are_in_the_file_and_on_the_level(bake, tmp_path):
     grid = bake(scene(3.7))
     grid.save(tmp_path / "ramp.grid.json")
     again = navbake.load(tmp_path / "ramp.grid.json")
-    assert again.link_array.tolist() == grid.link_array.tolist()
+    assert again.step_array.tolist() == grid.step_array.tolist()
     assert find_islands(again)[0].max() == 1
 
 
@@ -116,7 +116,7 @@ def test_level_of_several_keeps_its_slopes(bake):
     grid = bake(scene(3.7, upper))
     assert len(grid.levels) == 2
     lower = grid.levels[0]
-    assert len(lower.link_array) == len(grid.link_array) > 0
+    assert len(lower.step_array) == len(grid.step_array) > 0
     assert find_islands(lower)[0].max() == 1
 
 

@@ -10,10 +10,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 import navbake
 from differences import first_difference, fresh
 from navbake.baker.update import stages as stages_module
+from project_paths import CONFIGS
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -263,3 +265,25 @@ def test_who_writes_to_a_grids_weights_changes_no_other_grid():
         assert changes.reason == ""
         assert first_difference(changes.grid, fresh(baker)) is None
         changes.grid.weights[:] = -1.0
+
+
+def test_links_and_areas_follow_what_moves():
+    model = mujoco.MjModel.from_xml_path(str(CONFIGS / "scenes" / "tower.xml"))
+    config = yaml.safe_load((CONFIGS / "tower.yaml").read_text())
+    config["areas"].append({"name": "belt", "geoms": ["crate_1"], "cost": 2})
+    given = {"name": "hoist", "stops": [[5.0, 1.0, 0.0], [5.0, 1.0, 3.2]]}
+    settings = {key: config[key] for key in ("agent", "grid", "agents", "areas")}
+    settings["links"] = [*config["links"], given]
+    baker = navbake.Baker(model, **settings)
+    names = [link.name for link in baker.grid.links]
+    assert names == ["hoist", "lift_a", "lift_b", "drop 1"]
+    for joints in ({"lift_a": 3.2}, {"lift_a": 6.4, "lift_b": 1.1}, {"lift_b": 3.2}):
+        changes = baker.update(joints=joints)
+        assert first_difference(changes.grid, fresh(baker, **settings)) is None
+        assert [link.name for link in changes.grid.links] == names
+    crate = model.geom("crate_1")
+    model.geom_pos[crate.id] = [4.9, 1.1, 0.45]  # onto a stop, and with it the area
+    changes = baker.update()
+    assert first_difference(changes.grid, fresh(baker, **settings)) is None
+    assert np.count_nonzero(changes.grid.levels[0].area_index == 3) > 50
+    assert "stop 1, (5.00, 1.00, 0.00), is blocked" in changes.grid.warnings[-1]

@@ -1,0 +1,353 @@
+"""Pieces of a scene as its reader finds them, and the model that is made of them.
+
+USD and SDF become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates, checks and
+batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that never move
+are kept exact beside the model, see `specs.model_of_parts`.
+
+MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
+So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from navbake.baker.scene.mesh_scene import MeshPart, check_part
+from navbake.baker.scene.names import unique_name
+from navbake.baker.scene.shapes import hull_faces
+from navbake.baker.scene.specs import (
+    TETRAHEDRON,
+    compile_geometry,
+    compile_model,
+    fill_mesh,
+)
+from navbake.errors import SceneError
+from navbake.types import Float, Int32
+
+MOST_PIECES = 10_000
+SIDES = 32  # of a round solid that is drawn by triangles
+STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
+GEOM = mujoco.mjtGeom
+KINDS = {
+    "plane": GEOM.mjGEOM_PLANE,
+    "hfield": GEOM.mjGEOM_HFIELD,
+    "sphere": GEOM.mjGEOM_SPHERE,
+    "capsule": GEOM.mjGEOM_CAPSULE,
+    "ellipsoid": GEOM.mjGEOM_ELLIPSOID,
+    "cylinder": GEOM.mjGEOM_CYLINDER,
+    "box": GEOM.mjGEOM_BOX,
+    "mesh": GEOM.mjGEOM_MESH,
+}
+JOINTS = {
+    "hinge": mujoco.mjtJoint.mjJNT_HINGE,
+    "slide": mujoco.mjtJoint.mjJNT_SLIDE,
+    "ball": mujoco.mjtJoint.mjJNT_BALL,
+    "free": mujoco.mjtJoint.mjJNT_FREE,
+}
+
+
+class Mesh(NamedTuple):
+    """Triangles that several pieces may have in common, counter-clockwise from outside."""
+
+    vertices: Float
+    faces: Int32
+
+
+class Piece(NamedTuple):
+    """What becomes a geom."""
+
+    name: str
+    body: str  # the body that it belongs to
+    kind: str  # one of `KINDS`
+    size: tuple[float, ...]  # MuJoCo's [m]; of a mesh empty
+    pose: Float  # (4, 4), from its own frame to the world [m]; rigid unless it is a mesh
+    mesh: Mesh | None = None
+    heights: Float | None = None  # of a height field, 0 to 1, row 0 at the smallest y
+    mode: str = "surface"  # of a mesh, as what `scene.meshes: auto` counts it: surface or hull
+    collides: bool = True
+    drawn: bool = True
+
+
+class Joint(NamedTuple):
+    """How a body moves against its parent, in the world's frame as the scene stands."""
+
+    name: str
+    kind: str  # one of `JOINTS`
+    anchor: Float
+    axis: Float
+    limits: tuple[float, float] | None = None  # [m or rad]
+    position: float = 0.0  # as the scene stands [m or rad]
+
+
+class Body(NamedTuple):
+    """A body that moves, or hangs on one that does."""
+
+    name: str
+    parent: str  # another body's name, or empty for the world
+    pose: Float  # (4, 4), rigid
+    joint: Joint | None
+
+
+@dataclass
+class Gathered:
+    """All that a reader found in a scene. Bodies that are not listed never move."""
+
+    pieces: list[Piece] = field(default_factory=list)
+    bodies: dict[str, Body] = field(default_factory=dict)  # by name, parents first
+    warnings: list[str] = field(default_factory=list)
+    decimals: int | None = None  # to which coordinates are rounded [m]
+
+
+class Ties:
+    """Joints between bodies, as a tree: a body hangs on the first one that it is tied to.
+
+    Attributes:
+        poses: of all bodies that may move, by name, (4, 4), rigid.
+    """
+
+    def __init__(self, poses: Mapping[str, Float]) -> None:
+        self.poses = poses
+        self._ties: dict[str, tuple[str, Joint | None]] = {}  # by body: its parent and its joint
+
+    def tie(self, parent: str, child: str, joint: Joint | None) -> bool:
+        """Tie a body to another one, or to the world (empty); by no joint, they are one piece.
+
+        Returns whether it did: not where the child hangs on one already, or the parent on it.
+        """
+        above = parent
+        while above and above != child:
+            above = self._ties.get(above, ("", None))[0]
+        if child in self._ties or above:
+            return False
+        self._ties[child] = parent, joint
+        return True
+
+    def has(self, name: str) -> bool:
+        """Whether a body hangs on another one, or on the world."""
+        return name in self._ties
+
+    def make_bodies(self, held: Collection[str] = ()) -> dict[str, Body]:
+        """All bodies that move, parents first; what hangs on nothing is free, unless it is held."""
+        free = np.zeros(3)
+        for name in self.poses:
+            joint = None if name in held else Joint(name, "free", free, free)
+            self._ties.setdefault(name, ("", joint))
+        moving: dict[str, Body] = {}
+        left = dict.fromkeys(sorted(self._ties))
+        while left:
+            for name in [name for name in left if self._ties[name][0] not in left]:
+                del left[name]
+                parent, joint = self._ties[name]
+                if joint is not None or parent in moving:
+                    parent = parent if parent in moving else ""
+                    moving[name] = Body(name, parent, self.poses[name], joint)
+        return moving
+
+
+def build_model(
+    found: Gathered, path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart]]:
+    """Compile what a reader found; returns the model, and the static meshes by geom id."""
+    warnings += found.warnings
+    taken, parts, moving = set[str](), dict[str, MeshPart](), dict[str, MeshPart]()
+    pieces = list[Piece]()
+    for piece in merge_pieces(found, path, warnings):
+        piece = piece._replace(name=unique_name(piece.name, taken))
+        if piece.mesh is not None:
+            # a mesh that moves is in the frame of its body
+            body = found.bodies.get(piece.body)
+            own = _own_pose(piece.pose, body)
+            placed = _place(piece.mesh, own[None], found.decimals)
+            part = check_part(MeshPart(piece.name, *placed, piece.mode), path)
+            if not len(part.faces):
+                continue
+            (parts if body is None else moving)[piece.name] = part
+        pieces.append(piece)
+    if not pieces:
+        raise SceneError(f"no geometry in {path}: expected at least one mesh or solid")
+
+    def build() -> Any:
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        holders = {"": spec.worldbody}
+        for body in found.bodies.values():
+            own = _own_pose(body.pose, found.bodies.get(body.parent))
+            holder = holders[body.parent].add_body(name=body.name, **_place_of(own))
+            holders[body.name] = holder
+            if body.joint is not None:
+                _add_joint(holder, body.joint, body.pose)
+        if parts:
+            fill_mesh(spec.add_mesh(name=STAND_IN), *TETRAHEDRON)
+        for piece in pieces:
+            if piece.body not in holders:
+                holders[piece.body] = spec.worldbody.add_body(name=piece.body)
+            geom = holders[piece.body].add_geom(name=piece.name, type=KINDS[piece.kind])
+            geom.contype = geom.conaffinity = int(piece.collides)
+            geom.rgba = (0.5, 0.5, 0.5, float(piece.drawn))
+            if piece.name in parts:
+                geom.meshname = STAND_IN
+            elif piece.name in moving:
+                mesh = moving[piece.name]
+                fill_mesh(spec.add_mesh(name=piece.name), mesh.vertices, mesh.faces)
+                geom.meshname = piece.name
+            else:
+                place = _place_of(_own_pose(piece.pose, found.bodies.get(piece.body)))
+                geom.pos, geom.quat = place["pos"], place["quat"]
+                if piece.heights is None:
+                    geom.size = (*piece.size, 0.0, 0.0)[:3]
+                else:
+                    rows, cols = piece.heights.shape
+                    field = spec.add_hfield(name=piece.name, nrow=rows, ncol=cols)
+                    field.size, field.userdata = piece.size, piece.heights.ravel()
+                    geom.hfieldname = piece.name
+        return compile_geometry(spec, ground, warnings)
+
+    model = compile_model(path, warnings, build)
+    kind = mujoco.mjtObj.mjOBJ_GEOM
+    return model, {mujoco.mj_name2id(model, kind, name): part for name, part in parts.items()}
+
+
+def _own_pose(pose: Float, body: Body | None) -> Float:
+    """A pose in the frame of a body; in the world's without."""
+    return pose if body is None else np.asarray(np.linalg.solve(body.pose, pose))
+
+
+def _place_of(pose: Float) -> dict[str, Float]:
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
+    return {"pos": pose[:3, 3], "quat": quat}
+
+
+def _add_joint(holder: Any, joint: Joint, pose: Float) -> None:
+    """Add a joint to a body; MuJoCo wants it in the body's frame."""
+    made = holder.add_joint(name=joint.name, type=JOINTS[joint.kind])
+    if joint.kind == "free":
+        return
+    made.pos = (joint.anchor - pose[:3, 3]) @ pose[:3, :3]
+    made.axis = joint.axis @ pose[:3, :3]
+    made.ref = joint.position
+    if joint.limits is not None:
+        made.range, made.limited = joint.limits, mujoco.mjtLimited.mjLIMITED_TRUE
+
+
+def _place(mesh: Mesh, poses: Float, decimals: int | None = None) -> tuple[Float, Int32]:
+    """Copies of a mesh at poses, shape (n, 4, 4), as one: vertices and faces."""
+    turns = np.ascontiguousarray(poses[:, :3, :3].transpose(0, 2, 1))
+    vertices = (mesh.vertices @ turns + poses[:, None, :3, 3]).reshape(-1, 3)
+    if decimals is not None:
+        vertices = np.round(vertices, decimals) + 0.0  # no -0.0
+    faces = np.repeat(mesh.faces[None], len(poses), axis=0)
+    mirrors = np.linalg.det(turns) < 0  # which turn every triangle over
+    faces[mirrors] = faces[mirrors][:, :, ::-1]
+    first = np.arange(len(poses), dtype=np.int32) * np.int32(len(mesh.vertices))
+    return vertices, (faces + first[:, None, None]).reshape(-1, 3)
+
+
+def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece]:
+    """Make meshes of static pieces with a common body, or a common path, until few are left.
+
+    Where most stand together goes first. Such a mesh has the name of what they have in common, and
+    a warning says so. What moves, planes and height fields stay.
+    """
+    pieces = found.pieces
+    if len(pieces) <= MOST_PIECES:
+        return pieces
+    stays = [p.body in found.bodies or p.kind in ("plane", "hfield") for p in pieces]
+    # a piece stands in its body, a body in what its path names before its last "/"
+    owners = [f"{piece.body}\0{number}" for number, piece in enumerate(pieces)]
+    while len(left := set(owners)) > MOST_PIECES:
+        count = Counter(map(_above, left))
+        num, chosen = len(left), set[str]()
+        for name, size in count.most_common():
+            if num <= MOST_PIECES or (size == 1 and chosen):
+                break
+            chosen.add(name)
+            num -= size - 1
+        chosen = chosen if num < len(left) else set(count)
+        owners = [above if (above := _above(name)) in chosen else name for name in owners]
+    groups: dict[tuple[Any, ...], list[Piece]] = {}
+    for number, (piece, owner) in enumerate(zip(pieces, owners, strict=True)):
+        alone = stays[number] or "\0" in owner
+        key = (number,) if alone else (owner, piece.collides, piece.drawn)
+        groups.setdefault(key, []).append(piece)
+    merged = [
+        group[0] if len(key) == 1 else _merge(str(key[0]), group, found.decimals)
+        for key, group in groups.items()
+    ]
+    warnings.append(
+        f"{path} has {len(pieces)} pieces of geometry: of more than {MOST_PIECES}, those that "
+        f"stand together count as one mesh, by the name that they share; {len(merged)} are left"
+    )
+    return merged
+
+
+def _above(name: str) -> str:
+    return name.rpartition("\0" if "\0" in name else "/")[0] or "/"
+
+
+def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
+    meshes: dict[Any, tuple[Mesh, list[Float]]] = {}
+    for piece in group:
+        key = (piece.kind, piece.size, piece.mode, id(piece.mesh))
+        if key not in meshes:
+            mesh = piece.mesh or tessellate(piece.kind, piece.size)
+            hull = hull_faces(mesh.vertices) if piece.mode == "hull" else None
+            meshes[key] = Mesh(mesh.vertices, mesh.faces if hull is None else hull), []
+        meshes[key][1].append(piece.pose)
+    placed = [_place(mesh, np.stack(poses), decimals) for mesh, poses in meshes.values()]
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in placed)]).astype(np.int32)
+    vertices = np.concatenate([vertices for vertices, _ in placed])
+    faces = np.concatenate([
+        faces + start for (_, faces), start in zip(placed, first, strict=False)
+    ])  # fmt: skip
+    last = group[-1]
+    mesh = Mesh(vertices, faces)
+    return Piece(
+        name, name, "mesh", (), np.eye(4), mesh, None, "surface", last.collides, last.drawn
+    )
+
+
+def tessellate(kind: str, size: Sequence[float]) -> Mesh:
+    """A solid as triangles; round ones, and cones, with `SIDES` sides.
+
+    Sizes are MuJoCo's; a cone's are the radius of its base and half its height, its tip is up.
+    """
+    if kind == "box":
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+        hull = hull_faces(corners.astype(np.float64))
+        assert hull is not None
+        return Mesh(corners, hull)
+    radius, half = size[0], size[1] if len(size) > 1 else 0.0
+    arc = np.linspace(-math.pi / 2, 0.0, SIDES // 4 + 1)
+    if kind == "cylinder":
+        profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
+    elif kind == "cone":
+        profile = [(0.0, -half), (radius, -half), (0.0, half)]
+    else:
+        lift = half if kind == "capsule" else 0.0
+        lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
+        profile = lower + [(r, -z) for r, z in lower[::-1][lift == 0 :]]
+    ends, rings = (profile[0], profile[-1]), profile[1:-1]
+    turn = np.arange(SIDES) * (2 * math.pi / SIDES)
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    layers = [np.column_stack([r * around, np.full(SIDES, z)]) for r, z in rings]
+    vertices = np.concatenate([*layers, [[0.0, 0.0, ends[0][1]], [0.0, 0.0, ends[1][1]]]])
+    here, beside = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
+    low, high = len(vertices) - 2, len(vertices) - 1
+    top = (len(rings) - 1) * SIDES
+    faces = [np.column_stack([np.full(SIDES, low), beside, here])]
+    for start in range(0, top, SIDES):
+        a, b = start + here, start + beside
+        faces += [np.column_stack([a, b, b + SIDES]), np.column_stack([a, b + SIDES, a + SIDES])]
+    faces.append(np.column_stack([top + here, top + beside, np.full(SIDES, high)]))
+    if kind == "ellipsoid":
+        vertices = vertices / radius * np.asarray(size)
+    return Mesh(vertices, np.concatenate(faces).astype(np.int32))

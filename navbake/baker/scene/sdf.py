@@ -1,0 +1,455 @@
+"""Reads worlds and models of Gazebo (SDF) as pieces: collisions, visuals, and joints of links.
+
+Collisions collide and aren't drawn, visuals are drawn and don't collide. Lights, plugins, sensors
+and populations are passed by. Meshes count by their triangles, as Gazebo collides them. A static
+model is one body by its name; of others, the first link has the model's name, and further ones are
+called ``model::link``.
+
+Source: SDFormat specification 1.12, sdformat.org, and its chapter on the semantics of poses.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts, stated_up
+from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, tessellate
+from navbake.config.settings import SceneSettings
+from navbake.errors import FormatError, SceneError
+from navbake.formats.images import read_pixels
+from navbake.formats.scene_files import model_file, sdf_places
+from navbake.types import Float
+
+BASE = 0.1  # of a height field, below its lowest point [m]
+FLAT = 1e-6  # the least height of one [m]
+ENDLESS = 1e10  # of a joint's limits, which SDF states as 1e16 [m or rad]
+HINGES = ("revolute", "continuous")
+MOST_NESTED = 50  # models in models
+# Models that come with Gazebo itself, where they aren't found
+SUN, GROUND = "sun", "ground_plane"
+Element = ElementTree.Element
+
+
+def read_world(path: Path, settings: SceneSettings) -> Gathered:
+    """Read the first world of an .sdf or .world file, or its models.
+
+    A mesh or height field that is missing is an error where it collides, and a warning where it is
+    only drawn; models are looked for as `navbake.formats.scene_files.sdf_places` says.
+
+    Raises:
+        SceneError: the file, or a model in it, is missing or broken.
+    """
+    return _Reader(path, settings).read()
+
+
+class _Scope:
+    """A world or a model: the frames that have a name in it, and where they are.
+
+    Attributes:
+        name: with those of the models round it, as ``house::door``; empty for a world.
+        file: in which it stands.
+        pose: (4, 4), to the world [m].
+    """
+
+    def __init__(self, name: str, element: Element, file: Path, above: _Scope | None) -> None:
+        self.name, self.element, self.file, self.above = name, element, file, above
+        self.pose = np.eye(4)
+        self.is_static: bool = above is not None and above.is_static
+        self.inner: dict[str, _Scope] = {}
+        self._open: list[str] = []
+        self._frames = {
+            str(each.get("name")): each
+            for each in element
+            if each.tag in ("link", "joint", "frame") and each.get("name")
+        }
+
+    def find(self, name: str) -> Element | None:
+        """A link, joint or frame of this scope."""
+        return self._frames.get(name)
+
+    def pose_of(self, name: str) -> Float:
+        """Where a frame is, (4, 4); empty is the scope's own."""
+        if name in ("", "__model__"):
+            return self.pose
+        if name in ("world", "__root__"):
+            return np.eye(4)
+        first, _, rest = name.partition("::")
+        if first == "__parent__" and self.above is not None:
+            return self.above.pose_of(rest)
+        if first in self.inner:
+            return self.inner[first].pose_of(rest)
+        where = f"of {self.name or 'the world'} in {self.file}"
+        if name not in self._frames:
+            known = ", ".join(sorted({*self._frames, *self.inner})[:20]) or "none"
+            raise SceneError(f"no frame {name!r} {where}: it has {known}")
+        if name in self._open:
+            raise SceneError(f"frame {name!r} {where} is relative to itself, by {self._open}")
+        self._open.append(name)
+        element = self._frames[name]
+        default = ""
+        if element.tag == "joint":
+            default = _text(element, "child")
+        elif element.tag == "frame":
+            default = element.get("attached_to", "")
+        place = self.place(element, default)
+        self._open.pop()
+        return place
+
+    def place(self, element: Element, default: str = "") -> Float:
+        """Where an element with a ``<pose>`` is, (4, 4), relative to `default` or as it says."""
+        pose = element.find("pose")
+        relative = default if pose is None else pose.get("relative_to", "") or default
+        return self.pose_of(relative) @ read_pose(pose, self.file)
+
+
+class _Reader:
+    def __init__(self, path: Path, settings: SceneSettings) -> None:
+        self._path, self._folders = path, settings.model_path
+        self._result = Gathered()
+        self._poses: dict[str, Float] = {}  # of bodies that may move
+        self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
+        self._joints: list[tuple[_Scope, Element]] = []
+        self._meshes: dict[Any, Mesh | None] = {}
+
+    def read(self) -> Gathered:
+        root = _parse(self._path)
+        worlds = root.findall("world")
+        if len(worlds) > 1:
+            self._warn(f"{len(worlds)} worlds in {self._path}: the first one is taken")
+        world = _Scope("", worlds[0] if worlds else root, self._path, None)
+        if world.element.find("state/model") is not None:
+            self._warn(
+                f"<state> of {self._path} is passed by, as in today's Gazebo; Gazebo classic "
+                "places models by it"
+            )
+        self._read_inner(world, 0)
+        ties = Ties(self._poses)
+        for scope, element in self._joints:
+            self._tie(ties, scope, element)
+        self._result.bodies = ties.make_bodies()
+        return self._result
+
+    def _warn(self, text: str) -> None:
+        self._result.warnings.append(text)
+
+    # ------------------------------------------------------------ models
+
+    def _read_inner(self, scope: _Scope, depth: int) -> None:
+        """Read the models in a world or a model, in order, so that later ones name earlier ones."""
+        if depth > MOST_NESTED:
+            raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
+        for element in scope.element:
+            if element.tag == "include":
+                self._read_include(scope, element, depth)
+            elif element.tag == "model":
+                self._read_model(scope, element, element, scope.file, depth)
+            elif element.tag == "population":
+                name = element.get("name")
+                self._warn(f"population {name!r} of {scope.file} is left out: name its models")
+
+    def _read_include(self, scope: _Scope, include: Element, depth: int) -> None:
+        uri = _text(include, "uri")
+        places = list(sdf_places(uri, scope.file, self._folders))
+        found = next((place for place in places if place.exists()), None)
+        known = Path(uri.partition("://")[2] or uri).name
+        if found is None and known in (SUN, GROUND):
+            if known == GROUND:
+                self._warn(
+                    f"{uri} of {scope.file} not found: taken as Gazebo's own, endless ground"
+                )
+                pose = scope.place(include)
+                name = _text(include, "name") or known
+                self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
+            return
+        if found is None:
+            raise SceneError(
+                f"{uri!r} of {scope.file} not found in {_listed(places)}: name the folder that "
+                "holds it by `--model-path`, `scene.model_path` or GZ_SIM_RESOURCE_PATH"
+            )
+        file = model_file(found)
+        model = _parse(file).find("model")
+        if model is not None:
+            self._read_model(scope, model, include, file, depth)
+
+    def _read_model(
+        self, above: _Scope, model: Element, placing: Element, file: Path, depth: int
+    ) -> None:
+        """Read a model, whose name, pose and static are those of an include, where it has them."""
+        is_include = placing is not model
+        own = _text(placing, "name") if is_include else ""
+        own = own or str(model.get("name", "model"))
+        name = f"{above.name}::{own}" if above.name else own
+        scope = _Scope(name, model, file, above)
+        for element in (model, placing):
+            if element.find("static") is not None:
+                scope.is_static = _text(element, "static").lower() in ("1", "true")
+        scope.is_static = scope.is_static or above.is_static
+        posed = placing if placing.find("pose") is not None or not is_include else model
+        frame = _text(placing, "placement_frame") or model.get("placement_frame", "")
+        place = above.place(posed)
+        above.inner[own] = scope
+        if frame:  # which is to be where the pose says
+            place = place @ np.linalg.inv(scope.pose_of(frame))
+        scope.pose = place
+        if any(each.tag in ("model", "include") for each in model):
+            self._read_inner(scope, depth + 1)
+        links = model.findall("link")
+        first = model.get("canonical_link") or (links[0].get("name") if links else None)
+        for link in links:
+            body = name if scope.is_static or link.get("name") == first else ""
+            self._read_link(scope, link, body or f"{name}::{link.get('name')}")
+        if not scope.is_static:
+            self._joints += [(scope, joint) for joint in model.findall("joint")]
+
+    def _read_link(self, scope: _Scope, link: Element, body: str) -> None:
+        name = f"{scope.name}::{link.get('name')}"
+        place = scope.pose_of(str(link.get("name")))
+        self._bodies[name] = "" if scope.is_static else body
+        if not scope.is_static:
+            self._poses[body] = place
+        for element in link:
+            if element.tag in ("collision", "visual"):
+                pose = element.find("pose")
+                relative = "" if pose is None else pose.get("relative_to", "")
+                own = scope.pose_of(relative) if relative else place
+                own = own @ read_pose(pose, scope.file)
+                self._read_shape(scope, element, f"{name}::{element.get('name')}", body, own)
+
+    # ------------------------------------------------------------ geometry
+
+    def _add(
+        self, name: str, body: str, kind: str, size: tuple[float, ...], pose: Float,
+        mesh: Mesh | None = None, heights: Float | None = None, *, is_visual: bool,
+    ) -> None:  # fmt: skip
+        shape = kind, size, pose, mesh, heights
+        self._result.pieces.append(
+            Piece(name, body, *shape, "surface", collides=not is_visual, drawn=is_visual)
+        )
+
+    def _read_shape(
+        self, scope: _Scope, element: Element, name: str, body: str, pose: Float
+    ) -> None:
+        is_visual = element.tag == "visual"
+        geometry = element.find("geometry")
+        shape = None if geometry is None else next(iter(geometry), None)
+        if shape is None or shape.tag == "empty":
+            return
+        where = f"{element.tag} {name!r} of {scope.file}"
+
+        def number(key: str, count: int = 1) -> list[float]:
+            return _numbers(_text(shape, key), count, f"<{key}> of {where}")
+
+        mesh, heights, size = None, None, tuple[float, ...]()
+        kind = shape.tag
+        if kind == "box":
+            size = tuple(side / 2 for side in number("size", 3))
+        elif kind == "sphere":
+            size = tuple(number("radius"))
+        elif kind in ("cylinder", "capsule", "cone"):
+            size = number("radius")[0], number("length")[0] / 2
+            if kind == "cone":
+                kind, size, mesh = "mesh", (), tessellate(kind, size)
+        elif kind == "ellipsoid":
+            size = tuple(number("radii", 3))
+        elif kind == "plane":
+            normal = np.array([0.0, 0.0, 1.0])
+            if shape.find("normal") is not None:
+                normal = np.array(number("normal", 3))
+            pose = pose @ _turned_to(normal)
+            # what collides is endless, what is drawn has a size
+            is_sized = is_visual and shape.find("size") is not None
+            size = tuple(side / 2 for side in number("size", 2)) if is_sized else (0.0, 0.0)
+        elif kind in ("mesh", "heightmap"):
+            file = self._find(_text(shape, "uri"), scope.file, where, is_drawn=is_visual)
+            if file is None:
+                return
+            if kind == "mesh":
+                mesh = self._read_mesh(file, shape, where)
+                scale = number("scale", 3) if shape.find("scale") is not None else [1.0] * 3
+                pose = pose @ np.diag([*scale, 1.0])
+            else:
+                kind = "hfield"
+                sides = number("size", 3) if shape.find("size") is not None else [1.0] * 3
+                shift = number("pos", 3) if shape.find("pos") is not None else [0.0] * 3
+                heights, size, lift = _read_heights(file, sides)
+                pose = pose.copy()
+                pose[:3, 3] += pose[:3, :3] @ np.add(shift, [0.0, 0.0, lift])
+        else:
+            self._warn(f"{where} left out: its geometry is <{kind}>")
+            return
+        self._add(name, body, kind, size, pose, mesh, heights, is_visual=is_visual)
+
+    def _find(self, uri: str, file: Path, where: str, *, is_drawn: bool) -> Path | None:
+        """The file of a mesh or image; None, with a warning, for a missing one that is drawn."""
+        places = list(sdf_places(uri, file, self._folders))
+        found = next((place for place in places if place.is_file()), None)
+        if found is None and is_drawn:
+            self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
+        elif found is None:
+            raise SceneError(
+                f"{uri!r} of {where} not found in {_listed(places)}: name the folder that holds it "
+                "by `--model-path`, `scene.model_path` or GZ_SIM_RESOURCE_PATH"
+            )
+        return found
+
+    def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
+        """A mesh in metres, z up: a DAE by its own unit and axis, glTF y up, others as they are."""
+        submesh = _text(shape, "submesh/name")
+        is_centered = _text(shape, "submesh/center").lower() in ("1", "true")
+        key = file, submesh, is_centered
+        if key not in self._meshes:
+            if file.suffix.lower() not in MESH_SUFFIXES:
+                known = ", ".join(sorted(MESH_SUFFIXES))
+                raise SceneError(f"cannot read {file}, the mesh of {where}: expected {known}")
+            parts = read_mesh_parts(file, stated_up(file) or "z")
+            named = [part for part in parts if submesh in ("", part.name)]
+            if not named:
+                listed = ", ".join(part.name for part in parts[:20])
+                raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
+            vertices = np.concatenate([part.vertices for part in named])
+            first = np.cumsum([0, *(len(part.vertices) for part in named)]).astype(np.int32)
+            pairs = zip(named, first, strict=False)
+            if is_centered:
+                vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+            faces = np.concatenate([part.faces + start for part, start in pairs])
+            self._meshes[key] = Mesh(vertices, faces)
+        mesh = self._meshes[key]
+        assert mesh is not None
+        return mesh
+
+    # ------------------------------------------------------------ joints
+
+    def _body_of(self, scope: _Scope, name: str) -> str:
+        """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
+        for _ in range(MOST_NESTED):  # frames may be attached to frames
+            element = scope.find(name)
+            if element is None or element.tag != "frame":
+                break
+            name = element.get("attached_to", "")
+        if name in ("world", ""):
+            return ""
+        where = f"{scope.name}::{name}"
+        inner = scope.inner.get(name)
+        links = [] if inner is None else inner.element.findall("link")
+        if links:
+            where = f"{where}::{links[0].get('name')}"
+        if where not in self._bodies:
+            raise SceneError(f"no link {name!r} in model {scope.name!r} of {scope.file}")
+        return self._bodies[where]
+
+    def _tie(self, ties: Ties, scope: _Scope, element: Element) -> None:
+        kind, name = str(element.get("type")), f"{scope.name}::{element.get('name')}"
+        parent, child = (self._body_of(scope, _text(element, key)) for key in ("parent", "child"))
+        where, joint = f"joint {name!r} of {scope.file}", None
+        place, axis = scope.pose_of(str(element.get("name"))), element.find("axis")
+        if kind == "ball":
+            joint = Joint(name, "ball", place[:3, 3], np.zeros(3))
+        elif kind in (*HINGES, "prismatic") and axis is not None:
+            xyz = axis.find("xyz")
+            way = np.array(_numbers(_text(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
+            frame = "" if xyz is None else xyz.get("expressed_in", "")
+            turn = scope.pose_of(frame) if frame else place
+            if _text(axis, "use_parent_model_frame").lower() in ("1", "true"):
+                turn = scope.pose
+            low, high = (
+                _numbers(_text(axis, f"limit/{key}") or default, 1, f"<{key}> of {where}")[0]
+                for key, default in (("lower", "-1e16"), ("upper", "1e16"))
+            )
+            is_limited = low < high and max(-low, high) < ENDLESS and kind != "continuous"
+            limits = (low, high) if is_limited else None
+            kind = "hinge" if kind in HINGES else "slide"
+            joint = Joint(name, kind, place[:3, 3], turn[:3, :3] @ way, limits)
+        elif kind != "fixed":
+            self._warn(f"{where} is taken as fixed: its type is {kind}")
+        if not child or not ties.tie(parent, child, joint):
+            self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
+
+
+# ---------------------------------------------------------------- XML
+
+
+def _parse(file: Path) -> Element:
+    """The <sdf> element of a file."""
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
+        raise SceneError(f"broken XML in {file}: {error}") from error
+    if root.tag != "sdf":
+        raise SceneError(f"expected <sdf> in {file}, got <{root.tag[:40]}>")
+    return root
+
+
+def _text(element: Element, path: str) -> str:
+    return (element.findtext(path) or "").strip()
+
+
+def _numbers(text: str, count: int, where: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        expected = "a number" if count == 1 else f"{count} numbers"
+        raise SceneError(f"expected {expected} at {where}, got {text[:80]!r}")
+    return numbers
+
+
+def read_pose(pose: Element | None, file: Path) -> Float:
+    """A ``<pose>``, (4, 4): x, y, z, and roll, pitch, yaw or a quaternion x, y, z, w."""
+    place = np.eye(4)
+    text = "" if pose is None else (pose.text or "").strip()
+    if pose is None or not text:
+        return place
+    is_quat = pose.get("rotation_format", "euler_rpy") == "quat_xyzw"
+    numbers = _numbers(text, 7 if is_quat else 6, f"<pose> of {file}")
+    place[:3, 3], turn = numbers[:3], np.empty(9)
+    if is_quat:
+        x, y, z, w = numbers[3:]
+        mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0))
+        place[:3, :3] = turn.reshape(3, 3)
+        return place
+    angles = np.radians(numbers[3:]) if pose.get("degrees") in ("1", "true") else numbers[3:]
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles).tolist(), np.sin(angles).tolist()
+    place[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return place
+
+
+def _turned_to(normal: Float) -> Float:
+    """The pose, (4, 4), whose z axis is a normal, by the least turn."""
+    place, quat, turn = np.eye(4), np.empty(4), np.empty(9)
+    if normal.any():
+        mujoco.mju_quatZ2Vec(quat, normal / np.linalg.norm(normal))
+        mujoco.mju_quat2Mat(turn, quat)
+        place[:3, :3] = turn.reshape(3, 3)
+    return place
+
+
+def _read_heights(file: Path, sides: list[float]) -> tuple[Float, tuple[float, ...], float]:
+    """A height field of an image: heights from 0 to 1, MuJoCo's size, and its lowest height [m].
+
+    The brightest pixel is as high as `sides` say; the first row of pixels is at the largest y.
+    """
+    try:
+        light = read_pixels(file).light[::-1].astype(np.float64)
+    except FormatError as error:
+        raise SceneError(str(error)) from error
+    light /= max(float(light.max()), 1.0)
+    low, high = float(light.min()), float(light.max())
+    rise = max((high - low) * sides[2], FLAT)
+    heights = (light - low) / ((high - low) or 1.0)
+    return heights, (sides[0] / 2, sides[1] / 2, rise, BASE), low * sides[2]
+
+
+def _listed(places: list[Path]) -> str:
+    folders = dict.fromkeys(str(place) for place in places)
+    return ", ".join(list(folders)[:4]) + (", …" if len(folders) > 4 else "")

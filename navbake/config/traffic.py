@@ -1,0 +1,205 @@
+"""Settings of who may go where, how, and at what price: named agents, areas and links."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from navbake.config.field_types import (
+    LevelKey,
+    Name,
+    OptionalName,
+    Outline,
+    Patterns,
+    Position,
+    Positive,
+    Settings,
+    expects,
+    read_named,
+    refusal,
+    refuse_if,
+    setting,
+)
+from navbake.formats.shapes import read_entries
+from navbake.known_names import suggest
+
+if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
+    from typing_extensions import Self
+
+MAX_AREAS = 255  # the layer `area` is uint8
+AUTO_ONLY = ("height", "gap", "patterns")
+GIVEN_ONLY = ("name", "kind", "one_way", "width")
+
+OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
+OptionalCost = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
+AgentNames = Annotated[
+    list[Name] | None,
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+    expects("a list of names of `agents`, or null"),
+]
+
+
+class NamedAgent(Settings):
+    """An agent that plans on the grid, with sizes of its own."""
+
+    radius: Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")] = (
+        setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
+    )
+    height: OptionalPositive = setting(
+        None, "its height [m], > 0, at most that of `agent`", "that of `agent`"
+    )
+    step: OptionalCost = setting(
+        None, "its highest step [m], >= 0, at most that of `agent`", "that of `agent`"
+    )
+    speed: Positive = setting(1.0, "how fast it goes [m/s], > 0")
+
+
+def _plain_cost(value: Any) -> Any:
+    return "inf" if isinstance(value, float) and value == math.inf else value
+
+
+class AreaSettings(Settings):
+    """A part of the floor that costs more, slows down, or keeps agents out."""
+
+    name: Name = Field(description="its name; no default")
+    room: OptionalName = setting(None, "the room whose cells it is, by id or name, or null")
+    polygon: Annotated[
+        Annotated[Outline, Tag("=outline")] | Annotated[None, Tag("=none")],
+        Discriminator(lambda value: "=none" if value is None else "=outline"),  # for its errors
+    ] = setting(None, "its outline [[x, y], …], world frame [m], or null")
+    rings: list[Outline] = setting([], "of a polygon: holes in it and further parts [m]")
+    level: LevelKey = setting(0, "of a polygon: its level, a number from 0, or a name")
+    box: Annotated[
+        Annotated[
+            list[Position],
+            Field(min_length=2, max_length=2),
+            AfterValidator(refuse_if(lambda b: any(p >= q for p, q in zip(*b, strict=True)))),
+        ]
+        | None,
+        expects("[[x, y, z], [x, y, z]], lower corner first, or null"),
+    ] = setting(None, "its box, corners [[x, y, z], [x, y, z]] [m], of floors in it, or null")
+    geoms: Patterns = setting([], "the geoms on whose cells it lies, by name patterns")
+    cost: Annotated[
+        Literal["inf"] | Annotated[float, Field(gt=0)],
+        BeforeValidator(_plain_cost),
+        expects("a number > 0, or .inf"),
+    ] = setting(1.0, "a path's price of a metre there, > 0, or .inf: nobody goes there")
+    speed: OptionalPositive = setting(None, "the highest speed there [m/s], > 0, or null")
+    agents: AgentNames = setting(None, "names of the agents that may enter; null for all")
+
+    @property
+    def keeps_out(self) -> bool:
+        """Whether it bars any agent, and so takes every cell that it touches."""
+        return self.cost == "inf" or self.agents is not None
+
+    @model_validator(mode="after")
+    def _check_place(self) -> Self:
+        given = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
+        if len(given) != 1:
+            raise refusal(
+                "one of room, polygon, box and geoms",
+                got=" and ".join(given) or f"none for {self.name!r}",
+            )
+        return self
+
+
+class LinkSettings(Settings):
+    """A way between places that no step joins, or a rule by which such ways are found."""
+
+    name: OptionalName = setting(None, "its name, unique; not with `auto`", "required")
+    kind: Name = setting("link", "what it is: lift, drop, jump, ladder, or any other word")
+    stops: Annotated[
+        list[Position], expects("2 or more positions [[x, y, z], …], none for `auto`")
+    ] = setting([], "where it stops, 2 or more positions [[x, y, z], …] [m]")
+    one_way: bool = setting(False, "whether it leads from earlier stops to later ones only")
+    width: OptionalPositive = setting(
+        None, "the widest agent that fits, by its diameter [m], > 0, or null"
+    )
+    cost: OptionalCost = setting(None, "a path's price of it [m], >= 0", "its length")
+    seconds: OptionalCost = setting(
+        None, "how long it takes [s], >= 0", "its cost at the agent's speed"
+    )
+    agents: AgentNames = setting(None, "names of the agents that may use it; null for all")
+    state: Literal["open", "closed"] = setting("open", "open or closed")
+    auto: Annotated[
+        Literal["drop", "jump", "ladder", "lift"] | None,
+        expects("drop, jump, ladder, lift or null"),
+    ] = setting(None, "find links of this kind: drop, jump, ladder or lift; null for a given one")
+    height: OptionalPositive = setting(
+        None,
+        "of auto: how far a drop falls, or a jump rises at most [m], > 0",
+        "1.0 for drops, a step for jumps",
+    )
+    gap: Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")] = (
+        setting(
+            None,
+            "of auto: between a stop and the landing, ladder or car [m], >= 0",
+            "0.5; 0.6 for ladders",
+        )
+    )
+    patterns: Patterns = setting(
+        [], "of auto ladder and lift: bodies or geoms by name patterns", '["*ladder*"] and all'
+    )
+
+    @model_validator(mode="after")
+    def _check_form(self) -> Self:
+        own, unused = ("auto", GIVEN_ONLY) if self.auto else ("a given link", AUTO_ONLY)
+        fields = type(self).model_fields
+        wrong = [name for name in unused if getattr(self, name) != fields[name].default]
+        if wrong:
+            raise refusal(f"no `{wrong[0]}` with {own}", got=f"`{wrong[0]}`")
+        if self.auto:
+            if self.stops:
+                raise refusal("no `stops` with auto, which finds them", got="`stops`")
+        elif self.name is None:
+            raise refusal("a name, or auto: drop, jump, ladder or lift", got="neither")
+        elif len(self.stops) < 2:
+            got = f"{len(self.stops)} for {self.name!r}"
+            raise refusal("2 stops or more", got=got, at=".stops")
+        return self
+
+
+def _check_names(
+    entries: Sequence[AreaSettings | LinkSettings], info: ValidationInfo
+) -> Sequence[AreaSettings | LinkSettings]:
+    """Refuse names that stand twice, and agents that `agents` doesn't have."""
+    known, taken = info.data.get("agents", {}), set[str]()
+    for number, entry in enumerate(entries):
+        if entry.name in taken:
+            raise refusal("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
+        taken |= {entry.name} if entry.name else set()
+        for name in entry.agents or ():
+            if name not in known:
+                text = f"a name of `agents` ({suggest(name, known)})"
+                raise refusal(text, got=f'"{name}"', at=f"[{number}].agents")
+    return entries
+
+
+def _none_as_empty(value: Any) -> Any:
+    return [] if value is None else value
+
+
+Areas = Annotated[
+    list[AreaSettings],
+    Field(max_length=MAX_AREAS),
+    AfterValidator(_check_names),
+    BeforeValidator(read_named("areas", lambda path: read_entries(path, "areas"))),
+    BeforeValidator(_none_as_empty),
+]
+Links = Annotated[
+    list[LinkSettings],
+    AfterValidator(_check_names),
+    BeforeValidator(read_named("links", lambda path: read_entries(path, "links"))),
+    BeforeValidator(_none_as_empty),
+]

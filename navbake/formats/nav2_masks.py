@@ -1,0 +1,347 @@
+"""Masks of nav2's costmap filters: where robots stay out, and how fast they go.
+
+A mask is a map on the cells of its level, in mode ``raw``; 0 changes nothing. In a keepout mask,
+100 is forbidden and less is a cost. In a speed mask, a value of 1 to 100 stands for a limit of
+``base + multiplier * value``: of type 1 in percent of a robot's speed, of type 2 in m/s. These
+numbers are in the parameters of nav2's ``costmap_filter_info_server``, which are written beside
+the mask with those of the ``map_server`` that serves it: ``slow_filter.yaml`` beside ``slow.yaml``.
+
+Source: ``keepout_filter.cpp``, ``speed_filter.cpp`` of ``nav2_costmap_2d`` and nav2's documentation
+of both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from navbake.config.yaml_text import parse_yaml
+from navbake.errors import ConfigError, FormatError
+from navbake.files import readable_stem
+from navbake.formats.allowance import JsonPath, json_object, number
+from navbake.formats.convert import level_paths
+from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_map
+from navbake.formats.navgrid import checked_grid
+from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
+from navbake.formats.shapes import read_room_outlines
+from navbake.formats.source import Files, check_path, read_bytes
+from navbake.navgrid.agents import SPEED, Agent
+from navbake.navgrid.areas import MAX_AREAS, Area
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.polygon import cover_cells, touch_cells
+from navbake.runtime.agents import find_agent
+from navbake.types import Bool, Json
+
+KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
+KINDS = ("keepout", "speed")
+MAX_LISTED = 20  # names that an error lists
+SLACK = 1e-9  # share of a value by which a limit may be above its own
+ROUND = (1.0, 0.5, 0.1, 0.05, 0.01)  # multipliers that are tried first [m/s]
+
+Zone = tuple[tuple[str, ...], int, int | Bool]
+"""A part of a level: the names that it can be called by, the level, and which cells it has: the
+index of a room, or the mask of a polygon."""
+
+
+class Scale(NamedTuple):
+    """What the values of a mask stand for."""
+
+    type: int = KEEPOUT
+    base: float = 0.0
+    multiplier: float = 1.0
+
+
+def encode_mask(
+    grid: NavGrid,
+    path: Path,
+    *,
+    has_limits: bool,
+    level: int | None = None,
+    image: str | None = None,
+    zone: Sequence[str] | None = None,
+    zones: str | PathLike[str] | None = None,
+    agent: str | Agent | None = None,
+    absolute: bool | None = None,
+) -> Files:
+    """Encode the masks of the keepout filter, or of the speed filter, one for each level.
+
+    Without zones they are those of the grid's areas: in a keepout mask, those that bar the agent;
+    in a speed mask, those with a speed. Limits are rounded down.
+
+    Args:
+        path, level, image: as of `encode_nav2`; in mode ``raw``.
+        has_limits: for the speed filter, whose zones have limits.
+        zone: names, ids or numbers of rooms, and names of polygons; of the speed filter
+            ``NAME=PERCENT`` each, from 1 to 100, of which the least counts where zones overlap.
+            Of the keepout filter all polygons if None.
+        zones: a GeoJSON file of polygons, see `navbake.formats.shapes.read_room_outlines`. A
+            keepout mask marks every cell that one touches, a speed mask those whose centre it has.
+        agent: a name in the grid, or an agent, for masks of areas; its speed is 100 %.
+        absolute: limits of areas in m/s, not in percent.
+
+    Raises:
+        FormatError: a name is unknown, a limit invalid, a polygon holds no cell's centre of its
+            level, or nothing is to be marked.
+        QueryError: the grid names no such agent.
+    """
+    image = image or "pgm"
+    check_choice(image, IMAGES, "image")
+    if zone is None and zones is None and grid.areas:
+        marked, scale = _mark_areas(grid, find_agent(grid, agent), has_limits, bool(absolute))
+    else:
+        if agent is not None or absolute:
+            raise FormatError("agent and absolute are for masks of the grid's areas, without zones")
+        marked = _mark_zones(grid, zone, zones, has_limits)
+        scale = Scale(PERCENT if has_limits else KEEPOUT)
+    files: Files = {}
+    for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
+        files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
+        files[_info_path(yaml_path)] = _encode_info(yaml_path, scale)
+    return files
+
+
+encode_keepout = partial(encode_mask, has_limits=False)
+encode_speed = partial(encode_mask, has_limits=True)
+
+
+def _mark_areas(
+    grid: NavGrid, agent: Agent | None, has_limits: bool, absolute: bool
+) -> tuple[list[Values], Scale]:
+    """The values of all levels by the grid's areas."""
+    table, scale = np.zeros(len(grid.areas) + 1, dtype=np.int8), Scale()
+    if has_limits:
+        fastest = SPEED if agent is None else agent.speed
+        speeds = [area.speed for area in grid.areas if area.speed is not None]
+        scale = Scale(ABSOLUTE, 0.0, _multiplier(speeds)) if absolute else Scale(PERCENT)
+        unit = scale.multiplier if absolute else fastest / 100.0
+    for place, area in enumerate(grid.areas, 1):
+        if not has_limits:
+            table[place] = OCCUPIED if area.bars(agent) else FREE
+        elif area.speed is not None:
+            table[place] = min(max(math.floor(area.speed / unit * (1.0 + SLACK)), 1), 100)
+    if not table.any():
+        what = "has a speed" if has_limits else "bars this agent" if agent else "bars all agents"
+        raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
+    return [table[level.area_index] for level in grid.levels], scale
+
+
+def _multiplier(speeds: Sequence[float]) -> float:
+    """The limit of a value of 1 [m/s], by which up to 100 stand for speeds, exactly if it can."""
+    most = max(speeds, default=1.0)
+    for unit in ROUND:
+        shares = [speed / unit for speed in speeds]
+        if most <= 100 * unit and all(abs(v - round(v)) < 1e-6 * max(v, 1.0) for v in shares):
+            return unit
+    return most / 100.0
+
+
+def _mark_zones(
+    grid: NavGrid, zone: Sequence[str] | None, zones: Any, has_limits: bool
+) -> list[Values]:
+    """The values of all levels by rooms and polygons."""
+    known = _find_zones(grid, zones, has_limits)
+    chosen: list[tuple[Zone, int]] = []
+    if zone is None and not has_limits:
+        chosen = [(own, OCCUPIED) for own in known if not isinstance(own[2], int)]
+    for entry in zone or []:
+        name, value = entry, OCCUPIED
+        if has_limits:
+            name, _, text = entry.rpartition("=")
+            if not name or not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 100:
+                raise FormatError(f"expected NAME=PERCENT, 1 to 100, as zone, got {entry!r}")
+            value = int(text)
+        found = [own for own in known if name in own[0]]  # on all levels with that name
+        if not found:
+            names = list(dict.fromkeys(own[0][-1] for own in known))
+            listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
+            there = f"there are: {listed or 'none'}"
+            raise FormatError(f"no room or polygon is called {name!r}; {there}")
+        chosen += [(own, value) for own in found]
+    if not chosen:
+        raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
+    marked: list[Values] = [np.full(v.shape, FREE, dtype=np.int8) for v in grid.levels]
+    for (_, k, cells), value in sorted(chosen, key=lambda pair: -pair[1]):
+        is_room = isinstance(cells, int)
+        marked[k][grid.levels[k].room_index == cells if is_room else cells] = value
+    return marked
+
+
+def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: bool) -> list[Zone]:
+    """The rooms of a grid, and the polygons of a file."""
+    found: list[Zone] = [
+        ((str(room.index), room.id, *([room.name] if room.name else [])), room.level, room.index)
+        for room in grid.rooms
+    ]
+    names = grid.level_names
+    for k, outline in enumerate([] if path is None else read_room_outlines(path)):
+        name, level = outline["name"] or f"feature {k}", outline["level"]
+        number = names.index(level) if level in names else level
+        if not isinstance(number, int) or number >= len(names):
+            whose = f"{name!r} in {path}"
+            there = ", ".join(names)
+            raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
+        rings, lattice = [outline["points"], *outline["rings"]], grid.levels[number].lattice
+        touched = touch_cells(rings, lattice)
+        mask = cover_cells(rings, lattice) if has_limits else touched
+        if not touched.any():
+            where = f"lies outside of level {number}: it holds no cell"
+            raise FormatError(f"{name!r} in {path} {where}")
+        if not mask.any():
+            raise FormatError(
+                f"{name!r} in {path} is thinner than a cell of level {number}: it holds no "
+                f"cell's centre"
+            )
+        found.append(((name,), number, mask))
+    return found
+
+
+def _info_path(path: Path) -> Path:
+    """Where the parameters of a mask's filter are."""
+    return path.with_name(f"{path.stem}_filter{path.suffix}")
+
+
+def _encode_info(path: Path, scale: Scale) -> bytes:
+    """The parameters of the nodes that serve a mask and what it means."""
+    kind = KINDS[scale.type > KEEPOUT]
+    info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
+    info |= {"mask_topic": f"{kind}_filter_mask", "base": scale.base}
+    served = {"yaml_filename": path.name, "topic_name": f"{kind}_filter_mask", "frame_id": "map"}
+    content = {
+        f"{kind}_costmap_filter_info_server": {
+            "ros__parameters": {**info, "multiplier": scale.multiplier}
+        },
+        f"{kind}_filter_mask_server": {"ros__parameters": served},
+    }
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True).encode()
+
+
+# ---------------------------------------------------------------- reading
+
+
+def read_keepout(
+    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
+) -> NavGrid:
+    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=False, grid=grid, level=level)
+
+
+def read_speed(
+    path: str | PathLike[str],
+    *,
+    grid: NavGrid | None = None,
+    level: int = 0,
+    agent: str | Agent | None = None,
+) -> NavGrid:
+    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
+
+
+def read_mask(
+    path: str | PathLike[str],
+    *,
+    has_limits: bool,
+    grid: NavGrid | None = None,
+    level: int = 0,
+    agent: str | Agent | None = None,
+) -> NavGrid:
+    """Read a mask of the keepout or speed filter as areas, one for each value but 0 and unknown.
+
+    In a keepout mask, 99 and 100 bar all agents, and less is nav2's cost.
+
+    Args:
+        path: the mask's YAML. The filter's parameters are read where `encode_mask` writes them;
+            without them, values are percent.
+        has_limits: whether it is one of the speed filter.
+        grid: the grid that gets the areas, after its own; a new one of free cells if None. A cell
+            takes what the mask has at its centre.
+        level: of the grid.
+        agent: whose speed is 100 %: a name in the grid, or an agent; 1 m/s if None.
+
+    Raises:
+        FormatError: a file is broken, there is no such level, or there are too many areas.
+        QueryError: the grid names no such agent.
+    """
+    values, (x, y), stated = read_map(path)
+    cell = stated.resolution
+    height, width = values.shape
+    if grid is None:
+        empty, level = np.zeros_like(values), 0
+        metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
+        grid = level_from_values(empty, cell, (x, y, stated.ground), metadata)
+        checked_grid(grid, JsonPath(check_path(path)))
+    if not 0 <= level < len(grid.levels):
+        raise FormatError(f"no level {level}: the grid has {len(grid.levels)}, counted from 0")
+    target = grid.levels[level].lattice
+    rows, cols = np.indices(target.shape)
+    rows, cols = Lattice(x, y + height * cell, cell, width, height).rows_cols(
+        target.positions(rows, cols)
+    )
+    inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    seen = np.zeros(target.shape, dtype=np.int8)
+    seen[inside] = values[rows[inside], cols[inside]]
+    whose = find_agent(grid, agent)
+    scale = _read_info(Path(path)) if has_limits else Scale()
+    table, index = list(grid.areas), grid.levels[level].area_index.copy()
+    names = {area.name for area in table}
+    for value in np.unique(seen[seen > FREE]).tolist():
+        area = _area_of(value, scale, has_limits, SPEED if whose is None else whose.speed)
+        name, again = area.name, 2
+        while name in names:
+            name, again = f"{area.name} ({again})", again + 1
+        names.add(name)
+        table.append(Area(name, area.cost, area.speed))
+        if len(table) > MAX_AREAS:
+            raise FormatError(f"expected at most {MAX_AREAS} areas, got more by {path}")
+        index[seen == value] = len(table)
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "areas": [a.to_json() for a in table]}}
+    levels = list(grid.levels)
+    for k, own in enumerate(levels):
+        attributes = {"area": index} if k == level else {}
+        navbake = {**own.navbake, "areas": metadata["navbake"]["areas"]}
+        levels[k] = own.with_layers(
+            attributes=attributes, metadata={**own.metadata, "navbake": navbake}
+        )
+    done: NavGrid = grid.with_levels(levels, metadata)
+    return done
+
+
+def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:
+    """The area of the cells with a value."""
+    if not has_limits:
+        if value >= INSCRIBED:
+            return Area("keepout" if value == OCCUPIED else f"keepout {value}", math.inf)
+        return Area(f"cost {value}", float(1 + math.ceil(251 * (value - 1) / 97)))
+    limit = round(scale.base + scale.multiplier * value, 9)
+    speed = limit if scale.type == ABSOLUTE else round(limit / 100.0 * fastest, 9)
+    name = f"speed {limit:g} m/s" if scale.type == ABSOLUTE else f"speed {limit:g} %"
+    # nav2 takes limits that are no share of a speed for none
+    return Area(name, 1.0, speed if speed > 0 else None)
+
+
+def _read_info(path: Path) -> Scale:
+    """The parameters beside a mask; percent without them."""
+    info = _info_path(path)
+    if not info.exists():
+        return Scale(PERCENT)
+    data, name = read_bytes(info)
+    try:
+        content = parse_yaml(data.decode("utf-8-sig"), name)
+    except (UnicodeDecodeError, ConfigError) as error:
+        raise FormatError(f"expected the parameters of a filter in {name}: {error}") from error
+    place = JsonPath(name)
+    for node, entry in json_object(content, place).items():
+        own = json_object(json_object(entry, place).get("ros__parameters"), place[str(node)])
+        if "multiplier" in own and "type" in own:
+            numbers = [float(number(own.get(key), place[str(node)][key])) for key in Scale._fields]
+            if numbers[0] not in (PERCENT, ABSOLUTE):
+                place[str(node)]["type"].refuse("1 (percent) or 2 (m/s)", own["type"])
+            return Scale(int(numbers[0]), *numbers[1:])
+    place.fail("expected a node with type, base and multiplier")

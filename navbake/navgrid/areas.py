@@ -1,0 +1,65 @@
+"""The areas of a grid: what their cells cost, how fast and for whom they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+
+from navbake.errors import FormatError
+from navbake.navgrid.agents import Agent
+from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table
+from navbake.types import Json
+
+WHERE = "metadata.navbake.areas"
+MAX_AREAS = 255
+
+
+@dataclass(frozen=True)
+class Area:
+    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
+
+    name: str  #: Unique in the grid.
+    cost: float = 1.0  #: By which the weights of its cells are multiplied; inf bars all agents.
+    speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
+    agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
+
+    def bars(self, agent: Agent | None) -> bool:
+        """Whether an agent may not enter it; without one, whether nobody may."""
+        is_named = agent is None or self.agents is None or agent.name in self.agents
+        return math.isinf(self.cost) or not is_named
+
+    def to_json(self) -> Json:
+        """The area's entry in the file's table."""
+        entry: Json = {"name": self.name, "cost": "inf" if math.isinf(self.cost) else self.cost}
+        if self.speed is not None:
+            entry["speed"] = self.speed
+        if self.agents is not None:
+            entry["agents"] = list(self.agents)
+        return entry
+
+
+class _Entry(msgspec.Struct):
+    """An area in a file."""
+
+    name: Name
+    cost: NonNegative | Literal["inf"] = 1.0
+    speed: Positive | None = None
+    agents: tuple[str, ...] | None = None
+
+
+def parse_areas(stated: Any) -> tuple[Area, ...]:
+    """Read and check ``metadata.navbake.areas``; None is no area."""
+    areas: dict[str, Area] = {}
+    entries: list[_Entry] = read_table(stated or [], list[_Entry], WHERE)
+    if len(entries) > MAX_AREAS:
+        raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{WHERE}`")
+    for number, entry in enumerate(entries):
+        if entry.name in areas:
+            raise FormatError(
+                f"expected unique names, got {entry.name!r} twice at `{WHERE}[{number}].name`"
+            )
+        areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
+    return tuple(areas.values())

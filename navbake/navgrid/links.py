@@ -1,0 +1,217 @@
+"""Ways that aren't the floor of one level: steps as the bake finds them, and named links.
+
+``metadata.navbake.links`` lists both: a step is a row of four integers, a link an object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
+
+import msgspec
+import numpy as np
+
+from navbake.errors import FormatError
+from navbake.navgrid.agents import SPEED, Agent
+from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table, unflatten
+from navbake.types import Bool, Float, Int, Json, Vector3
+
+WHERE = "metadata.navbake.links"
+LinkState: TypeAlias = Literal["open", "closed"]
+LINK_STATES: tuple[str, ...] = get_args(LinkState)
+
+SLACK = 1e-9  # share by which an agent may be wider than a link
+
+Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
+Row = tuple[Id, Id, Id, Id]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step between two cells, in both directions, that their heights alone don't show.
+
+    It joins two levels, or two neighbours on a ramp that rises more than a step over a cell.
+    """
+
+    level: int  #: One end's level.
+    cell: int  #: The id of its cell on it (col + row * width).
+    other_level: int  #: The other end's level.
+    other_cell: int  #: The id of its cell.
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place where agents enter and leave a link."""
+
+    level: int
+    cell: int  #: The id of its cell (col + row * width).
+    position: Vector3  #: As it was given or found, world x, y, z [m].
+
+
+@dataclass(frozen=True)
+class Link:
+    """A named way between two or more places: a lift, a drop, a ladder, a flight of stairs.
+
+    It leads from each stop to each other one, or only to later ones.
+    """
+
+    name: str  #: Unique in the grid.
+    kind: str  #: ``lift``, ``drop``, ``jump``, ``ladder``, ``stair`` or any other word.
+    stops: tuple[Stop, ...]  #: Two or more.
+    one_way: bool = False  #: Whether it leads to later stops only.
+    width: float | None = None  #: The widest agent's diameter [m]; None for any.
+    #: Of a passage [m]; None for the length, over the stops in between.
+    cost: float | None = None
+    seconds: float | None = None  #: Of a passage; None for its cost over the agent's speed.
+    agents: tuple[str, ...] | None = None  #: Names of those that may use it; None for all.
+    state: str = "open"  #: Or ``closed``.
+    auto: bool = False  #: Whether the bake found it.
+    #: Of a lift: world x, y of its car's middle [m], its yaw [rad], width along it and depth [m].
+    car: tuple[float, float, float, float, float] | None = None
+
+    def refuses(self, agent: Agent | None) -> str | None:
+        """Why an agent of any size can't use it, as "is closed"; None if it can."""
+        if self.state == "closed":
+            return "is closed"
+        if agent is not None and self.agents is not None and agent.name not in self.agents:
+            return f"bars {agent.name!r}"
+        return None
+
+    def length(self, begin: int, end: int) -> float:
+        """Length from a stop to another over those in between, by their numbers [m]."""
+        low, high = sorted((begin, end))
+        places = [stop.position for stop in self.stops[low : high + 1]]
+        return sum(math.dist(a, b) for a, b in pairwise(places))
+
+    def to_json(self) -> Json:
+        """The link's entry in the file's table."""
+        entry: Json = {
+            "name": self.name,
+            "kind": self.kind,
+            "stops": [[stop.level, stop.cell] for stop in self.stops],
+            "positions": [list(stop.position) for stop in self.stops],
+            "one_way": self.one_way,
+        }
+        values = (("width", self.width), ("cost", self.cost), ("seconds", self.seconds))
+        entry |= {key: value for key, value in values if value is not None}
+        if self.agents is not None:
+            entry["agents"] = list(self.agents)
+        entry |= {"car": list(self.car)} if self.car is not None else {}
+        return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
+
+
+class Arcs(NamedTuple):
+    """Passages over links, from stop to stop; without those that a closed or barred link has."""
+
+    ends: Int  # flat ids of the cells that each leads from and to, shape (n, 2)
+    link: Int  # the link's place in the grid's `links`
+    width: Float  # of the widest agent [m], inf for any
+    cost: Float  # [m]
+    seconds: Float
+
+    def wide(self, radius: float) -> Bool:
+        """Which of them an agent of a radius fits through."""
+        return np.asarray(self.width >= 2.0 * radius * (1.0 - SLACK))
+
+
+def find_arcs(
+    links: Sequence[Link], start: Int, agent: Agent | None = None, penalty: float | None = None
+) -> Arcs:
+    """The passages over links that an agent may use, of any size; without one, over open links.
+
+    Args:
+        start: the first flat id of each level.
+        agent: whose rights and speed count.
+        penalty: what passages cost more that aren't allowed, also those against a link of one way
+            [m] and [s]; they are left out if None.
+    """
+    speed, rows = SPEED if agent is None else agent.speed, []
+    for number, link in enumerate(links):
+        cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
+        width = math.inf if link.width is None else link.width
+        for one, other in np.ndindex(len(cells), len(cells)):
+            is_allowed = not link.refuses(agent) and not (link.one_way and other < one)
+            if cells[one] == cells[other] or not (is_allowed or penalty):
+                continue
+            cost = link.length(one, other) if link.cost is None else link.cost
+            seconds = cost / speed if link.seconds is None else link.seconds
+            more = 0.0 if is_allowed else float(penalty or 0.0)
+            rows.append((cells[one], cells[other], number, width, cost + more, seconds + more))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    ends, numbers = table[:, :2].astype(np.int64), table[:, 2].astype(np.int64)
+    return Arcs(ends, numbers, *table[:, 3:].T.copy())
+
+
+class _Entry(msgspec.Struct):
+    """A link in a file."""
+
+    name: Name
+    kind: Name
+    stops: Annotated[list[tuple[Id, Id]], msgspec.Meta(min_length=2)]
+    positions: list[Vector3]
+    one_way: bool = False
+    width: Positive | None = None
+    cost: NonNegative | None = None
+    seconds: NonNegative | None = None
+    agents: tuple[str, ...] | None = None
+    state: LinkState = "open"
+    auto: bool = False
+    car: tuple[float, float, float, float, float] | None = None
+
+
+def _read(stated: Any) -> list[tuple[int, Row | _Entry]]:
+    """The steps and links of a table, each after its number in it."""
+    entries = unflatten(stated or [])
+    is_mixed = isinstance(entries, list) and any(isinstance(entry, dict) for entry in entries)
+    kind: Any = list[Row | _Entry] if is_mixed else list[Row]
+    return list(enumerate(read_table(entries, kind, WHERE)))
+
+
+def parse_steps(stated: Any, num_cells: Sequence[int]) -> Int:
+    """Read the steps of ``metadata.navbake.links``, a list of entries or flat, or None.
+
+    `num_cells` are the levels' numbers of cells. Each row has the fields of a `Step`, shape
+    (n, 4), int64, read-only.
+    """
+    rows = [(number, row) for number, row in _read(stated) if isinstance(row, tuple)]
+    steps = np.array([row for _, row in rows], dtype=np.int64).reshape(-1, 4)
+    for at, (level, cell) in enumerate(steps.reshape(-1, 2).tolist()):
+        _check_cell(level, cell, num_cells, f"link {rows[at // 2][0]}")
+    steps.flags.writeable = False
+    return steps
+
+
+def parse_links(stated: Any, num_cells: Sequence[int]) -> tuple[Link, ...]:
+    """Read and check the named links of ``metadata.navbake.links``, as `parse_steps`."""
+    links: dict[str, Link] = {}
+    for number, entry in _read(stated):
+        if isinstance(entry, tuple):
+            continue
+        if entry.name in links:
+            raise FormatError(
+                f"expected unique names, got {entry.name!r} twice at `{WHERE}[{number}].name`"
+            )
+        if len(entry.positions) != len(entry.stops):
+            raise FormatError(
+                f"expected a position for each of {len(entry.stops)} stops, got "
+                f"{len(entry.positions)}, in link {entry.name!r} at `{WHERE}[{number}].positions`"
+            )
+        for level, cell in entry.stops:
+            _check_cell(level, cell, num_cells, f"link {number} ({entry.name!r})")
+        stops = [
+            Stop(level, cell, position)
+            for (level, cell), position in zip(entry.stops, entry.positions, strict=True)
+        ]
+        fields = {k: v for k, v in msgspec.structs.asdict(entry).items() if k != "positions"}
+        links[entry.name] = Link(**{**fields, "stops": tuple(stops)})
+    return tuple(links.values())
+
+
+def _check_cell(level: int, cell: int, num_cells: Sequence[int], what: str) -> None:
+    if not (0 <= level < len(num_cells) and 0 <= cell < num_cells[level]):
+        raise FormatError(
+            f"expected an existing cell, got cell {cell} of level {level} in {what} at `{WHERE}`"
+        )

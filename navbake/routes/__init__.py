@@ -1,0 +1,1 @@
+"""Sparse graphs of where agents drive."""

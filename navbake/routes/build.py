@@ -1,0 +1,483 @@
+"""Makes the graph of routes of a grid: nodes where agents turn, and lanes that are free for them.
+
+Nodes are doors, rooms' middles, the stops of links and stairs, and junctions of the medial axis of
+the free cells; where a free cell is farther than `REACH` from all of these, waypoints are added.
+Lanes are straight lines that `Search.can_pass` allows an agent inflated to its radius, so that its
+disc meets nothing on them. They are a greedy spanner: by length, those that are shorter than
+the way over the others by more than a tenth. Where regions of nodes touch that are joined by no
+such way, the corners of the path between them become nodes.
+
+Source: Althöfer et al. 1993 for the spanner; Zhang and Suen 1984 for thinning.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from navbake.lazy import lazy
+from navbake.navgrid.agents import SPEED, Agent
+from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.links import SLACK, Link
+from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
+from navbake.runtime.agents import find_agent, fit_grid
+from navbake.runtime.cuts import group_steps
+from navbake.runtime.paths import find_path
+from navbake.runtime.search import Search
+from navbake.types import Bool, Float, Int
+
+ndimage = lazy("scipy.ndimage")
+sparse = lazy("scipy.sparse")
+spatial = lazy("scipy.spatial")
+
+LEAST_AREA = 4.0  # m²: smaller islands have no nodes
+REACH = 2.0  # metres from any cell to a node
+APART = 1.0  # metres between nodes that see each other
+SNAP = 0.4  # metres from a corner of a path to a node that takes its place
+HOPS = 3  # regions from one node's to another's, between which a way has to be short
+STRETCH = 1.07  # of a way over other lanes, against a straight one
+LONGEST = 20.0  # metres of a lane
+DIGITS = 6  # of positions and lengths, after the point: micrometres
+
+
+def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
+    """Make the graph of routes of a grid for an agent, as the grid is now.
+
+    Args:
+        grid: of one or several levels; it is inflated to the agent's radius.
+        agent: its name in the grid, or an Agent; None for one of the grid's radius with all rights.
+
+    Raises:
+        QueryError: the grid names no such agent, or isn't for one of its size.
+    """
+    return _Builder(grid, find_agent(grid, agent)).build()
+
+
+class _Place(NamedTuple):
+    """A node before it has its name and position."""
+
+    cell: int
+    kind: str
+    name: str = ""
+    door: str | None = None
+    link: str | None = None
+
+
+class _Builder:
+    """The nodes and lanes of a graph while they are found."""
+
+    def __init__(self, grid: NavGrid, agent: Agent | None) -> None:
+        self.speed = SPEED if agent is None else agent.speed
+        fitted = fit_grid(grid, agent)
+        self.radius = fitted.radius
+        # lines are swept exactly on inflated grids only
+        exact = fitted if fitted.inflated_radius >= fitted.radius else fitted.inflate(fitted.radius)
+        self.search = Search(exact, agent=agent and agent.of_any_size(), radius=self.radius)
+        self.grid = self.search.grid
+        self.flat = flat = self.search.flat
+        areas = self.search.islands.areas
+        self.inside: Bool = flat.free & (areas >= LEAST_AREA)[self.search.islands.number]
+        self.clearance = np.concatenate([
+            ndimage.distance_transform_edt(
+                np.pad(flat.free[flat.cells_of(number)].reshape(level.shape), 1)
+            )[1:-1, 1:-1].ravel() * level.lattice.cell_size
+            for number, level in enumerate(self.grid.levels)
+        ])  # fmt: skip
+        self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
+        self.leaves = {cell: own.id for own in grid.doors for cell in self._leaf(own).tolist()}
+        self.places: list[_Place] = []
+        self.points = np.empty((0, 3))
+        self.lanes: list[Lane] = []
+        self.distance = np.empty((0, 0))  # of the cheapest ways over lanes [m]
+
+    def build(self) -> RouteGraph:
+        for place in (*self._stops(), *self._doors(), *self._rooms()):
+            self._add(place)
+        for place in self._junctions():
+            if self.inside[place.cell] and not self._is_near(place.cell):
+                self._add(place)
+        self._cover()
+        self._link()
+        self._join_visible()
+        self._join_regions()
+        return self._graph()
+
+    # ---------------------------------------------------------------- nodes
+
+    def _add(self, place: _Place) -> int:
+        """Add a node; returns the index of it, or of the one that its cell has already."""
+        for number, other in enumerate(self.places):
+            if other.cell == place.cell:
+                if other.kind in ("junction", "waypoint") and place.kind != "waypoint":
+                    self.places[number] = place
+                return number
+        self.places.append(place)
+        at = np.round(self.flat.positions(place.cell), DIGITS) + 0.0
+        self.points = np.concatenate([self.points, at[None]])
+        self.distance = np.pad(self.distance, (0, 1), constant_values=math.inf)
+        self.distance[-1, -1] = 0.0
+        return len(self.places) - 1
+
+    def _is_near(self, cell: int) -> bool:
+        """Whether a node is near a cell and sees it."""
+        level, at = int(self.flat.level_of(cell)), self.flat.positions(cell)
+        near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART)
+        return any(
+            self.flat.level_of(self.places[k].cell) == level
+            and self._sees(self.places[k].cell, cell)
+            for k in near.tolist()
+        )
+
+    def _stops(self) -> Iterator[_Place]:
+        """The stops of links that the agent may use, and the middle steps of stairs."""
+        for link in self._links():
+            for number, stop in enumerate(link.stops):
+                cell = int(self.flat.layout.start[stop.level]) + stop.cell
+                if self.flat.free[cell]:
+                    yield _Place(cell, "stop", f"{link.name} {number}", link=link.name)
+        for number, group in enumerate(group_steps(self.search)):
+            ends = self._middle(group.ends)
+            if ends is not None:
+                for level, cell in zip((group.low, group.high), ends, strict=True):
+                    yield _Place(cell, "stop", f"{group.what} {number} {level}")
+
+    def _links(self) -> list[Link]:
+        """The named links that are open, for the agent, and wide enough."""
+        least = 2.0 * self.radius * (1.0 - SLACK)
+        return [
+            link
+            for link in self.grid.links
+            if link.refuses(self.search.agent) is None
+            and (link.width is None or link.width >= least)
+        ]
+
+    def _middle(self, ends: Int) -> tuple[int, int] | None:
+        """Both cells of the free step of some that is farthest from what is beside it."""
+        ends = ends[self.inside[ends].all(axis=1)]
+        if not len(ends):
+            return None
+        room = np.round(self.clearance[ends].min(axis=1), DIGITS)
+        places = self.flat.positions(ends).mean(axis=1)
+        off = np.linalg.norm(places - places.mean(axis=0), axis=1)
+        low, high = ends[np.lexsort((off, -room))[0]].tolist()
+        return low, high
+
+    def _leaf(self, door: Any) -> Int:
+        """The flat ids of the cells that a door's leaf takes when closed."""
+        cells = door.solid_in if door.solid else door.cells_in
+        pairs = zip(self.flat.layout.start, cells("closed", self.flat.num_levels), strict=False)
+        return np.concatenate([start + ids for start, ids in pairs])
+
+    def _doors(self) -> Iterator[_Place]:
+        for door in self.grid.doors:
+            cells = self._leaf(door)
+            cells = cells[self.inside[cells]]
+            if len(cells):
+                cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
+                yield _Place(cell, "door", door.id, door=door.id)
+
+    def _rooms(self) -> Iterator[_Place]:
+        """The widest place of each room, the nearest to its centre of several."""
+        rooms = self.search.rooms
+        for number, room in enumerate(rooms.rooms, 1):
+            cells = np.flatnonzero((rooms.number == number) & self.inside)
+            if len(cells):
+                off = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
+                best = np.lexsort((off, -np.round(self.clearance[cells], DIGITS)))[0]
+                yield _Place(int(cells[best]), "room", room.name or room.id)
+
+    def _junctions(self) -> Iterator[_Place]:
+        """Where three branches of the medial axis meet, the widest first."""
+        found = []
+        for number, level in enumerate(self.grid.levels):
+            part = self.flat.cells_of(number)
+            thin = _thin(self.inside[part].reshape(level.shape))
+            _, turns = _around(np.pad(thin, 1))
+            found.append(part.start + np.flatnonzero(thin & (turns >= 3)))
+        cells = np.concatenate(found)
+        order = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
+        return (_Place(cell, "junction") for cell in cells[order].tolist())
+
+    def _cover(self) -> None:
+        """Add waypoints until every cell is near a node."""
+        cells = np.flatnonzero(self.inside)
+        places = self.flat.positions(cells)
+        places[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
+        tree = spatial.cKDTree(places)
+        while True:
+            nodes = np.array([place.cell for place in self.places], dtype=np.int64)
+            far = np.full(len(cells), math.inf)
+            if len(nodes):
+                far = self.search.field(nodes, by="length")[cells]
+            left = np.flatnonzero(far > REACH)
+            if not len(left):
+                return
+            left = left[np.argsort(-far[left], kind="stable")]
+            taken = np.zeros(len(cells), dtype=np.bool_)
+            for one in left.tolist():
+                if not taken[one]:
+                    near = np.array(tree.query_ball_point(places[one], REACH / 2))
+                    same = self.search.islands.number[cells[near]]
+                    near = near[same == self.search.islands.number[cells[one]]]
+                    room = np.round(self.clearance[cells[near]], DIGITS)
+                    best = near[np.lexsort((near, -room))[0]]
+                    # a wider place only where it still reaches this one
+                    best = best if self._sees(cells[best], cells[one]) else one
+                    self._add(_Place(int(cells[best]), "waypoint"))
+                    taken[tree.query_ball_point(places[one], REACH)] = True
+
+    def _sees(self, one: int, other: int) -> bool:
+        """Whether an agent may move straight from one cell's centre to another's on its level.
+
+        It may where `Search.can_pass` allows it, or over steps along a row, column or diagonal.
+        """
+        from navbake.runtime.kernels.arrays import COL_STEP, ROW_STEP  # numba loads slowly
+
+        level, (a, b) = int(self.flat.level_of(one)), self.flat.positions(np.array([one, other]))
+        a, b = np.round(a[:2], DIGITS), np.round(b[:2], DIGITS)
+        if self.search.can_pass(a, b, level):
+            return True
+        _, (row, to_row), (col, to_col) = self.flat.split(np.array([one, other]))
+        down, across = int(to_row - row), int(to_col - col)
+        count = max(abs(down), abs(across))
+        if not count or not (down == 0 or across == 0 or abs(down) == abs(across)):
+            return False
+        step = down // count * int(self.flat.layout.width[level]) + across // count
+        steps = zip(ROW_STEP, COL_STEP, strict=True)
+        bit = next(k for k, way in enumerate(steps) if way == (down // count, across // count))
+        return bool((self.search.graph.moves[one + step * np.arange(count)] >> bit & 1).all())
+
+    # ---------------------------------------------------------------- lanes
+
+    def _apart(self, one: Any, other: Any) -> Any:
+        """How far nodes are apart, seen from above, as paths' lengths are [m]."""
+        return np.hypot(*(self.points[one] - self.points[other])[..., :2].T)
+
+    def _join(self, one: int, other: int, **fields: Any) -> None:
+        """Add a lane between two nodes, and what it shortens."""
+        length = self._apart(one, other)
+        fields = {"length": length, "cost": length, **fields}
+        self.lanes.append(Lane(one, other, "", **fields))
+        ways = [(one, other)] + [(other, one)] * fields.get("two_way", True)
+        for a, b in ways:
+            over = self.distance[:, a, None] + fields["cost"] + self.distance[None, b]
+            np.minimum(self.distance, over, out=self.distance)
+
+    def _link(self) -> None:
+        """Add the lanes over links and stairs."""
+        index = {place.cell: k for k, place in enumerate(self.places)}
+        start = self.flat.layout.start
+        for link in self._links():
+            cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
+            for i, j in zip(*np.triu_indices(len(cells), 1), strict=True):
+                if {cells[i], cells[j]} <= index.keys() and cells[i] != cells[j]:
+                    length = link.length(int(i), int(j))
+                    cost = length if link.cost is None else link.cost
+                    self._join(
+                        index[cells[i]], index[cells[j]], length=length, cost=cost,
+                        two_way=not link.one_way, kind=link.kind, link=link.name,
+                        seconds=cost / self.speed if link.seconds is None else link.seconds,
+                    )  # fmt: skip
+        for group in group_steps(self.search):
+            ends = self._middle(group.ends)
+            if ends is not None:
+                self._join(index[ends[0]], index[ends[1]], kind=group.what)
+
+    def _is_free(self, one: int, other: int, doors: set[str | None]) -> bool:
+        """Whether a straight lane is free, and leads through no other doors than some."""
+        cells = self.places[one].cell, self.places[other].cell
+        return self._sees(*cells) and self._doors_on(one, other) <= doors
+
+    def _doors_on(self, one: int, other: int) -> set[str | None]:
+        """The doors whose leaves lie on the line between two nodes, and those of its ends; None."""
+        level, (a, b) = (
+            int(self.flat.level_of(self.places[one].cell)),
+            self.points[[one, other], :2],
+        )
+        on = {self.leaves.get(cell) for cell in self._cells_on(a, b, level).tolist()}
+        return on | {None, self.places[one].door, self.places[other].door}
+
+    def _cells_on(self, a: Float, b: Float, level: int) -> Int:
+        """The cells along a line, by points a quarter of a cell apart."""
+        size = float(self.flat.layout.cell_size[level])
+        count = math.ceil(float(np.linalg.norm(b - a)) / size * 4) + 1
+        shares = (np.arange(count) + 0.5)[:, None] / count
+        return self.flat.cells_at(a + shares * (b - a), level)
+
+    def _join_visible(self) -> None:
+        """Add lanes between nodes that see each other, unless a way over shorter ones will do."""
+        levels = self.flat.level_of(np.array([place.cell for place in self.places]))
+        pairs = []
+        for level in range(self.flat.num_levels):
+            own = np.flatnonzero(levels == level)
+            if len(own) > 1:
+                tree = spatial.cKDTree(self.points[own, :2])
+                pairs.append(own[tree.query_pairs(LONGEST, output_type="ndarray")])
+        if not pairs:
+            return
+        one, other = np.sort(np.concatenate(pairs), axis=1).T
+        length = np.round(self._apart(one, other), DIGITS)
+        order = np.lexsort((other, one, length))
+        ways = zip(one[order].tolist(), other[order].tolist(), length[order].tolist(), strict=True)
+        for a, b, straight in ways:
+            doors = {None, self.places[a].door, self.places[b].door}
+            if self.distance[a, b] > STRETCH * straight and self._is_free(a, b, doors):
+                self._join(a, b)
+
+    def _join_regions(self) -> None:
+        """Add the paths between nodes whose regions are near, unless a way over lanes will do.
+
+        A cell belongs to the node that is the nearest by steps.
+        """
+        size = len(self.places)
+        if not size:
+            return
+        ends = self._touching()
+        touch = sparse.csr_array((np.ones(len(ends), np.int64), tuple(ends.T)), (size, size))
+        near = touch = touch + touch.T
+        for _ in range(HOPS - 1):
+            near = near + near @ touch
+        one, other = sparse.triu(near, 1).nonzero()
+        straight = np.round(self._apart(one, other), DIGITS)
+        order = np.lexsort((other, one, straight))
+        pairs = np.stack([one, other], axis=1)[order].tolist()
+        for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
+            if self.distance[a, b] > STRETCH * least:
+                self._join_path(a, b, {None, self.places[a].door, self.places[b].door})
+        for a, b in ends.tolist():  # through doors that stand side by side
+            if not math.isfinite(self.distance[a, b]):
+                self._join_path(a, b, {None, *self.leaves.values()})
+
+    def _touching(self) -> Int:
+        """The pairs of nodes whose regions touch on a level, shape (n, 2)."""
+        from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
+
+        cells = np.array([place.cell for place in self.places])
+        _, onward = self.search.onward(cells)
+        root = np.where(onward < 0, np.arange(len(onward)), onward)
+        while (root != root[root]).any():
+            root = root[root]
+        index = np.full(len(root), -1)
+        index[cells] = np.arange(len(cells))
+        pairs = []
+        for level in range(self.flat.num_levels):
+            own, width = self.flat.cells_of(level), int(self.flat.layout.width[level])
+            for bit, step in ((EAST, 1), (SOUTH, width)):
+                here = own.start + np.flatnonzero(self.search.graph.moves[own] & bit)
+                pairs.append(np.stack([index[root[here]], index[root[here + step]]], axis=1))
+        found = np.unique(np.concatenate(pairs), axis=0)
+        differ: Int = found[(found >= 0).all(axis=1) & (found[:, 0] != found[:, 1])]
+        return differ
+
+    def _join_path(self, one: int, other: int, doors: set[str | None]) -> None:
+        """Add the path between two nodes of a level: its corners, and lanes between them."""
+        level = int(self.flat.level_of(self.places[one].cell))
+        if level != self.flat.level_of(self.places[other].cell):
+            return
+        found = find_path(
+            self.search, self.points[one, :2], self.points[other, :2], level, smooth=True
+        )
+        if found is None or found.links or (found.levels != level).any():
+            return
+        if self.distance[one, other] <= STRETCH * found.length:
+            return
+        cells = self.flat.cells_at(found.positions[1:-1, :2], level)
+        centers = self.flat.positions(cells)[:, :2]
+        turns = np.abs(centers - found.positions[1:-1, :2]).max(axis=1, initial=0.0) < 1e-6
+        # corners of the path, without the points where only the floor bends
+        left, corners = [*cells[turns].tolist(), self.places[other].cell], [one]
+        while left:
+            seen = [
+                k for k, cell in enumerate(left) if self._sees(self.places[corners[-1]].cell, cell)
+            ]
+            last = max(seen, default=0)
+            ahead = left[last + 1 : last + 2]
+            near = np.hypot(*(self.points - self.flat.positions(left[last]))[:, :2].T)
+            known = [
+                k
+                for k in np.flatnonzero(near < SNAP).tolist()
+                if self.flat.level_of(self.places[k].cell) == level
+                and all(
+                    self._sees(self.places[k].cell, end)
+                    for end in (self.places[corners[-1]].cell, *ahead)
+                )
+            ]
+            known.sort(key=near.__getitem__)
+            corners.append(
+                known[0] if known and ahead else self._add(_Place(left[last], "waypoint"))
+            )
+            left = left[last + 1 :]
+        for a, b in itertools.pairwise(corners):
+            if a != b and self.distance[a, b] > self._apart(a, b) and self._is_free(a, b, doors):
+                self._join(a, b)
+
+    # ---------------------------------------------------------------- the graph
+
+    def _graph(self) -> RouteGraph:
+        rooms, taken, nodes = self.search.rooms, set[str](), []
+        for number, (place, point) in enumerate(zip(self.places, self.points, strict=True)):
+            name = base = place.name or f"{place.kind} {number}"
+            while name in taken:
+                name = f"{base} ({number})"
+                number += 1
+            taken.add(name)
+            room = rooms.id_of(int(rooms.number[place.cell]))
+            level = int(self.flat.level_of(place.cell))
+            x, y, z = point.tolist()
+            nodes.append(Node(name, (x, y, z), level, place.kind, room, place.door, place.link))
+        lanes = tuple(self._finish(lane, nodes) for lane in self.lanes)
+        return RouteGraph(
+            tuple(nodes), lanes, self.grid.scene_id, tuple(self.grid.level_names),
+            (self.search.agent and self.search.agent.name) or None, self.radius, self.speed,
+        )  # fmt: skip
+
+    def _finish(self, lane: Lane, nodes: list[Node]) -> Lane:
+        """A lane with its name, its door, and what areas make of its cost and speed."""
+        one, other = nodes[lane.start], nodes[lane.end]
+        fields = {name: getattr(lane, name) for name in lane.__dataclass_fields__}
+        fields["name"] = f"{one.name} - {other.name}"
+        through = self._doors_on(lane.start, lane.end) if lane.kind == FLOOR else {None}
+        fields["door"] = min((door for door in through if door), default=None)
+        if lane.kind == FLOOR:
+            begin, end = self.points[[lane.start, lane.end], :2]
+            cells = self._cells_on(begin, end, one.level)
+            table = self.grid.areas
+            fields["cost"] = lane.length * float(self.flat.weight[cells].mean())
+            speeds = [table[k - 1].speed for k in np.unique(self.areas[cells]).tolist() if k]
+            fields["speed"] = min((v for v in speeds if v is not None), default=None)
+        for key in ("length", "cost", "seconds"):
+            fields[key] = None if fields[key] is None else round(float(fields[key]), DIGITS)
+        return Lane(**fields)
+
+
+def _around(padded: Bool) -> tuple[Int, Int]:
+    """How many of the eight neighbours of cells are set, and how often the ring turns to set."""
+    inner = padded[1:-1, 1:-1].shape
+    ways = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
+    ring = [padded[r : r + inner[0], c : c + inner[1]].view(np.int8) for r, c in ways]
+    turns = [
+        (one == 0) & (other == 1) for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
+    ]
+    return np.sum(ring, axis=0), np.sum(turns, axis=0)
+
+
+def _thin(mask: Bool) -> Bool:
+    """Thin a mask to lines one cell wide."""
+    padded = np.pad(mask, 1)
+    while True:
+        before = np.count_nonzero(padded)
+        for first in (True, False):
+            count, turns = _around(padded)
+            north, east = padded[:-2, 1:-1], padded[1:-1, 2:]
+            south, west = padded[2:, 1:-1], padded[1:-1, :-2]
+            keeps = (north & east & south) | (east & south & west)
+            if not first:
+                keeps = (north & east & west) | (north & south & west)
+            goes = padded[1:-1, 1:-1] & (count >= 2) & (count <= 6) & (turns == 1) & ~keeps
+            padded[1:-1, 1:-1][goes] = False
+        if np.count_nonzero(padded) == before:
+            return padded[1:-1, 1:-1]

@@ -1,0 +1,89 @@
+"""Which agent plans, and the grid for its size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+from weakref import WeakSet
+
+from navbake.errors import QueryError
+from navbake.known_names import suggest
+from navbake.navgrid.agents import Agent
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.blocks import block
+from navbake.runtime.inflation import check_radius, ledges_of
+
+SAME = 1e-9  # [m] between two sizes that are one
+ROUNDING = 1e-5  # [m] of floors in files, which are float32
+
+
+def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
+    """The agent of a name that the grid lists; an agent, or None, as it is given."""
+    if agent is None or isinstance(agent, Agent):
+        return agent
+    known: Mapping[str, Agent] = grid.agents
+    if agent not in known:
+        raise QueryError(f"no agent {agent!r} in {grid.scene_id!r}: {suggest(agent, known)}")
+    return known[agent]
+
+
+def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
+    """The grid for an agent's size: inflated to its radius, with steps as low as it takes.
+
+    It follows the blocks of the given grid, which is returned itself if it fits. Goes by floors
+    alone where steps are lowered: a ramp that rises more over a cell is none for the agent.
+
+    Raises:
+        QueryError: the agent is higher, takes higher steps, or is smaller than the grid was
+            inflated for.
+    """
+    if agent is None:
+        return grid
+    of, name = f"the grid of {grid.scene_id or 'scene'!r}", f" (agent {agent.name!r})"
+    name = name if agent.name else ""
+    for what, key, stated, most in (
+        ("agents", "height", agent.height, grid.agent_height),
+        ("steps", "traversable_floor_height", agent.step, grid.max_step),
+    ):
+        if stated is not None and stated > most + SAME:
+            raise QueryError(
+                f"{of} is for {what} up to {most:g} m, got {stated:g} m{name}: bake it with "
+                f"agent.{key}={stated:g}"
+            )
+    clean: NavGrid = grid.without_blocks()
+    fitted, radius = clean, agent.radius
+    if agent.step is not None and agent.step < grid.max_step - SAME:
+        fitted = _with_step(fitted, agent.step)
+    if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME):
+        check_radius(radius)
+        if radius < grid.inflated_radius:
+            raise QueryError(
+                f"{of} was inflated to {grid.radius:g} m, got {radius:g} m{name}: plan on the "
+                "grid as it was baked"
+            )
+        ledges = ledges_of(grid) if grid.inflated_radius else "avoid"
+        fitted = fitted.inflate(radius, ledges=ledges)
+    if fitted is clean:
+        return grid
+    grid.fitted = grid.fitted or WeakSet()
+    grid.fitted.add(fitted)
+    for held in grid.blocks:
+        held.copies.append(block(fitted, **held.arguments))
+    return fitted
+
+
+def _with_step(grid: NavGrid, step: float) -> NavGrid:
+    """The grid for an agent that takes lower steps."""
+    floors = [level.floor.ravel() for level in grid.levels]
+    rows = grid.step_array.tolist()
+    lower: list[Any] = [
+        row
+        for row in rows
+        if not abs(floors[row[0]][row[1]] - floors[row[2]][row[3]]) > step + ROUNDING
+    ]
+    metadata: dict[str, Any] = {**grid.metadata, "traversableFloorHeight": step / grid.unit}
+    if len(lower) < len(rows):
+        links = [*lower, *(link.to_json() for link in grid.links)]
+        metadata["navbake"] = {**grid.navbake, "links": links}
+    return grid.with_levels([level.with_layers() for level in grid.levels], metadata)

@@ -1,0 +1,60 @@
+"""The command `navbake routes`, and `audit` of graphs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from navbake.formats.route_files import read_routes
+from project_paths import GOLDEN
+
+
+@pytest.fixture(autouse=True)
+def house(tmp_path, monkeypatch):
+    """The current folder, with a house in it."""
+    shutil.copy(GOLDEN / "house.grid.json.gz", tmp_path / "house.json.gz")
+    monkeypatch.chdir(tmp_path)
+
+
+def test_makes_and_audits_a_graph(run):
+    status, out, err = run("routes", "house.json.gz", "-o", "a.geojson")
+    graph = read_routes("a.geojson")
+    counts = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
+    assert (status, out, err) == (0, f"a.geojson: {counts} for a radius of 0.2 m\n", "")
+    status, out, _ = run("audit", "a.geojson", "--grid", "house.json.gz")
+    assert status == 0 and out.endswith("5 checks: 0 errors, 1 remark\n")
+    # a map has no radius of its own where its cells are those of an agent
+    run("convert", "house.json.gz", "map.yaml", "--level", 1, "--radius", 0.3)
+    run("routes", "house.json.gz", "-o", "b.json", "--radius", 0.3, "--level", 1)
+    assert run("audit", "b.json", "--grid", "map.yaml", "--radius", 0)[0] == 0
+    status, out, _ = run("audit", "b.json", "--grid", "map.yaml", "--radius", 0.2, "--json")
+    assert status == 1 and json.loads(out)["remarks"][0]["check"] == "lanes"
+    assert run("audit", "b.json", "--grid", "map.yaml", "-o", "b.png")[0] == 1
+    assert Path("b.png").exists()
+
+
+def test_writes_any_format_to_stdout(run):
+    status, out, _ = run("routes", "house.json.gz", "-o", "-", "--to", "rmf", "--level", 1)
+    Path("a.yaml").write_text(out)
+    assert status == 0 and len(read_routes("a.yaml").nodes) > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "culprit"),
+    [
+        (["routes", "house.json.gz", "-o", "a.txt"], 2, "ends as one of .geojson"),
+        (["routes", "house.json.gz", "-o", "-"], 2, "stdout has no ending"),
+        (["routes", "house.json.gz", "-o", "a.json", "--to", "dxf"], 2, "got dxf"),
+        (["routes", "house.json.gz", "-o", "a.json", "--agent", "robot"], 1, "no agent 'robot'"),
+        (["routes", "house.json.gz", "-o", "a.json", "--level", "2"], 1, "no level 2"),
+        (["routes", "house.json.gz", "-o", "a.json", "--radius", "-1"], 1, "0 to 10,000 m"),
+        (["audit", "house.json.gz", "--radius", "1"], 2, "--grid"),
+    ],
+)
+def test_wrong_usage(run, arguments, status, culprit):
+    code, _, err = run(*arguments)
+    assert code == status and culprit in " ".join(err.split())
+    assert not Path("a.json").exists()

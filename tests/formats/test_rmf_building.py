@@ -1,0 +1,99 @@
+"""Grids as buildings of Open-RMF, and what becomes of those when they are baked again."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+import navbake
+from project_paths import GOLDEN, ROOT
+
+LAB = ROOT / "tests" / "buildings" / "lab.building.yaml"
+
+pytest.importorskip("shapely", reason="shapely is not installed")
+
+
+@pytest.fixture(scope="module")
+def baked():
+    return navbake.bake(LAB)
+
+
+@pytest.fixture(scope="module")
+def written(baked, tmp_path_factory):
+    path = tmp_path_factory.mktemp("building") / "lab.building.yaml"
+    baked.convert(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def content(written):
+    return yaml.safe_load(written.read_text(encoding="utf-8"))
+
+
+def values_of(edge):
+    return {key: value for key, (_, value) in edge[2].items()}
+
+
+def test_levels_doors_and_lifts_stand_in_the_file(content):
+    original = yaml.safe_load(LAB.read_text(encoding="utf-8"))
+    assert [level["elevation"] for level in content["levels"].values()] == [0.0, 3.5, 7.0]
+    for one, other in zip(content["levels"].values(), original["levels"].values(), strict=True):
+        mine, given = ({v["name"]: v for v in map(values_of, x["doors"])} for x in (one, other))
+        assert mine.keys() == given.keys()
+        for name, door in mine.items():
+            assert door["type"] == given[name]["type"], name
+            if "sliding" not in door["type"]:
+                for key in ("motion_axis", "motion_direction"):
+                    assert door[key] == given[name][key], name
+    for name, lift in original["lifts"].items():
+        mine = content["lifts"][name]
+        place = [mine[key] for key in ("x", "y", "yaw", "width", "depth")]
+        given = [lift["x"] / 50, -lift["y"] / 50, lift["yaw"], lift["width"], lift["depth"]]
+        np.testing.assert_allclose(place, given, atol=1e-4)
+        assert len(mine["level_doors"]) == len(lift["level_doors"])
+
+
+def test_a_building_comes_back(baked, written):
+    again = navbake.bake(written)
+    assert [door.id for door in again.doors] == [door.id for door in baked.doors]
+    assert [link.name for link in again.links] == [link.name for link in baked.links]
+    assert [len(link.stops) for link in again.links] == [len(link.stops) for link in baked.links]
+    for one, other in zip(again.levels, baked.levels, strict=True):
+        x, y = np.meshgrid(other.lattice.center_x(), other.lattice.center_y())
+        rows, cols = one.lattice.rows_cols(np.stack([x, y], axis=-1))
+        inside = (rows < one.height) & (cols < one.width)
+        free = np.zeros(other.shape, dtype=np.bool_)
+        free[inside] = one.free[rows[inside], cols[inside]]
+        shared = (free & other.free).sum() / (free | other.free).sum()
+        assert shared > 0.93  # on another lattice, a wall of a cell takes two
+        assert one.room_index.max() == other.room_index.max()
+
+
+def test_lanes_are_free(baked, content):
+    for number, level in enumerate(content["levels"].values()):
+        lattice, free = baked.levels[number].lattice, baked.levels[number].free
+        for door in baked.doors:  # lanes lead through closed doors
+            for state in door.states:
+                free = free | np.isin(
+                    np.arange(free.size), door.cells_in(state, len(baked.levels))[number]
+                ).reshape(free.shape)
+        assert level["lanes"]
+        for one, other, _ in level["lanes"]:
+            a, b = (np.array(level["vertices"][end][:2]) for end in (one, other))
+            steps = np.linspace(a, b, 2 + math.ceil(np.hypot(*(b - a)) / 0.02))
+            assert free[lattice.rows_cols(steps)].all(), (number, a, b)
+
+
+def test_what_is_lost_is_said(tmp_path, caplog):
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    with caplog.at_level(logging.WARNING):
+        grid.convert(tmp_path / "house.building.yaml")
+    assert "no place for steps between levels" in caplog.text
+    content = yaml.safe_load((tmp_path / "house.building.yaml").read_text(encoding="utf-8"))
+    assert len(content["levels"]) == 2
+    assert content["lifts"] == {}
+    assert all(level["walls"] and level["floors"] for level in content["levels"].values())

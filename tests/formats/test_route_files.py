@@ -1,0 +1,234 @@
+"""Files of graphs of routes: round trips, and what the programs that read them take."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import networkx
+import pytest
+import shapely.geometry
+import yaml
+
+import navbake
+from navbake.errors import FormatError
+from navbake.formats.route_files import ROUTE_FORMATS, read_routes, write_routes
+from navbake.routes.build import make_routes
+from navbake.routes.graph import Lane, Node, RouteGraph
+from project_paths import GOLDEN
+
+SMALL = RouteGraph(
+    nodes=(
+        Node("hall", (0.0, 0.0, 0.0), 0, "room", "0:1"),
+        Node("upstairs", (0.5, -2.0, 3.0), 1, "stop", None, None, "A"),
+        Node("gate", (1.5, 0.25, 0.0), 0, "door", None, "door_1"),
+        Node("A <0> & \"x\"", (0.5, -2.0, 0.0), 0, "stop", None, None, "A"),
+    ),
+    lanes=(
+        Lane(0, 2, "a", 1.52069, 3.0, speed=0.25, door="door_1"),
+        Lane(3, 0, "b", 2.061553, 2.061553, two_way=False),
+        Lane(3, 1, "c", 3.0, 4.0, kind="lift", seconds=12.0, link="A"),
+        Lane(1, 0, "d", 3.6, 1.0, two_way=False, kind="drop", link="d", seconds=1.0),
+        Lane(0, 1, "e", 3.6, 1.0, two_way=False, kind="jump", link="d", seconds=1.0),
+    ),
+    scene_id="s", level_names=("ground", "first"), agent="robot", radius=0.3, speed=0.5,
+)  # fmt: skip
+EMPTY = RouteGraph((Node("one", (0.0, 0.0, 0.0)),), ())
+
+
+@pytest.fixture(scope="module")
+def house():
+    return make_routes(navbake.load(GOLDEN / "house.grid.json.gz"))
+
+
+@pytest.mark.parametrize("name", ROUTE_FORMATS)
+def test_what_is_written_is_read(tmp_path, house, name):
+    for graph in (SMALL, EMPTY, house, house.on_level(1)):
+        for ending in ROUTE_FORMATS[name][1]:
+            assert write_routes(graph, tmp_path / f"a{ending}") == [tmp_path / f"a{ending}"]
+            assert read_routes(tmp_path / f"a{ending}") == graph
+        write_routes(graph, tmp_path / "b.dat", name)
+        assert (tmp_path / "b.dat").read_bytes() == (tmp_path / f"a{ending}").read_bytes()
+        assert read_routes(tmp_path / "b.dat", name) == graph
+
+
+def load_as_nav2(path):
+    """A graph by the rules of nav2's loader: nodes and directed edges by id."""
+    nodes, edges = {}, {}
+
+    def check_metadata(value):  # numbers, booleans, text, lists of these, and objects
+        for each in value.values():
+            if isinstance(each, dict):
+                check_metadata(each)
+            else:
+                for one in each if isinstance(each, list) else [each]:
+                    assert isinstance(one, int | float | str | bool)
+
+    for feature in json.loads(path.read_text())["features"]:
+        kind, own = feature["geometry"]["type"], feature["properties"]
+        check_metadata(own.get("metadata", {}))
+        assert isinstance(own["id"], int) and own["id"] >= 0
+        if kind == "Point":
+            assert own["id"] not in nodes and isinstance(own["frame"], str)
+            nodes[own["id"]] = feature["geometry"]["coordinates"][:2]
+        elif kind in ("MultiLineString", "LineString"):
+            assert own["id"] not in edges and isinstance(own["overridable"], bool)
+            edges[own["id"]] = own["startid"], own["endid"], float(own["cost"])
+    assert nodes and edges
+    assert {end for edge in edges.values() for end in edge[:2]} <= nodes.keys()
+    return nodes, edges
+
+
+def test_nav2_loads_it(tmp_path, house):
+    write_routes(house, tmp_path / "a.geojson")
+    nodes, edges = load_as_nav2(tmp_path / "a.geojson")
+    assert [list(node.position[:2]) for node in house.nodes] == list(nodes.values())
+    ways = sorted((lane.start, lane.end, lane.cost) for lane in house.lanes)
+    back = sorted((lane.end, lane.start, lane.cost) for lane in house.lanes if lane.two_way)
+    assert sorted(edges.values()) == sorted(ways + back)
+    assert {*nodes} & {*edges} == set()
+    for feature in json.loads((tmp_path / "a.geojson").read_text())["features"]:
+        shape = shapely.geometry.shape(feature["geometry"])
+        own = feature["properties"]
+        assert shape.is_valid
+        if "startid" in own:
+            (line,) = shape.geoms
+            assert [list(end[:2]) for end in line.coords] == [
+                nodes[own["startid"]],
+                nodes[own["endid"]],
+            ]
+    write_routes(SMALL, tmp_path / "b.geojson")
+    features = json.loads((tmp_path / "b.geojson").read_text())["features"]
+    slow = features[4]["properties"]
+    assert slow["metadata"]["abs_speed_limit"] == 0.25 and slow["metadata"]["speed_limit"] == 50
+    assert [f["properties"]["overridable"] for f in features[4:]] == [True] * 3 + [False] * 4
+
+
+def test_lif_is_valid(tmp_path, house):
+    lif = pytest.importorskip("vdma_lif.parser")
+    for graph in (house, SMALL):
+        write_routes(graph, tmp_path / "a.json")
+        found = lif.LIFParser.from_file(str(tmp_path / "a.json"))
+        assert [layout.layout_name for layout in found.layouts] == list(graph.level_names)
+        nodes = [node for layout in found.layouts for node in layout.nodes]
+        edges = [edge for layout in found.layouts for edge in layout.edges]
+        assert {node.node_id for node in nodes} == {node.name for node in graph.nodes}
+        assert len(edges) == sum(1 + lane.two_way for lane in graph.lanes)
+        assert len({edge.edge_id for edge in edges}) == len(edges)
+        assert {e.start_node_id for e in edges} | {e.end_node_id for e in edges} <= {
+            node.node_id for node in nodes
+        }
+        # and nothing but navbake's own key is unknown to it
+        (tmp_path / "b.json").write_text(lif.LIFParser.to_json(found))
+        again = json.loads((tmp_path / "b.json").read_text())
+        own = json.loads((tmp_path / "a.json").read_text(), object_hook=without_own)
+        for content in (again, own):
+            del content["metaInformation"]["exportTimestamp"]
+        assert again == own
+        assert len(read_routes(tmp_path / "b.json").nodes) == len(graph.nodes)
+
+
+def without_own(entry):
+    return {key: value for key, value in entry.items() if key != "navbake"}
+
+
+def test_open_rmf_finds_names_lifts_and_doors(tmp_path):
+    write_routes(SMALL, tmp_path / "a.yaml")
+    levels = yaml.safe_load((tmp_path / "a.yaml").read_text())["levels"]
+    assert [*levels] == ["ground", "first"]
+    vertices, lanes = levels["ground"]["vertices"], levels["ground"]["lanes"]
+    assert [vertex[2]["name"] for vertex in vertices] == ["hall", "gate", 'A <0> & "x"']
+    assert [vertex[2].get("lift") for vertex in vertices] == [None, None, "A"]
+    assert levels["first"]["vertices"][0][2]["lift"] == "A" and not levels["first"]["lanes"]
+    assert [lane[:2] for lane in lanes] == [[0, 1], [1, 0], [2, 0]]
+    assert (lanes[0][2]["door_name"], lanes[0][2]["speed_limit"]) == ("door_1", 0.25)
+
+
+def test_graphml_is_networkxs(tmp_path, house):
+    write_routes(house, tmp_path / "a.graphml")
+    found = networkx.read_graphml(tmp_path / "a.graphml")
+    assert found.is_directed() and len(found) == len(house.nodes)
+    one, other = house.nodes[0].name, house.nodes[40].name
+    length = networkx.dijkstra_path_length(found, one, other, weight="cost")
+    assert length == pytest.approx(house.distances()[0, 40])
+
+
+def test_graphs_of_other_programs(tmp_path):
+    points = (({"id": 7, "frame": "map"}, [0, 1]), ({"id": 3}, [3, 5.0]))
+    edges = (
+        ({"id": 8, "startid": 7, "endid": 3, "metadata": {"speed_limit": 50}}, "LineString", []),
+        ({"id": 9, "startid": 3, "endid": 7, "cost": 2.5}, "MultiLineString", [[]]),
+    )
+    features = [
+        {"type": "Feature", "properties": own, "geometry": {"type": kind, "coordinates": at}}
+        for own, kind, at in (*((own, "Point", at) for own, at in points), *edges)
+    ]
+    content = {"type": "FeatureCollection", "features": features}
+    (tmp_path / "a.geojson").write_text(json.dumps(content))
+    graph = read_routes(tmp_path / "a.geojson")
+    assert graph.nodes == (Node("7", (0, 1, 0)), Node("3", (3, 5, 0)))
+    assert graph.lanes == (Lane(0, 1, "8", 5.0, 5.0, False), Lane(1, 0, "9", 5.0, 2.5, False))
+    levels = {
+        "L1": {
+            "vertices": [[0, 0, {"name": "a"}], [4, 3, {"lift": "E"}]],
+            "lanes": [[0, 1, {}], [1, 0]],
+        },
+        "L2": {"vertices": [[4, 3, {"lift": "E", "name": "top"}]], "lanes": []},
+    }
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump({"building_name": "b", "levels": levels}))
+    graph = read_routes(tmp_path / "a.yaml")
+    assert [node.name for node in graph.nodes] == ["a", "L1 1", "top"]
+    assert [(n.level, n.link) for n in graph.nodes] == [(0, None), (0, "E"), (1, "E")]
+    ways = [(lane.start, lane.end, lane.kind, lane.two_way) for lane in graph.lanes]
+    assert (1, 2, "lift", True) in ways and graph.level_names == ("L1", "L2")
+    other = networkx.Graph()
+    other.add_node("p", x=0.0, y=0.0)
+    other.add_node("q", x=3.0, y=4.0)
+    other.add_edge("p", "q")
+    networkx.write_graphml(other, tmp_path / "a.graphml")
+    graph = read_routes(tmp_path / "a.graphml")
+    assert graph.lanes == (Lane(0, 1, "p - q", 5.0, 5.0),)
+
+
+def changed(graph, **changes):
+    return replace(graph, nodes=(replace(graph.nodes[0], **changes), *graph.nodes[1:]))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "culprit"),
+    [
+        ("a.geojson", "[", "can't be read"),
+        ("a.geojson", "{}", "a list of features, got nothing|got null"),
+        ("a.geojson", '{"features": [3]}', r"features\[0\]"),
+        ("a.geojson", '{"features": [{"geometry": {"type": "Point", "coordinates": [1]}, '
+         '"properties": {"id": 1}}]}', "a node's x and y"),
+        ("a.geojson", '{"features": [{"geometry": {"type": "LineString"}, '
+         '"properties": {"startid": 1, "endid": 2}}]}', "expected the id of a node, got 1"),
+        ("a.json", '{"layouts": 3}', "layouts"),
+        ("a.json", '{"layouts": [{"nodes": [{"nodeId": "a"}]}]}', "nodePosition"),
+        ("a.yaml", "levels: {L1: {vertices: [3]}}", r"vertices\[0\]"),
+        ("a.yaml", "levels: {L1: {lanes: [[0, 1]]}}", "expected the id of a node"),
+        ("a.yaml", "a: b: c", "expected a navigation graph"),
+        ("a.graphml", "<x", "expected GraphML"),
+        ("a.graphml", "<graphml><graph edgedefault='directed'><node id='a'/></graph></graphml>",
+         "a finite number"),
+        ("a.txt", "", r"expected a name that ends as one of \.geojson"),
+    ],
+)  # fmt: skip
+def test_broken_files_are_refused_in_a_line(tmp_path, name, text, culprit):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FormatError, match=culprit) as caught:
+        read_routes(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_nodes_are_refused(tmp_path):
+    for graph in (changed(SMALL, name="gate"), changed(SMALL, level=7)):
+        write_routes(replace(graph, level_names=tuple("abcdefgh")), tmp_path / "a.geojson")
+        content = json.loads((tmp_path / "a.geojson").read_text())
+        content["navbake"]["level_names"] = ["a", "b"]
+        (tmp_path / "a.geojson").write_text(json.dumps(content))
+        with pytest.raises(FormatError, match="unique names on known levels"):
+            read_routes(tmp_path / "a.geojson")
+    with pytest.raises(FormatError, match=r"expected a format of routes .*, got dxf"):
+        SMALL.save(tmp_path / "a", "dxf")

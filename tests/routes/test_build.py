@@ -1,0 +1,195 @@
+"""Graphs of routes: lanes are free by exact distances, and routes hardly longer than paths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from scipy.ndimage import label
+
+import navbake
+from grid_maps import house_from, level_from
+from navbake.auditor.facts import Facts
+from navbake.auditor.routes import distances
+from navbake.errors import QueryError
+from navbake.navgrid.agents import Agent
+from navbake.routes.build import _thin, make_routes
+from project_paths import GOLDEN
+from route_ratios import worst_ratio
+
+SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")
+
+
+def sample(name):
+    return navbake.load(GOLDEN / f"{name}.grid.json.gz")
+
+
+@pytest.fixture(scope="module", params=SAMPLES)
+def made(request):
+    grid = sample(request.param)
+    return grid, make_routes(grid)
+
+
+def test_routes_are_hardly_longer_than_paths(made):
+    grid, graph = made
+    assert worst_ratio(grid, graph, pairs=25) <= 1.15
+
+
+def test_every_large_island_is_reached_and_joined(made):
+    grid, graph = made
+    search = navbake.PathFinder(grid.inflate(graph.radius)).search
+    cells = [search.flat.cells_at(node.position, node.level) for node in graph.nodes]
+    islands = search.islands.number[np.array(cells).ravel()]
+    assert {*islands.tolist()} == {*np.flatnonzero(search.islands.areas >= 4).tolist()}
+    joined = np.isfinite(graph.distances())
+    np.testing.assert_array_equal(joined, islands[:, None] == islands)
+    # and each of their cells is near a node
+    field = search.field(np.array(cells).ravel(), by="length")
+    large = (search.islands.areas >= 4)[search.islands.number] & search.flat.free
+    assert field[large].max() <= 2.0
+
+
+def test_no_lane_meets_an_occupied_square(made):
+    grid, graph = made
+    assert graph.audit(grid).errors == []
+    # shapely says the same of the level where no other one goes on
+    facts, level = Facts(grid), grid.levels[0]
+    centers = level.lattice.positions(*np.nonzero((level.solid != 0) & ~np.isnan(level.floor)))
+    half = level.lattice.cell_size / 2
+    squares = shapely.box(*(centers - half).T, *(centers + half).T)
+    tree = shapely.STRtree(squares)
+    for lane in graph.lanes:
+        one, other = graph.nodes[lane.start], graph.nodes[lane.end]
+        if lane.kind == "floor" and one.level == other.level == 0:
+            line = shapely.LineString([one.position[:2], other.position[:2]])
+            near = tree.query(line, predicate="dwithin", distance=graph.radius - 1e-5)
+            over = [grid.at(centers[k], 1).free for k in near] if len(facts.levels) > 1 else []
+            assert all(over) and len(over) == len(near)
+
+
+def test_doors_rooms_and_stops_are_nodes():
+    grid = sample("house")
+    graph = make_routes(grid)
+    kinds = {node.name: node for node in graph.nodes}
+    assert {door.id for door in grid.doors} <= kinds.keys()
+    assert {room.id for room in grid.rooms} <= kinds.keys()
+    stairs = [lane for lane in graph.lanes if lane.kind == "stairs"]
+    assert len(stairs) == 2 and all(lane.two_way for lane in stairs)
+    for node in graph.nodes:
+        assert grid.at(node.position[:2], node.level).room == node.room
+        assert node.position[2] == pytest.approx(grid.at(node.position[:2], node.level).floor)
+    # whoever changes rooms through a door drives over its node
+    for lane in graph.lanes:
+        one, other = graph.nodes[lane.start], graph.nodes[lane.end]
+        if lane.door:
+            assert lane.door in (one.door, other.door) or one.room != other.room
+    assert make_routes(grid) == graph
+
+
+def test_a_closed_door_and_a_larger_agent_part_the_graph():
+    grid = sample("apartment")
+    free = make_routes(grid)
+    shut = make_routes(grid.with_doors("closed"))
+    assert np.isfinite(free.distances()).all()
+    assert not np.isfinite(shut.distances()).all() and {n.kind for n in shut.nodes} >= {"room"}
+    grid = sample("house")
+    wide = make_routes(grid, Agent("wide", radius=0.45))
+    assert wide.radius == 0.45 and "door" not in {node.kind for node in wide.nodes}
+    assert wide.audit(grid).errors == []
+
+
+ROOM = "\n".join(["." * 30] * 30)
+
+
+def two_rooms(**navbake_keys):
+    lower, upper = level_from(ROOM), level_from(ROOM, ground=3.0)
+    grid = house_from([lower, upper])
+    grid.metadata["navbake"] |= navbake_keys
+    return grid
+
+
+def lift(name, **more):
+    stops = [[0, 5 * 30 + 5], [1, 5 * 30 + 5]]
+    positions = [[0.55, -0.55, 0.0], [0.55, -0.55, 3.0]]
+    return {"name": name, "kind": "lift", "stops": stops, "positions": positions, **more}
+
+
+def test_links_are_lanes_for_those_who_may_use_them():
+    agents = {"robot": {"radius": 0.2, "speed": 0.5}, "cart": {}}
+    links = [
+        lift("A", seconds=12, agents=["robot"]),
+        lift("B", one_way=True, cost=4, state="closed"),
+    ]
+    graph = make_routes(two_rooms(links=links, agents=agents), "robot")
+    (lane,) = [lane for lane in graph.lanes if lane.link]
+    assert (lane.kind, lane.link, lane.length, lane.seconds, lane.two_way) == (
+        "lift",
+        "A",
+        3.0,
+        12,
+        True,
+    )
+    stops = [graph.nodes[end] for end in (lane.start, lane.end)]
+    assert [(n.name, n.kind, n.level, n.link) for n in stops] == [
+        ("A 0", "stop", 0, "A"), ("A 1", "stop", 1, "A"),
+    ]  # fmt: skip
+    assert (graph.agent, graph.radius, graph.speed) == ("robot", 0.2, 0.5)
+    assert not [
+        lane
+        for lane in make_routes(two_rooms(links=links, agents=agents), "cart").lanes
+        if lane.link
+    ]
+    down = make_routes(two_rooms(links=[lift("B", one_way=True, cost=4)]))
+    (lane,) = [lane for lane in down.lanes if lane.link]
+    assert (lane.two_way, lane.cost, lane.seconds) == (False, 4, 4)
+    ways = down.distances()
+    assert np.isfinite(ways[lane.start, lane.end]) and np.isinf(ways[lane.end, lane.start])
+    assert [r.check for r in down.audit(two_rooms()).remarks].count("parts") == 1
+    with pytest.raises(QueryError, match=r"no agent 'robt' in 'house'.*robot"):
+        make_routes(two_rooms(agents=agents), "robt")
+
+
+def test_areas_bar_slow_and_price_lanes():
+    areas = [{"name": "lab", "cost": "inf"}, {"name": "carpet", "cost": 2, "speed": 0.3}]
+    areas.append({"name": "staff", "cost": 1, "agents": ["cart"]})
+    level = level_from(ROOM)
+    index = np.zeros(level.shape, np.uint8)
+    index[:, 14:16], index[12:18, 14:16] = 2, 1
+    index[:3] = 3
+    level.attributes["area"] = index
+    level.metadata["navbake"] = {"areas": areas, "agents": {"robot": {}}}
+    graph = make_routes(level, "robot")
+    barred = [shapely.box(1.4, -1.8, 1.6, -1.2), shapely.box(0, -0.3, 3, 0)]
+    lines = [
+        shapely.LineString(
+            [graph.nodes[lane.start].position[:2], graph.nodes[lane.end].position[:2]]
+        )
+        for lane in graph.lanes
+    ]
+    assert not any(line.crosses(box) for line in lines for box in barred)
+    for lane, line in zip(graph.lanes, lines, strict=True):
+        share = line.intersection(shapely.box(1.4, -3, 1.6, 0)).length
+        assert lane.cost == pytest.approx(lane.length + share, abs=0.06)
+        assert lane.speed == (0.3 if share > 0.03 else lane.speed)
+    assert any(lane.speed == 0.3 for lane in graph.lanes)
+
+
+def test_thinning_keeps_what_is_connected():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        mask = rng.random((20, 30)) < 0.8
+        thin = _thin(mask)
+        assert (thin <= mask).all()
+        eight = np.ones((3, 3))
+        assert label(thin, eight)[1] == label(mask, eight)[1]
+
+
+def test_distances_are_those_of_shapely():
+    rng = np.random.default_rng(3)
+    centers = rng.uniform(-1, 1, (200, 2))
+    for _ in range(20):
+        ends = rng.uniform(-1, 1, (2, 2))
+        ends[1] = ends[1] if rng.random() < 0.7 else ends[0] + [0, rng.random()]
+        squares = shapely.box(*(centers - 0.05).T, *(centers + 0.05).T)
+        expected = shapely.distance(shapely.LineString(ends), squares)
+        np.testing.assert_allclose(distances(ends, centers, 0.05), expected, atol=1e-4)
