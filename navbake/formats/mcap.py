@@ -126,7 +126,7 @@ def _messages(
 
 def _ends_of_links(grid: NavGrid) -> Float:
     """World x, y, z of both ends of each link, on their floors, shape (2 n, 3)."""
-    ends = grid.link_array.reshape(-1, 2)
+    ends = grid.step_array.reshape(-1, 2)
     found = np.empty((len(ends), 3))
     for number, level in enumerate(grid.levels):
         here = ends[:, 0] == number

@@ -155,7 +155,7 @@ class FlatGrid:
         of_steps = self.steps.length
         length = np.append(of_steps, np.zeros(len(of_arcs)))
         cost = np.append(np.zeros(len(of_steps)), of_arcs)
-        return list_links(ends[:, ::-1] if backwards else ends, length, cost)
+        return list_links(ends[:, ::-1] if backwards else ends, length, cost, self.num_cells)
 
 
 def octile(apart: Float) -> Float:
@@ -164,14 +164,16 @@ def octile(apart: Float) -> Float:
     return np.asarray(np.maximum(x, y) + (math.sqrt(2.0) - 1.0) * np.minimum(x, y))
 
 
-def list_links(ends: Int, length: Float, cost: Float) -> Links:
+def list_links(ends: Int, length: Float, cost: Float, num_cells: int) -> Links:
     """The links of a list of ends, the flat ids that each leads from and to, shape (n, 2)."""
     order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable: steps before passages
     source, target = ends[order].T
     cell = np.unique(ends)
     start = np.append(np.searchsorted(source, cell), len(source))
+    is_end = np.zeros(num_cells if len(cell) else 0, dtype=np.bool_)
+    is_end[cell] = True
     listed: Links = arrays.Links(
-        cell, start, np.ascontiguousarray(target), length[order], cost[order]
+        cell, start, np.ascontiguousarray(target), length[order], cost[order], is_end
     )
     return listed
 
@@ -221,7 +223,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
         own, of_row = on == given[:, 2], (ends - start[on, None]) // width[on, None]
         slopes[low[own & (step == 1) & (np.diff(of_row)[:, 0] == 0)]] |= np.uint8(arrays.EAST)
         slopes[low[own & (step == width[on])]] |= np.uint8(arrays.SOUTH)
-    steps = list_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)))
+    steps = list_links(pairs, np.empty(len(pairs)), np.zeros(len(pairs)), int(start[-1]))
     speed = SPEED if agent is None else agent.speed
     bars = [area.bars(agent) for area in grid.areas]
     prices = [(penalty or np.inf) if no else v.cost for no, v in zip(bars, grid.areas, strict=True)]

@@ -281,7 +281,9 @@ class Search:
             return 0.0
         # to the box round the goals
         places = flat.positions(goals)[:, :2]
-        low, high = places.min(axis=0), places.max(axis=0)
+        low = high = places[0]
+        if len(goals) > 1:
+            low, high = places.min(axis=0), places.max(axis=0)
         direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
         return float((direct - (ways + direct).min(axis=1)).max())
 
@@ -301,8 +303,11 @@ class Search:
         length = flat.layout.cell_size[level]
         length[1:][(np.diff(row) != 0) & (np.diff(col) != 0)] *= math.sqrt(2.0)
         length[0] = 0.0
+        pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
+        if by == "cost" and not route.by_link.any():
+            return route.spent, float((length * pace).sum()), []
         cost, seconds, names = np.zeros_like(length), np.zeros_like(length), list[tuple[int, str]]()
-        sources, targets = flat.step_ends() if route.by_link.any() else (NO_CELLS, NO_CELLS)
+        sources, targets = flat.step_ends()
         for k in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[k - 1 : k + 1]
             step = np.flatnonzero((sources == ends[0]) & (targets == ends[1]))
@@ -317,7 +322,6 @@ class Search:
             if not len(step) or spent[arc] < of_step:
                 names.append((k, self.grid.links[flat.arcs.link[arc]].name))
                 length[k], cost[k], seconds[k] = 0.0, flat.arcs.cost[arc], flat.arcs.seconds[arc]
-        pace = flat.pace[route.cells] if len(flat.pace) > 1 else flat.pace
         cost, seconds = cost + length * flat.weight[route.cells], seconds + length * pace
         return route.spent if by == "cost" else float(cost.sum()), float(seconds.sum()), names
 

@@ -49,6 +49,7 @@ class Links(NamedTuple):
     target: Int  # flat ids, ascending for each cell
     length: Float  # of each step [m], as `target`; 0 of a passage
     cost: Float  # of each passage [m] or [s]; 0 of a step
+    is_end: Bool  # by cell, whether it is one of `cell`; empty if there is none
 
 
 class Floors(NamedTuple):

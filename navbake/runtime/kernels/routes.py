@@ -170,7 +170,7 @@ def find_route(graph, sources, goals, number, visits):
     """
     layout, route = graph.layout, np.empty(256, np.int64)
     start, width, cell_size = layout.start, layout.width, layout.cell_size
-    link_cell, link_start, link_target, link_length, link_cost = graph.links
+    link_cell, link_start, link_target, link_length, link_cost, is_end = graph.links
     moves, weight = graph.moves, graph.weight
     same_weight, least_weight, bucket = graph.same_weight, graph.least_weight, graph.bucket
     mark, cost, link_from, entry_cell, entry_next = visits
@@ -225,7 +225,7 @@ def find_route(graph, sources, goals, number, visits):
         if cell < first or cell >= start[level + 1]:
             level = level_of(start, cell)
             first, columns, size = start[level], width[level], cell_size[level]
-        slot = find_slot(link_cell, cell)
+        slot = find_slot(link_cell, cell) if is_end.shape[0] > 0 and is_end[cell] else -1
         num_links = 0 if slot < 0 else link_start[slot + 1] - link_start[slot]
         if state[USED] + 8 + num_links > entry_cell.shape[0]:
             return NO_ROOM, route[:0]
