@@ -98,7 +98,7 @@ def test_costs_of_lines_are_those_of_their_parts(seed):
     u, v = u0 + t * (u1 - u0), v0 + t * (v1 - v0)
     parts = weight[np.floor(v).astype(int) * WIDTH + np.floor(u).astype(int)]
     expected = parts.mean() * np.hypot(u1 - u0, v1 - v0)
-    no_links = Links(*np.zeros((3, 0), dtype=np.int64), np.zeros(0), np.zeros(0))
+    no_links = Links(*np.zeros((3, 0), dtype=np.int64), *np.zeros((2, 0)), np.zeros(0, dtype=bool))
     graph = Graph(LAYOUT, no_links, np.zeros(0, np.uint8), weight, 0.0, 1.0, 1.0, 4)
     found = line_cost((u0, -v0), (u1, -v1), 0, graph)  # rows run against y
     assert found == pytest.approx(expected, abs=5e-3)
