@@ -33,11 +33,11 @@ from navbake.config.field_types import (
 )
 from navbake.formats.shapes import read_entries
 from navbake.known_names import suggest
+from navbake.navgrid.areas import MAX_AREAS
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
-MAX_AREAS = 255  # the layer `area` is uint8
 AUTO_ONLY = ("height", "gap", "patterns")
 GIVEN_ONLY = ("name", "kind", "one_way", "width")
 
