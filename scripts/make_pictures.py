@@ -39,6 +39,7 @@ PLAIN: dict[str, tuple[str, tuple[str, ...], int | None]] = {
     "terrain": ("terrain", ("floor",), None),  # hills, a brook and a bridge, a level of its own
     "islands": ("terrain", ("island", "clearance"), 0),
     "clutter": ("clutter", ("occupancy", "floor"), 0),
+    "tower": ("tower", ("area", "links"), None),  # lifts and stairs as arcs
     "doors": ("house", ("doors",), None),  # what they block, where they close, how wide they are
 }
 
