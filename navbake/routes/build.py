@@ -348,7 +348,7 @@ class _Builder:
         for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
             if self.distance[a, b] > STRETCH * least:
                 self._join_path(a, b, {None, self.places[a].door, self.places[b].door})
-        for a, b in ends.tolist():  # through doors that stand side by side
+        for a, b in self._touching().tolist():  # through doors that stand side by side
             if not math.isfinite(self.distance[a, b]):
                 self._join_path(a, b, {None, *self.leaves.values()})
 
