@@ -16,18 +16,23 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from oracles.plans import check_plans
+from oracles.plans import NAMED, check_plans
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--paths", type=int, default=2000, help="how many paths (2000)")
-    parser.add_argument("--reasons", type=int, default=500, help="how many reasons (500)")
+    parser.add_argument(
+        "--reasons",
+        type=int,
+        default=500,
+        help="how many reasons that name a link or an area (500)",
+    )
     parser.add_argument("--first", type=int, default=0, help="the first seed (0)")
     args = parser.parse_args()
     counts: Counter[str] = Counter()
     seed = args.first
-    while counts["paths"] < args.paths or counts["reasons"] < args.reasons:
+    while counts["paths"] < args.paths or counts[NAMED] < args.reasons:
         faults = check_plans(seed, counts)
         for fault in faults:
             print(f"seed {seed}: {fault}", flush=True)

@@ -82,11 +82,14 @@ def refuse_if(is_wrong: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def read_named(key: str, read: Callable[[Path], Any]) -> Callable[[Any, ValidationInfo], Any]:
-    """A validator that replaces a file's path by what it holds, so that digests cover that."""
+    """A validator that replaces a file's path by what it holds, so that digests cover that.
+
+    Null is an empty list.
+    """
 
     def take(value: Any, info: ValidationInfo) -> Any:
         if not isinstance(value, str | PathLike):
-            return value
+            return [] if value is None else value
         path = resolve(to_path(value), info)
         if info.context:
             info.context.setdefault("inputs", []).append(path)

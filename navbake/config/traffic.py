@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -33,16 +33,16 @@ from navbake.config.field_types import (
 )
 from navbake.formats.shapes import read_entries
 from navbake.known_names import suggest
+from navbake.navgrid.areas import MAX_AREAS
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
-MAX_AREAS = 255  # the layer `area` is uint8
 AUTO_ONLY = ("height", "gap", "patterns")
 GIVEN_ONLY = ("name", "kind", "one_way", "width")
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
-OptionalCost = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
+OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
 AgentNames = Annotated[
     list[Name] | None,
     BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
@@ -53,20 +53,14 @@ AgentNames = Annotated[
 class NamedAgent(Settings):
     """An agent that plans on the grid, with sizes of its own."""
 
-    radius: Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")] = (
-        setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
-    )
+    radius: OptionalLength = setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
     height: OptionalPositive = setting(
         None, "its height [m], > 0, at most that of `agent`", "that of `agent`"
     )
-    step: OptionalCost = setting(
+    step: OptionalLength = setting(
         None, "its highest step [m], >= 0, at most that of `agent`", "that of `agent`"
     )
     speed: Positive = setting(1.0, "how fast it goes [m/s], > 0")
-
-
-def _plain_cost(value: Any) -> Any:
-    return "inf" if isinstance(value, float) and value == math.inf else value
 
 
 class AreaSettings(Settings):
@@ -92,7 +86,7 @@ class AreaSettings(Settings):
     geoms: Patterns = setting([], "the geoms on whose cells it lies, by name patterns")
     cost: Annotated[
         Literal["inf"] | Annotated[float, Field(gt=0)],
-        BeforeValidator(_plain_cost),
+        BeforeValidator(lambda value: "inf" if value == math.inf else value),
         expects("a number > 0, or .inf"),
     ] = setting(1.0, "a path's price of a metre there, > 0, or .inf: nobody goes there")
     speed: OptionalPositive = setting(None, "the highest speed there [m/s], > 0, or null")
@@ -126,8 +120,8 @@ class LinkSettings(Settings):
     width: OptionalPositive = setting(
         None, "the widest agent that fits, by its diameter [m], > 0, or null"
     )
-    cost: OptionalCost = setting(None, "a path's price of it [m], >= 0", "its length")
-    seconds: OptionalCost = setting(
+    cost: OptionalLength = setting(None, "a path's price of it [m], >= 0", "its length")
+    seconds: OptionalLength = setting(
         None, "how long it takes [s], >= 0", "its cost at the agent's speed"
     )
     agents: AgentNames = setting(None, "names of the agents that may use it; null for all")
@@ -141,12 +135,10 @@ class LinkSettings(Settings):
         "of auto: how far a drop falls, or a jump rises at most [m], > 0",
         "1.0 for drops, a step for jumps",
     )
-    gap: Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")] = (
-        setting(
-            None,
-            "of auto: between a stop and the landing, ladder or car [m], >= 0",
-            "0.5; 0.6 for ladders",
-        )
+    gap: OptionalLength = setting(
+        None,
+        "of auto: between a stop and the landing, ladder or car [m], >= 0",
+        "0.5; 0.6 for ladders",
     )
     patterns: Patterns = setting(
         [], "of auto ladder and lift: bodies or geoms by name patterns", '["*ladder*"] and all'
@@ -186,20 +178,14 @@ def _check_names(
     return entries
 
 
-def _none_as_empty(value: Any) -> Any:
-    return [] if value is None else value
-
-
 Areas = Annotated[
     list[AreaSettings],
     Field(max_length=MAX_AREAS),
     AfterValidator(_check_names),
     BeforeValidator(read_named("areas", lambda path: read_entries(path, "areas"))),
-    BeforeValidator(_none_as_empty),
 ]
 Links = Annotated[
     list[LinkSettings],
     AfterValidator(_check_names),
     BeforeValidator(read_named("links", lambda path: read_entries(path, "links"))),
-    BeforeValidator(_none_as_empty),
 ]

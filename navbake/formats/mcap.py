@@ -117,16 +117,16 @@ def _messages(
             for place in found.positions
         ]
         yield f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses}
-    if len(chosen) == len(grid.levels) and grid.links:
+    if len(chosen) == len(grid.levels) and len(grid.step_array):
         marker = {"header": FRAME, "ns": "links", "type": LINE_LIST, "scale": {"x": LINE}}
         marker |= {"pose": {"orientation": UPRIGHT}, "color": COLOR}
-        marker["points"] = [_point(place) for place in _ends_of_links(grid)]
+        marker["points"] = [_point(place) for place in _ends_of_steps(grid)]
         yield "/links", "visualization_msgs/MarkerArray", {"markers": [marker]}
 
 
-def _ends_of_links(grid: NavGrid) -> Float:
-    """World x, y, z of both ends of each link, on their floors, shape (2 n, 3)."""
-    ends = grid.link_array.reshape(-1, 2)
+def _ends_of_steps(grid: NavGrid) -> Float:
+    """World x, y, z of both ends of each step, on their floors, shape (2 n, 3)."""
+    ends = grid.step_array.reshape(-1, 2)
     found = np.empty((len(ends), 3))
     for number, level in enumerate(grid.levels):
         here = ends[:, 0] == number

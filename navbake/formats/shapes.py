@@ -275,13 +275,22 @@ def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
     Polygon or MultiPolygon is an area's `polygon` and `rings`, a LineString or MultiPoint with x,
     y, z a link's `stops`; without a geometry, the properties say all. Errors name the feature.
     """
-    features = _read_features(path, with_lists=True)
-    return [
-        _read_entry(feature, f"feature {k} of {path}", section)
-        if isinstance(feature, dict) and feature.get("type") == "Feature"
-        else feature
-        for k, feature in enumerate(features)
-    ]
+    entries = []
+    for k, feature in enumerate(_read_features(path, with_lists=True)):
+        if isinstance(feature, dict) and feature.get("type") == "Feature":
+            where = f"feature {k} of {path}"
+            geometry: Any = feature.get("geometry")
+            kind = geometry.get("type") if isinstance(geometry, dict) else None
+            feature = dict(feature.get("properties") or {})
+            if section == "links" and kind in ("LineString", "MultiPoint"):
+                feature["stops"] = geometry.get("coordinates")
+            elif section == "links" and geometry is not None:
+                text = f"expected a LineString or MultiPoint, got {_shown(kind)} in {where}"
+                raise FormatError(text)
+            elif geometry is not None:
+                feature["polygon"], *feature["rings"] = _read_rings(geometry, kind, where)
+        entries.append(feature)
+    return entries
 
 
 def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) -> list[Any]:
@@ -298,19 +307,6 @@ def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) ->
     if not isinstance(features, list):
         raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
     return features
-
-
-def _read_entry(feature: Json, where: str, section: str) -> Json:
-    entry, geometry = dict(feature.get("properties") or {}), feature.get("geometry")
-    if geometry is None:
-        return entry
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if section == "links":
-        if kind not in ("LineString", "MultiPoint"):
-            raise FormatError(f"expected a LineString or MultiPoint, got {_shown(kind)} in {where}")
-        return {**entry, "stops": geometry.get("coordinates")}
-    rings = _read_rings(geometry, kind, where)
-    return {**entry, "polygon": rings[0], "rings": rings[1:]}
 
 
 def _read_feature(feature: Any, where: str) -> Json | None:

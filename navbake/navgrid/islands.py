@@ -120,7 +120,7 @@ def _join(number: Int, ways: Int) -> Int:
     `number` has the part of each run, `ways` the parts that links lead from and to, shape (k, 2).
     """
     from scipy.sparse import coo_array  # scipy loads slowly
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.csgraph import connected_components  # the same
 
     count = int(number.max()) + 1
     graph = coo_array((np.ones(len(ways)), tuple(ways.T)), shape=(count, count))

@@ -119,12 +119,6 @@ class FlatGrid:
         z = np.where(np.isnan(floor), self.floors.ground[level], floor)
         return np.stack([x, y, z], axis=-1)
 
-    def octile(self, cells: Int, others: Int) -> Float:
-        """The octile distances between the centres of cells, seen from above [m]."""
-        apart = np.abs(self.positions(cells) - self.positions(others))[:, :2]
-        across, along = np.sort(apart, axis=1).T
-        return np.asarray(along + (math.sqrt(2.0) - 1.0) * across)
-
     def step_ends(self) -> tuple[Int, Int]:
         """The flat ids that each of `steps` leads from and to; each is listed both ways."""
         return np.repeat(self.steps.cell, np.diff(self.steps.start)), self.steps.target
@@ -134,6 +128,22 @@ class FlatGrid:
         price = self.price[where] if len(self.price) > 1 else self.price
         free = np.isfinite(weight) & np.isfinite(price)
         return np.where(free, weight * np.where(free, price, 1.0), np.inf)
+
+    def ways_by_links(self, radius: float, least: float, *, by_time: bool) -> tuple[Float, Float]:
+        """Where links have stops, x, y, and what ways from each to each cost at least, (k, k).
+
+        On the floor these are octile distances times the smallest weight, `least`. Without links
+        that cost less than that there are none.
+        """
+        wide = self.arcs.wide(radius)
+        cells, ends = np.unique(self.arcs.ends[wide], return_inverse=True)
+        stops, ends = self.positions(cells)[:, :2], ends.reshape(-1, 2)
+        direct = least * octile(stops[:, None] - stops)
+        ways, spent = direct.copy(), (self.arcs.seconds if by_time else self.arcs.cost)[wide]
+        np.minimum.at(ways, tuple(ends.T), spent)
+        for k in range(len(cells)):  # Floyd (1962)
+            ways = np.minimum(ways, ways[:, k, None] + ways[k])
+        return (stops, ways) if (ways < direct).any() else (stops[:0], ways)
 
     def links(self, radius: float, *, by_time: bool = False, backwards: bool = False) -> Links:
         """Steps, and the passages that an agent of a radius fits through, from or to each cell."""
@@ -146,6 +156,12 @@ class FlatGrid:
         length = np.append(of_steps, np.zeros(len(of_arcs)))
         cost = np.append(np.zeros(len(of_steps)), of_arcs)
         return list_links(ends[:, ::-1] if backwards else ends, length, cost)
+
+
+def octile(apart: Float) -> Float:
+    """Octile lengths of vectors along x and y, shape (..., 2 or more)."""
+    x, y = np.abs(apart[..., 0]), np.abs(apart[..., 1])
+    return np.asarray(np.maximum(x, y) + (math.sqrt(2.0) - 1.0) * np.minimum(x, y))
 
 
 def list_links(ends: Int, length: Float, cost: Float) -> Links:
@@ -211,6 +227,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     prices = [(penalty or np.inf) if no else v.cost for no, v in zip(bars, grid.areas, strict=True)]
     paces = [1.0 / min(speed, area.speed or speed) for area in grid.areas]
     price, pace = cells_of_areas(grid, prices, 1.0), cells_of_areas(grid, paces, 1.0 / speed)
+    price, pace = (v[:1] if (v == v[0]).all() else v for v in (price, pace))
     arcs = find_arcs(grid.links, start, agent, penalty)
     flat = FlatGrid(layout, steps, arcs, floors, np.isfinite(weight), weight, price, pace, slopes)
     weight[:] = flat.priced(weight)
@@ -219,7 +236,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     # at least a cell: between neighbours on one lattice, as navbake links them, exactly a cell.
     sources, targets = flat.step_ends()
     least = np.minimum(cell_size[flat.level_of(sources)], cell_size[flat.level_of(targets)])
-    steps.length[:] = np.maximum(flat.octile(sources, targets), least)
+    steps.length[:] = np.maximum(octile(flat.positions(sources) - flat.positions(targets)), least)
     return flat
 
 

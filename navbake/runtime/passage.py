@@ -408,7 +408,7 @@ def _links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
     found = is_open.route(origin, goals)
     if found is None:
         return None
-    numbers = dict(is_open.measure(found, "cost")[2])
+    numbers = dict(is_open.measure(found, flat.split(found.cells), "cost")[2])
     by_name, radius = {link.name: link for link in grid.links}, search.radius
     for at, cell in enumerate(found.cells.tolist()):
         if at in numbers:

@@ -196,7 +196,8 @@ def find_path(
     if found is None:
         return None
     route, by_link, _ = found
-    cost, seconds, links = search.measure(found, by)
+    places = flat.split(route)
+    cost, seconds, links = search.measure(found, places, by)
     end = NOWHERE
     if target.positions is not None:  # the first that is in the cell
         end = target.positions[int(np.argmax(target.cells == route[-1])), :2]
@@ -208,7 +209,7 @@ def find_path(
     return Path(
         positions=positions,
         levels=levels,
-        cells=np.stack(flat.split(route), axis=1),
+        cells=np.stack(places, axis=1),
         length=float(np.hypot(*np.diff(positions[:, :2], axis=0).T).sum()),
         cost=cost,
         rooms=[str(rooms.id_of(int(n))) for n in entered if n],

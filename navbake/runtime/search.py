@@ -14,10 +14,11 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.agents import Agent
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
-from navbake.navgrid.cells import check_level
+from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime import flat_grid
 from navbake.runtime.agents import find_agent, fit_grid
+from navbake.runtime.flat_grid import octile
 from navbake.runtime.inflation import find_room
 from navbake.types import Bool, Float, Int, Int32
 
@@ -30,7 +31,6 @@ routes = lazy("navbake.runtime.kernels.routes")
 
 LAST_SEARCH = 2**31 // 64 - 2  # `mark` is int32 and holds the number of a search times 64
 FIRST_ROOM = 1 << 15  # entries for open cells at first
-ROUNDING = 1e-12  # share by which an estimate stays below what it estimates
 MAX_KEPT = 8  # cached results of each kind
 NO_CELLS = np.empty(0, dtype=np.int64)
 Kept = TypeVar("Kept")
@@ -128,14 +128,13 @@ class Search:
         least, most = (float(weights.min()), float(weights.max())) if weights.size else (1.0, 1.0)
         links = flat.links(self.radius, by_time=by == "time", backwards=backwards)
         size, longest = float(flat.layout.cell_size.min()), float(links.length.max(initial=0))
-        buckets = routes.bucket_width(size, least, most, longest, float(links.cost.max(initial=0)))
-        same = least if least == most else 0.0
-        # a passage that costs less than the estimate for what it covers lowers the estimate
         wide = flat.arcs.wide(self.radius)
-        covered = least * flat.octile(*flat.arcs.ends[wide].T)
+        one, other = flat.positions(flat.arcs.ends[wide].T)
+        covered = least * octile(one - other)
         spent = (flat.arcs.seconds if by == "time" else flat.arcs.cost)[wide]
-        shares = spent[covered > 0] / covered[covered > 0]
-        least *= min(1.0, float(shares.min(initial=1.0)) * (1.0 - ROUNDING))
+        dearest = float((spent + covered).max(initial=0.0))
+        buckets = routes.bucket_width(size, least, most, longest, dearest)
+        same = least if least == most else 0.0
         graph: Graph = arrays.Graph(flat.layout, links, self._moves, weight, same, least, *buckets)
         return graph
 
@@ -261,28 +260,49 @@ class Search:
         """The cheapest route to the cheapest of several free cells."""
         if (goals == origin).any():
             return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
-        cells = self._find(self.graph_by(by), np.array([origin]), goals)
+        graph = self.graph_by(by)
+        if len(self.flat.arcs.ends):
+            graph = graph._replace(lead=self._saved_by_links(goals, by))
+        cells = self._find(graph, np.array([origin]), goals)
         if not len(cells):
             return None
         by_link = self._visits.mark[cells] & routes.WAY == routes.LINK
         return Route(cells, by_link, float(self._visits.cost[cells[-1]]))
 
-    def measure(self, route: Route, by: str) -> tuple[float, float, list[tuple[int, str]]]:
+    def _saved_by_links(self, goals: Int, by: str) -> float:
+        """By how much links may make a way to goals cheaper than the octile distance says."""
+        flat, least = self.flat, self.graph_by(by).least_weight
+
+        def make() -> tuple[Float, Float]:
+            return flat.ways_by_links(self.radius, least, by_time=by == "time")
+
+        stops, ways = self.keep("ways by links", by, make)
+        if not len(stops):
+            return 0.0
+        # to the box round the goals
+        places = flat.positions(goals)[:, :2]
+        low, high = places.min(axis=0), places.max(axis=0)
+        direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
+        return float((direct - (ways + direct).min(axis=1)).max())
+
+    def measure(
+        self, route: Route, places: Cells, by: str
+    ) -> tuple[float, float, list[tuple[int, str]]]:
         """The cost of a route that was found by cost or time [m], its seconds, and its links.
 
-        Links are named after the place in the route of the cell that they lead to.
+        `places` are its cells' levels, rows and columns. Links are named after the place in the
+        route of the cell that they lead to.
         """
         flat, graph = self.flat, self.graph
         is_plain = graph.same_weight > 0.0 and len(flat.pace) == 1 and not route.by_link.any()
         if by == "cost" and is_plain:
             return route.spent, route.spent / graph.same_weight * float(flat.pace[0]), []
-        level, row, col = flat.split(route.cells)
-        diagonal = (np.abs(np.diff(row)) + np.abs(np.diff(col)))[~route.by_link[1:]] == 2
-        length = np.zeros(len(route.cells))
-        length[1:][~route.by_link[1:]] = np.where(diagonal, math.sqrt(2.0), 1.0)
-        length *= flat.layout.cell_size[level]
+        level, row, col = places
+        length = flat.layout.cell_size[level]
+        length[1:][(np.diff(row) != 0) & (np.diff(col) != 0)] *= math.sqrt(2.0)
+        length[0] = 0.0
         cost, seconds, names = np.zeros_like(length), np.zeros_like(length), list[tuple[int, str]]()
-        sources, targets = flat.step_ends()
+        sources, targets = flat.step_ends() if route.by_link.any() else (NO_CELLS, NO_CELLS)
         for k in np.flatnonzero(route.by_link).tolist():
             ends = route.cells[k - 1 : k + 1]
             step = np.flatnonzero((sources == ends[0]) & (targets == ends[1]))

@@ -187,7 +187,7 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
         island = search.islands.number
         island = np.where(island > 0, island + num_islands, 0).astype(np.int32)
         num_islands += search.islands.count
-        areas = np.arange(1, len(search.grid.areas) + 1, dtype=np.int32)
+        areas = range(1, len(search.grid.areas) + 1)
         layers = {
             "reach": (lowest_reaching(stand, flat.floors.max_step, dtype), np.inf),
             "rank": (rank, -1),
@@ -195,7 +195,7 @@ def _layers(searches: list[Search], shape: Shape, dtype: Floating, max_drop: flo
             "floor": (z, np.nan),
             "room": (search.rooms.number, 0),
             "island": (island, 0),
-            "area": (cells_of_areas(search.grid, areas, 0) + np.zeros_like(island), 0),
+            "area": (cells_of_areas(search.grid, areas, 0).astype(np.int32) + 0 * island, 0),
             "clearance": (np.concatenate([clearance(v).ravel() for v in levels]), 0),
         }
         for name, (values, outside) in layers.items():

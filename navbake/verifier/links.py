@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import product
 
 import fcl
 import mujoco
@@ -12,9 +12,8 @@ import numpy as np
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.scene import Scene
 from navbake.errors import FormatError
-from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.navgrid.grid import GridBase
 from navbake.navgrid.links import Link
-from navbake.types import Bool, Float
 from navbake.verifier.floors import rounding
 from navbake.verifier.lines import Lines
 from navbake.verifier.probes import TOUCHES, Column, Probes
@@ -50,21 +49,34 @@ def check_links(
 def _check_crossing(
     link: Link, grid: GridBase, probes: Probes, lines: Lines, agent: Agent, tolerance: float
 ) -> Iterator[Finding]:
-    (one, other), places = link.stops, _cells_along(link, grid)
-    lattice = grid.levels[one.level].lattice
-    # from where one walks on each of the two floors
-    first = _walks_to(places, grid.levels[one.level], grid)
-    end = len(places) - 1 - _walks_to(places[::-1], grid.levels[other.level], grid)
-    if first >= end:
+    levels = [grid.levels[stop.level] for stop in link.stops]
+    ends = [
+        level.lattice.positions(*divmod(stop.cell, level.width))
+        for stop, level in zip(link.stops, levels, strict=True)
+    ]
+    cell_size = levels[0].lattice.cell_size
+    count = max(round(float(np.abs(ends[1] - ends[0]).max()) / cell_size), 1)
+    line = ends[0] + np.linspace(0.0, 1.0, count + 1)[:, None] * (ends[1] - ends[0])
+    # up to where, and from where on, one walks on the floors of both ends
+    walks = []
+    for level, places in zip(levels, (line, line[::-1]), strict=True):
+        rows, cols = level.lattice.rows_cols(places)
+        inside = (rows >= 0) & (rows < level.height) & (cols >= 0) & (cols < level.width)
+        rows, cols = rows[inside], cols[inside]
+        floor = level.floor_of(rows, cols)
+        step = np.abs(np.diff(floor, prepend=floor[:1])) > agent.step + SLACK
+        stops = ~level.free[rows, cols] | np.isnan(floor) | step
+        last = int(np.argmax(np.append(stops, True))) - 1
+        walks.append((last, float(floor[max(last, 0)])))
+    (first, start), (back, z) = walks
+    crossed = line[max(first, 0) : len(line) - max(back, 0)]
+    if len(crossed) < 2:  # one walks all the way
         return
-    start = _floor_at(grid.levels[one.level], places[first])
-    stop = _floor_at(grid.levels[other.level], places[end])
-    top, cell_size = max(start, stop), lattice.cell_size
-    crossed = places[first : end + 1]
+    top = max(start, z)
     lows = np.full(len(crossed), top)
-    lows[0], lows[-1] = start, stop  # over the ends, from their floors on
+    lows[[0, -1]] = start, z  # over the ends, from their floors on
     half = cell_size / 2
-    for (x, y), low in zip(crossed, lows, strict=True):
+    for (x, y), low in zip(crossed.tolist(), lows.tolist(), strict=True):
         band = low + agent.step + tolerance, top + agent.height - tolerance
         center, half_z = np.array([x, y, sum(band) / 2]), (band[1] - band[0]) / 2
         columns = [Column(half, half, half_z, False)]
@@ -76,10 +88,10 @@ def _check_crossing(
                 text = f"{link.kind} {link.name!r} runs into {name!r}"
                 yield _finding(LINK_TOUCHES, link, grid, (x, y, low), text, name)
                 return
-    (x, y), z = crossed[-1], stop
+    x, y = crossed[-1].tolist()
     off = rounding(x, y, z)
-    line = lines.at(x, y)
-    if not (line.faces_up(z - off, z + off) or lines.faces_up_beside((x, y, z), off)):
+    found = lines.at(x, y).faces_up(z - off, z + off)
+    if not (found or lines.faces_up_beside((x, y, z), off)):
         text = f"{link.kind} {link.name!r} lands at {z:.3f} m, where no surface is"
         yield _finding(NO_LANDING, link, grid, (x, y, z), text, None)
 
@@ -88,85 +100,36 @@ def _check_shaft(
     link: Link, grid: GridBase, scene: Scene, probes: Probes, tolerance: float
 ) -> Iterator[Finding]:
     """Move the car over its range, and ask FCL what it meets on the way."""
-    model, obstacles = scene.model, probes.obstacles
+    model, obstacles, up = scene.model, probes.obstacles, np.array([0.0, 0.0, 1.0])
     bodies = [body for body in range(1, model.nbody) if body_name(model, body) == link.name]
-    if not bodies or model.body_jntnum[bodies[0]] != 1:
+    body = bodies[0] if bodies else 0
+    joint = int(model.body_jntadr[body])
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
         return
-    body, joint = bodies[0], int(model.body_jntadr[bodies[0]])
     own = geoms_of_bodies(model, body, int(find_subtree_ends(model)[body])).tolist()
-    car = [item for item in obstacles.items if item.geom in own]
-    if not car or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
-        return
     axis = float(scene.data.xaxis[joint, 2])
     now = float(scene.data.qpos[model.jnt_qposadr[joint]])
     low, high = sorted(axis * (end - now) for end in model.jnt_range[joint])
     # what it rests on, or reaches, at the ends of its way is no obstacle
-    ups = np.linspace(low + tolerance, high - tolerance, max(int((high - low) / STEP), 1) + 1)
-    is_other = np.array([item.geom not in own for item in obstacles.items])
-    for item in car:
-        if (hit := _first_hit(item, ups, obstacles, is_other)) is not None:
-            up, number = hit
-            name = obstacles.name(number)
-            x, y, z = ((item.low + item.high) / 2 + np.array([0, 0, up])).tolist()
-            text = f"the car of {link.kind} {link.name!r} runs into {name!r}, moved by {up:.2f} m"
-            yield _finding(LINK_TOUCHES, link, grid, (x, y, z), text, name)
-            return
-
-
-def _first_hit(item: Any, ups: Float, obstacles: Any, is_other: Bool) -> tuple[float, int] | None:
-    """How far up a part of a car first meets another obstacle [m], and which."""
-    lift = np.array([0.0, 0.0, 1.0])
-    near = obstacles.meeting(item.low + lift * ups[0], item.high + lift * ups[-1])
-    others = [number for number in near if is_other[number]]
-    start = np.array(item.shape.getTranslation())
-    try:
-        for up in ups.tolist():
-            item.shape.setTranslation(start + lift * up)
-            for number in others:
-                if fcl.collide(item.shape, obstacles.items[number].shape) > 0:
-                    return up, number
-    finally:
+    moves = np.linspace(low + tolerance, high - tolerance, max(int((high - low) / STEP), 1) + 1)
+    for item in (item for item in obstacles.items if item.geom in own):
+        near = obstacles.meeting(item.low + up * moves[0], item.high + up * moves[-1])
+        others = [number for number in near if obstacles.items[number].geom not in own]
+        start = np.array(item.shape.getTranslation())
+        for move, number in product(moves.tolist(), others):
+            item.shape.setTranslation(start + up * move)
+            if fcl.collide(item.shape, obstacles.items[number].shape) > 0:
+                name = obstacles.name(number)
+                text = f"the car of {link.kind} {link.name!r} runs into {name!r}, "
+                place = (item.low + item.high) / 2 + up * move
+                text += f"moved by {move:.2f} m"
+                yield _finding(LINK_TOUCHES, link, grid, place.tolist(), text, name)
+                break
         item.shape.setTranslation(start)
-    return None
-
-
-def _cells_along(link: Link, grid: GridBase) -> list[tuple[float, float]]:
-    """The places on the straight line between two stops' cells, a cell apart; x, y [m]."""
-    ends = []
-    for stop in link.stops:
-        level = grid.levels[stop.level]
-        ends.append(level.lattice.positions(*divmod(stop.cell, level.width)))
-    count = max(round(float(np.abs(ends[1] - ends[0]).max()) / grid.levels[0].lattice.cell_size), 1)
-    line = ends[0] + np.linspace(0.0, 1.0, count + 1)[:, None] * (ends[1] - ends[0])
-    return [(float(x), float(y)) for x, y in line]
-
-
-def _walks_to(places: list[tuple[float, float]], level: SceneGrid2D, grid: GridBase) -> int:
-    """The number of the last place to which one walks from the first, on a level."""
-    last = _floor_at(level, places[0])
-    for number, place in enumerate(places[1:]):
-        floor = _floor_at(level, place)
-        if np.isnan(floor) or abs(floor - last) > grid.max_step + SLACK or not _at(level, place)[0]:
-            return number
-        last = floor
-    return len(places) - 1
-
-
-def _floor_at(level: SceneGrid2D, place: tuple[float, float]) -> float:
-    return _at(level, place)[1]
-
-
-def _at(level: SceneGrid2D, place: tuple[float, float]) -> tuple[bool, float]:
-    """Whether the cell at a place is free, and its floor [m]; NaN for none."""
-    row, col = (int(v) for v in level.lattice.rows_cols(place))
-    if not (0 <= row < level.height and 0 <= col < level.width):
-        return False, float("nan")
-    floor = level.floor_of(np.array([row]), np.array([col]))
-    return bool(np.isfinite(level.weights[row, col])), float(floor[0])
 
 
 def _finding(
-    kind: str, link: Link, grid: GridBase, at: tuple[float, ...], text: str, geom: str | None
+    kind: str, link: Link, grid: GridBase, at: Sequence[float], text: str, geom: str | None
 ) -> Finding:
     stop = link.stops[0]
     cell = divmod(stop.cell, grid.levels[stop.level].width)

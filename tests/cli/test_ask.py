@@ -10,6 +10,7 @@ from typer import BadParameter
 
 import navbake
 from door_scenes import LEAF, ROOMS, world
+from link_towers import DROP, LIFT, tower
 from navbake.cli.options import parse_place
 from project_paths import GOLDEN
 
@@ -40,8 +41,9 @@ def test_prints_text(plan):
     lines = out.splitlines()
     assert status == 0
     assert lines[0].startswith("length  ") and lines[0].endswith(" m")
-    assert lines[2].endswith("1:1")
-    assert lines[5].split() == ["0.000", "-4.800", "-0.050", "0"]
+    assert lines[2].startswith("time    ") and lines[2].endswith(" s")
+    assert lines[3].endswith("1:1")
+    assert lines[6].split() == ["0.000", "-4.800", "-0.050", "0"]
     assert lines[-1].endswith("  1")
 
 
@@ -56,6 +58,26 @@ def test_a_path_may_keep_to_the_centres(plan):
         for option in ([], ["--no-smooth"])
     )
     assert len(rough["path"]["positions"]) > len(smooth["path"]["positions"])
+
+
+def test_plans_over_links_for_an_agent(plan, run, tmp_path):
+    file = tmp_path / "tower.grid.json"
+    tower(LIFT, DROP, storeys=3, areas=[(2, 12, 12, 1)]).save(file)
+    ends = "--from", "0.25,-0.05,L1", "--to", "0.25,-0.05,L0"
+    found = json.loads(plan(file, *ends, "--agent", "person", "--by", "time", "--json")[1])["path"]
+    assert (found["links"], found["seconds"]) == (["dock"], pytest.approx(2.6 / 2.0 + 2.0))
+    text = plan(file, *ends, "--agent", "person", "--close", "dock")[1]
+    assert "links   A\n" in text and "time    " in text
+    status, text, _ = plan(file, *ends, "--close", "A", "--close", "dock")
+    assert (status, text.endswith("the link 'A' (lift) is closed\n")) == (1, True)
+    assert plan(file, *ends, "--close", "A", "--close", "dock", "--open", "A")[0] == 1
+    assert "no link 'B' in 'house': it has A, dock" in plan(file, *ends, "--open", "B")[2]
+    assert "no agent 'robto'" in plan(file, *ends, "--agent", "robto")[2]
+    words = run("info", file)[1].split()
+    assert {"links", "areas", "agents", "dock", "drop", "lab", "mud", "person"} <= set(words)
+    assert "area" in run("why", file, "1.25,-0.05,L2")[1]
+    cell = json.loads(run("why", file, "0.55,-0.05,L0", "--json")[1])[0]
+    assert (cell["links"], cell["area"]) == (["A"], None)
 
 
 def test_no_path_is_status_1_with_the_reason(plan):

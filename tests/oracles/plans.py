@@ -10,7 +10,8 @@ from navbake import PathFinder
 from oracles.links import AGENTS, area_bars, plan_graph, random_building, what_bars
 
 CLOSE = 1e-9
-NAMED = re.compile(r"the (link|area) '([^']+)'(?: \(\w+\))? ([^;]+)$")
+NAMED = "reasons: a link or an area"
+SENTENCE = re.compile(r"the (link|area) '([^']+)'(?: \(\w+\))? ([^;]+)$")
 
 
 def check_plans(seed, counts, pairs=6):
@@ -102,7 +103,7 @@ def _check_reason(finder, graph, ends, name, counts):
             if f"lies in the area {entry['name']!r}, which bars" in reason
             else [f"{what}: {reason}"]
         )
-    found = NAMED.search(reason)
+    found = SENTENCE.search(reason)
     if not to_goal[start]:
         counts["reasons: no link or area"] += 1
         return [f"{what}: {reason}, but no way is there"] if found else []
@@ -110,7 +111,7 @@ def _check_reason(finder, graph, ends, name, counts):
         return [f"{what}: {reason}"]
     kind, called, why = found.groups()
     counts[f"reasons: {kind} {' '.join(why.split()[:2])}"] += 1
-    counts["reasons: a link or an area"] += 1
+    counts[NAMED] += 1
     near = reached | np.isin(np.arange(flat.num_cells), everything[np.flatnonzero(reached)].indices)
     if kind == "area":
         entry = next(e for e in own["areas"] if e["name"] == called)

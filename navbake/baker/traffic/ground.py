@@ -1,18 +1,20 @@
-"""What links are found on: the floors of all levels, where they are free, and the room above."""
+"""What links are found on: the floors of all levels, where they are free, and straight ways out."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource, TiledShapes, cast_columns, tile_shapes
+from navbake.baker.columns import ColumnSource, TiledShapes
 from navbake.baker.connect import connect, touching
 from navbake.baker.kernels.constants import SLACK
+from navbake.baker.lattice import Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.scene.scene import Scene
-from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Stop
@@ -20,9 +22,17 @@ from navbake.types import Bool, Float, Int, Json
 
 WAYS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """The directions in which links cross gaps, as steps of row and column."""
-
-
 ROOM = 0.5  # between a stop and the edge, for agents larger than the bake's [m]
+Leaps = NDArray[np.void]
+"""Straight ways between free cells with `LEAP`'s fields: candidates for links."""
+NUMBERS = ("way", "level", "cell", "other_level", "other_cell", "between")
+LEAP = np.dtype([(name, np.int64) for name in NUMBERS] + [("z", "f8"), ("other_z", "f8")])
+"""Index into `WAYS`, both ends, how many cells lie between, and the floors of both ends [m]."""
+
+
+Landing = Callable[[Int, Int, Float, int], tuple[Int, Bool, Bool]]
+"""Of rows, columns, floors at the starts, and how many cells lie between, returns the levels to
+land on, whether one lands, and whether else one goes on."""
 
 
 class MadeLink(NamedTuple):
@@ -33,28 +43,12 @@ class MadeLink(NamedTuple):
 
 
 class Space(NamedTuple):
-    """Geometry that an agent may collide with, and the lattice of its cells."""
+    """Geometry that an agent may collide with, on the whole lattice or on a window of it."""
 
     columns: ColumnSource
     tiled: TiledShapes
     footprint: Footprint
-
-    @classmethod
-    def of(cls, shapes: Shapes, lattice: Lattice, footprint: Footprint) -> Space:
-        """The space of some geometry on a lattice, most often a part of the whole one."""
-        tiled = tile_shapes(shapes, lattice, footprint.reach)
-        return cls(cast_columns(tiled), tiled, footprint)
-
-    def is_free(self, cells: Int, heights: Float) -> Bool:
-        """Whether an agent that stands at a height over a cell meets nothing, for (n,) of both."""
-        pairs = np.unique(
-            np.stack([cells.astype(np.float64), heights]), axis=1, return_inverse=True
-        )
-        (asked, floors), back = pairs[0], pairs[1].reshape(-1)
-        asked = asked.astype(np.int64)
-        columns = self.columns.at(asked)
-        occupied = look_at_cells(columns, self.tiled, self.footprint, asked, floors).occupied
-        return np.asarray(~occupied[back])
+    window: Window | None = None
 
 
 class Ground(NamedTuple):
@@ -64,7 +58,6 @@ class Ground(NamedTuple):
         scene: without its doors.
         floors, free: of all levels, shape (levels, height, width) of the whole lattice; cells that
             a door blocks in any of its states are not free.
-        space: the geometry of the scene.
     """
 
     scene: Scene
@@ -86,96 +79,101 @@ class Ground(NamedTuple):
         z = float(np.float32(self.floors[level, row, col]))
         return Stop(level, cell, (round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0))
 
-    def stand_back(self, level: int, cell: int, way: int, width: float) -> int:
-        """The cell from which any agent that fits through a width is off the edge, at most `ROOM`.
+    def stand_back(self, level: int, cell: int, way: int, width: float) -> Stop:
+        """A stop where any agent that fits through a width is off the edge, at most `ROOM`.
 
         It lies straight beyond a cell in a direction, over free cells without a step between;
-        where these end earlier, the last of them.
+        where these end earlier, on the last of them.
         """
         (down, right), (rows, cols) = WAYS[way], self.lattice.shape
         row, col = divmod(cell, cols)
-        size = self.lattice.cell_size
-        for _ in range(math.ceil(min(width / 2, ROOM) / size - 0.5 - SLACK)):
-            r, c = row + down, col + right
+        for _ in range(math.ceil(min(width / 2, ROOM) / self.lattice.cell_size - 0.5 - SLACK)):
+            r, c, floor = row + down, col + right, self.floors[level]
             if not (0 <= r < rows and 0 <= c < cols and self.free[level, r, c]):
                 break
-            if abs(self.floors[level, r, c] - self.floors[level, row, col]) > self.step:
+            if abs(floor[r, c] - floor[row, col]) > self.step:
                 break
             row, col = r, c
-        return row * cols + col
+        return self.stop(level, row * cols + col)
 
-    def cells_in(self, length: float) -> int:
-        """How many cells lie between the ends of a gap of a length [m]."""
-        return math.floor(length / self.lattice.cell_size + SLACK)
+    def look_out(
+        self,
+        starts: tuple[int, Bool],
+        ways: Iterable[int],
+        gap: float,
+        land: Landing,
+    ) -> Leaps:
+        """Go straight from marked cells of a level until `land` finds where one lands.
 
-    def width_of(self, cells: Int) -> float:
-        """How wide the way is that leads through cells side by side, for discs [m]."""
-        row, col = np.divmod(cells, self.lattice.width)
-        length = math.hypot(np.ptp(row), np.ptp(col)) * self.lattice.cell_size
-        return length + max(2 * self.agent.radius, self.lattice.cell_size)
+        Args:
+            gap: the widest between two cells [m].
+        """
+        level, marked = starts
+        parts, (rows, cols) = [np.empty(0, dtype=LEAP)], self.lattice.shape
+        for way in ways:
+            down, right = WAYS[way]
+            row, col = np.nonzero(marked)
+            z = self.floors[level, row, col]
+            for between in range(math.floor(gap / self.lattice.cell_size + SLACK) + 1):
+                r, c = row + (between + 1) * down, col + (between + 1) * right
+                inside = (r >= 0) & (r < rows) & (c >= 0) & (c < cols)
+                row, col, r, c = (array[inside] for array in (row, col, r, c))
+                z = z[inside]
+                other, lands, goes_on = land(r, c, z, between)
+                found = np.empty(int(np.count_nonzero(lands)), dtype=LEAP)
+                found["way"], found["level"], found["between"] = way, level, between
+                found["cell"], found["z"] = (row * cols + col)[lands], z[lands]
+                found["other_cell"], found["other_level"] = (r * cols + c)[lands], other[lands]
+                found["other_z"] = self.floors[other, r, c][lands]
+                parts.append(found)
+                goes_on = goes_on & ~lands
+                row, col, z = row[goes_on], col[goes_on], z[goes_on]
+        return np.concatenate(parts)
 
+    def are_clear(self, found: Leaps, space: Space) -> Bool:
+        """Whether nothing stands in the way of each, over its higher end and to its lower one."""
+        count, width = found["between"] + 1, self.lattice.width
+        owner = np.repeat(np.arange(len(found)), count)
+        step = np.array([down * width + right for down, right in WAYS])[found["way"]]
+        nth = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 1
+        top = np.maximum(found["z"], found["other_z"])
+        asked: list[tuple[Any, ...]] = [
+            (found["cell"][owner] + nth * step[owner], top[owner], owner),
+            (found["cell"], top, np.arange(len(found))),
+        ]
+        # the fall, in volumes over each other without a gap
+        stride = self.agent.height - self.agent.traversable_floor_height
+        low = found["other_z"] + stride
+        while (falls := np.flatnonzero(low < top)).size:
+            asked.append((found["other_cell"][falls], low[falls], falls))
+            low = low + stride
+        cells, floors, whose = (np.concatenate(arrays) for arrays in zip(*asked, strict=True))
+        if space.window is not None:
+            cells = cut_cells(cells, space.window, width)[0]
+        columns = space.columns.at(np.unique(cells))
+        met = look_at_cells(columns, space.tiled, space.footprint, cells, floors).occupied
+        clear = np.ones(len(found), dtype=np.bool_)
+        clear[whose[met]] = False
+        return clear
 
-class Leaps(NamedTuple):
-    """Ways straight from cells to others, shape (n,): each is a candidate for a link.
+    def group(self, found: Leaps) -> list[tuple[Leaps, np.void, float]]:
+        """Group leaps of one way and pair of levels that start side by side, without a step.
 
-    Attributes:
-        way: index into `WAYS`.
-        level, cell, other_level, other_cell: both ends.
-        num_between: how many cells lie between them.
-        z, other_z: the floors of both [m].
-    """
-
-    way: Int
-    level: Int
-    cell: Int
-    other_level: Int
-    other_cell: Int
-    num_between: Int
-    z: Float
-    other_z: Float
-
-    def only(self, chosen: Bool) -> Leaps:
-        """Those that are marked."""
-        return Leaps._make(array[chosen] for array in self)
-
-    @classmethod
-    def join(cls, parts: list[Leaps]) -> Leaps:
-        """Several as one."""
-        ints, floats = np.empty(0, dtype=np.int64), np.empty(0)
-        parts = [cls(ints, ints, ints, ints, ints, ints, floats, floats), *parts]
-        return cls._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-
-    def cells_passed(self, width: int) -> tuple[Int, Int]:
-        """The cells after the first up to the last of each, and whose each is."""
-        owner = np.repeat(np.arange(len(self.cell)), self.num_between + 1)
-        first = np.repeat(
-            np.cumsum(self.num_between + 1) - self.num_between - 1, self.num_between + 1
-        )
-        step = np.array([down * width + right for down, right in WAYS])[self.way]
-        passed = self.cell[owner] + (np.arange(len(owner)) - first + 1) * step[owner]
-        return passed, owner
-
-
-def group_leaps(found: Leaps, ground: Ground) -> list[Int]:
-    """Group leaps of one way and pair of levels that start side by side, without a step.
-
-    Returns the indices of each group, ascending by cells; groups by levels and first cells.
-    """
-    groups = list[Int]()
-    keys = np.stack([found.level, found.other_level, found.way])
-    for key in np.unique(keys, axis=1).T:
-        own = np.flatnonzero((keys == key[:, None]).all(axis=0))
-        own = own[np.argsort(found.cell[own], kind="stable")]
-        pairs = touching(found.cell[own], ground.lattice.width)
-        ends = own[pairs]
-        holds = np.abs(np.diff(found.z[ends], axis=0)) <= ground.step
-        holds &= np.abs(np.diff(found.other_z[ends], axis=0)) <= ground.step
-        part = connect(pairs[:, holds[0]], len(own))
-        groups += [own[part == number] for number in range(int(part.max(initial=-1)) + 1)]
-    return groups
-
-
-def middle_of(cells: Int, lattice: Lattice) -> int:
-    """The place in `cells` of the one nearest to their mean."""
-    at = np.stack(np.divmod(cells, lattice.width)).astype(np.float64)
-    return int(np.argmin(np.round(np.square(at - at.mean(axis=1, keepdims=True)).sum(axis=0), 9)))
+        Returns each group, its middle one, and how wide it is for discs [m].
+        """
+        groups, cols = [], self.lattice.width
+        size = self.lattice.cell_size
+        for key in np.unique(found[["level", "other_level", "way"]]):
+            own = found[found[["level", "other_level", "way"]] == key]
+            own = own[np.argsort(own["cell"], kind="stable")]
+            pairs = touching(own["cell"], cols)
+            rises = np.abs([np.diff(own[name][pairs], axis=0)[0] for name in ("z", "other_z")])
+            part = connect(pairs[:, (rises <= self.step).all(axis=0)], len(own))
+            for number in range(int(part.max(initial=-1)) + 1):
+                some = own[part == number]
+                at = np.stack(np.divmod(some["cell"], cols)).astype(np.float64)
+                off = np.square(at - at.mean(axis=1, keepdims=True)).sum(axis=0)
+                length = math.hypot(*np.ptp(at, axis=1)) * size
+                width = round(length + max(2 * self.agent.radius, size), 6)
+                groups.append((some, some[int(np.argmin(np.round(off, 9)))], width))
+        return groups

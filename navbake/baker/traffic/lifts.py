@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
@@ -12,18 +11,11 @@ import numpy as np
 from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.kernels.constants import SLACK, SLIDE
 from navbake.baker.lattice import Window
+from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.names import all_names, find_subtree_ends, geoms_of_bodies
-from navbake.baker.scene.shapes import Shapes
-from navbake.baker.traffic.ground import (
-    WAYS,
-    Ground,
-    Leaps,
-    MadeLink,
-    Space,
-    group_leaps,
-    middle_of,
-)
+from navbake.baker.scene.pose import data_with_joints
+from navbake.baker.traffic.ground import WAYS, Ground, Landing, MadeLink, Space
 from navbake.config.traffic import LinkSettings
 from navbake.navgrid.links import Stop
 from navbake.types import Bool, Float, Int
@@ -43,22 +35,19 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     whose floor lies between a step below its foot and a step above its top: at the nearest one. It
     is as wide as its box, seen from above.
     """
-    model, patterns = ground.scene.model, tuple(rule.patterns) or LADDERS
-    names = all_names(model)
-    matches = [any(fnmatchcase(name, p) for p in patterns) for name in names.bodies]
-    ends, whole = find_subtree_ends(model), list[tuple[str, Int]]()
-    taken = np.zeros(model.ngeom, dtype=np.bool_)
-    for body in range(1, model.nbody):
-        own = geoms_of_bodies(model, body, int(ends[body])) if matches[body] else np.empty(0, int)
-        if len(own) and not taken[own].any():
-            whole.append((names.bodies[body], own))
-            taken[own] = True
-    for geom, named in enumerate(names.geoms):
-        if not taken[geom] and any(fnmatchcase(named.geom, p) for p in patterns):
-            whole.append((named.geom, np.array([geom])))
-    gap, links = LADDER_GAP if rule.gap is None else rule.gap, []
-    for name, geoms in whole:
-        box = ground.scene.shapes.only(_mark(geoms, model.ngeom)).bounds
+    model, names = ground.scene.model, all_names(ground.scene.model)
+    patterns, gap = rule.patterns or LADDERS, LADDER_GAP if rule.gap is None else rule.gap
+    things, ends, taken = list[tuple[str, Bool]](), find_subtree_ends(model), set[int]()
+    bodies = [(name, _mark_body(model, k, int(ends[k]))) for k, name in enumerate(names.bodies)][1:]
+    geoms = [(own.geom, np.arange(model.ngeom) == k) for k, own in enumerate(names.geoms)]
+    for name, mask in bodies + geoms:
+        own = set(np.flatnonzero(mask).tolist())
+        if own and not own & taken and any(fnmatchcase(name, pattern) for pattern in patterns):
+            things.append((name, mask))
+            taken |= own
+    links = []
+    for name, mask in things:
+        box = ground.scene.shapes.only(mask).bounds
         stops = [] if box is None else list(_stops_beside(box, gap, ground))
         if box is not None and len(stops) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
@@ -66,41 +55,34 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     return links
 
 
-def _mark(geoms: Int, count: int) -> Bool:
-    mask = np.zeros(count, dtype=np.bool_)
-    mask[geoms] = True
+def _mark_body(model: Any, first: int, end: int) -> Bool:
+    """The geoms of the bodies from `first` to before `end`, shape (ngeom,)."""
+    mask = np.zeros(model.ngeom, dtype=np.bool_)
+    mask[geoms_of_bodies(model, first, end)] = True
     return mask
 
 
 def _stops_beside(box: Float, gap: float, ground: Ground) -> Iterator[Stop]:
     """The nearest free cell to a box on each level whose floors it reaches."""
-    window = ground.lattice.window(box, gap)
-    if window is None:
-        return
-    x, y = ground.lattice.center_x()[window[1]], ground.lattice.center_y()[window[0]]
-    off = np.hypot(
-        np.maximum(0, np.maximum(box[0, 0] - x, x - box[1, 0]))[None, :],
-        np.maximum(0, np.maximum(box[0, 1] - y, y - box[1, 1]))[:, None],
-    )
-    for level in range(len(ground.floors)):
-        floor = ground.floors[level][window]
-        low, high = box[0, 2] - ground.step, box[1, 2] + ground.step
-        here = ground.free[level][window] & (floor >= low) & (floor <= high) & (off <= gap + SLACK)
+    (x0, y0, low), (x1, y1, high) = box.tolist()
+    x, y = ground.lattice.center_x(), ground.lattice.center_y()[:, None]
+    off = np.hypot(np.clip(x, x0, x1) - x, np.clip(y, y0, y1) - y)
+    for level, (floor, free) in enumerate(zip(ground.floors, ground.free, strict=True)):
+        here = free & (off <= gap + SLACK)
+        here &= (floor >= low - ground.step) & (floor <= high + ground.step)
         if here.any():
-            row, col = np.unravel_index(int(np.argmin(np.where(here, off, np.inf))), off.shape)
-            row, col = int(row) + window[0].start, int(col) + window[1].start
-            yield ground.stop(level, row * ground.lattice.width + col)
+            yield ground.stop(level, int(np.argmin(np.where(here, np.round(off, 9), np.inf))))
 
 
 class Car(NamedTuple):
-    """The car of a lift, on a part of the lattice."""
+    """The car of a lift."""
 
     name: str
-    shapes: Shapes  # where it is now
-    others: Shapes  # the scene without it
-    window: Window
-    floor: Bool  # which cells of the window its floor covers
-    outline: Bool  # which cells anything of it covers
+    joint: int
+    geoms: Bool  # which are its own, shape (ngeom,)
+    window: Window  # of the lattice, round the car and its landings
+    floor: Bool  # which cells of the lattice its floor covers
+    outline: Bool  # and anything of it
     z: float  # height of its floor now [m]
     low: float  # lowest and highest height of its floor [m]
     high: float
@@ -115,150 +97,89 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     way; on each level once at each of its sides, in the middle. A lift is as wide as its floor, or
     the narrowest way out of it.
     """
-    links = []
-    gap = LIFT_GAP if rule.gap is None else rule.gap
-    for car in _find_cars(ground, tuple(rule.patterns) or ("*",), gap):
-        stops, widths = list[Stop](), [car.width]
-        found = _find_ways_out(car, ground, gap)
-        for group in group_leaps(found, ground):
-            own = Leaps._make(array[group] for array in found)
-            clear = own.only(_are_clear(own, car, ground))
-            if len(clear.cell):
-                k = middle_of(clear.other_cell, ground.lattice)
-                width = min(car.width, ground.width_of(clear.cell))
-                level, cell = int(clear.other_level[k]), int(clear.other_cell[k])
-                cell = ground.stand_back(level, cell, int(clear.way[k]), width)
-                stops.append(ground.stop(level, cell))
-                widths.append(width)
+    links, gap = [], LIFT_GAP if rule.gap is None else rule.gap
+    for car in _find_cars(ground, rule.patterns or ("*",), gap):
+        stops, width = list[Stop](), car.width
+
+        for level in range(len(ground.floors)):
+            land = _landing(car, level, ground)
+            found = ground.look_out((level, car.floor), range(len(WAYS)), gap, land)
+            found["z"] = np.clip(found["other_z"], car.low, car.high)
+            for group, *_ in ground.group(found):
+                group["z"] = np.median(group["z"])
+                clear = group[ground.are_clear(group, _space_at(car, group["z"][0], ground))]
+                if len(clear):
+                    _, middle, out = max(ground.group(clear), key=lambda part: len(part[0]))
+                    width = min(width, out)
+                    way, cell = int(middle["way"]), int(middle["other_cell"])
+                    stops.append(ground.stand_back(level, cell, way, min(car.width, out)))
         if len({stop.level for stop in stops}) > 1:
             stops.sort(key=lambda stop: (stop.level, stop.position[2], stop.cell))
-            links.append(MadeLink(stops, {"name": car.name, "width": round(min(widths), 6)}))
+            links.append(MadeLink(stops, {"name": car.name, "width": round(width, 6)}))
     return links
 
 
+def _landing(car: Car, level: int, ground: Ground) -> Landing:
+    """Whether one lands on a level, beside the car."""
+
+    def land(rows: Int, cols: Int, _z: Float, _between: int) -> tuple[Int, Bool, Bool]:
+        floor = ground.floors[level, rows, cols]
+        lands = np.abs(floor - np.clip(floor, car.low, car.high)) <= ground.step
+        lands &= ground.free[level, rows, cols] & ~car.outline[rows, cols]
+        return np.full(len(rows), level), lands, ~car.floor[rows, cols]
+
+    return land
+
+
 def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[Car]:
-    scene, lattice = ground.scene, ground.lattice
-    model: Any = scene.model
+    scene, lattice, model = ground.scene, ground.lattice, ground.scene.model
     names, ends = all_names(model).bodies, find_subtree_ends(model)
-    joints = np.flatnonzero((model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, np.bool_))
-    for joint in joints.tolist():
+    slides = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, np.bool_)
+    slides &= (model.body_jntnum[model.jnt_bodyid] == 1) & (
+        np.abs(scene.data.xaxis[:, 2]) > UPRIGHT
+    )
+    for joint in np.flatnonzero(slides).tolist():
         body, axis = int(model.jnt_bodyid[joint]), float(scene.data.xaxis[joint, 2])
-        is_named = any(fnmatchcase(names[body], pattern) for pattern in patterns)
-        if model.body_jntnum[body] != 1 or abs(axis) < UPRIGHT or not is_named:
-            continue
-        own = _mark(geoms_of_bodies(model, body, int(ends[body])), model.ngeom)
+        own = _mark_body(model, body, int(ends[body]))
         shapes = scene.shapes.only(own)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
-        if window is None:
+        if window is None or not any(fnmatchcase(names[body], pattern) for pattern in patterns):
             continue
-        columns = cast_columns(tile_shapes(shapes, lattice.cut(*window), 0.0))
-        start, z, geom = columns.start, columns.z, columns.geom
-        cell = np.repeat(np.arange(len(start) - 1), np.diff(start))
-        is_last = np.append(cell[1:] != cell[:-1], True)[: len(cell)]
-        headroom = np.where(is_last, np.inf, np.append(z[1:], np.inf)[: len(z)] - z)
-        up = np.cos(np.radians(ground.agent.max_slope)) - SLACK
-        flat = np.flatnonzero(
-            (columns.normal[:, 2] >= up) & (headroom >= ground.agent.height - SLACK)
-        )
-        if not len(flat):
-            continue
+        part = lattice.cut(*window)
+        columns = cast_columns(tile_shapes(shapes, part, 0.0))
+        cell, z = np.repeat(np.arange(part.width * part.height), np.diff(columns.start)), columns.z
+        # up to what is next above it in its column
+        is_last = np.append(cell, -1)[1:] != cell
+        headroom = np.where(is_last, np.inf, np.append(z, np.inf)[1:] - z)
+        flat = columns.normal[:, 2] >= np.cos(np.radians(ground.agent.max_slope)) - SLACK
+        flat &= headroom >= ground.agent.height - SLACK
         heights, count = np.unique(np.round(z[flat], 3), return_counts=True)
-        level = float(heights[np.argmax(2 * count >= count.max())])  # not the roof of the car
-        flat = flat[np.abs(z[flat] - level) <= FLAT]
-        if len(flat) * lattice.cell_size**2 < LEAST_CAR:
+        # the lowest of those that are large: not the roof of the car
+        height = heights[2 * count >= count.max(initial=0)].min(initial=np.inf)
+        flat &= np.abs(z - height) <= FLAT
+        if np.count_nonzero(flat) * lattice.cell_size**2 < LEAST_CAR:
             continue
-        top = float(np.max(z[flat]))
-        floor, outline = np.zeros((2, len(start) - 1), dtype=np.bool_)
-        floor[cell[flat]], outline[cell] = True, True
-        shape = ground.lattice.cut(*window).shape
-        carrier = int(np.bincount(geom[flat]).argmax())
+        floor, outline = np.zeros((2, *lattice.shape), dtype=np.bool_)
+        for mask, cells in ((floor, cell[flat]), (outline, cell)):
+            mask[window][np.divmod(cells, part.width)] = True
+        carrier = int(np.bincount(columns.geom[flat]).argmax())
         width = float(measure_geoms(shapes, model.ngeom).thin[carrier])
-        position = float(scene.data.qpos[model.jnt_qposadr[joint]])
-        low, high = sorted(top + axis * (end - position) for end in model.jnt_range[joint])
-        yield Car(
-            names[body], shapes, scene.shapes.only(~own), window,
-            floor.reshape(shape), outline.reshape(shape), top, low, high, width,
-        )  # fmt: skip
+        now, top = float(scene.data.qpos[model.jnt_qposadr[joint]]), float(z[flat].max())
+        low, high = sorted(top + axis * (end - now) for end in model.jnt_range[joint].tolist())
+        yield Car(names[body], joint, own, window, floor, outline, top, low, high, width)
 
 
-def _find_ways_out(car: Car, ground: Ground, gap: float) -> Leaps:
-    """The ways from the car's floor to the first free cells beside it, on levels that it reaches.
-
-    Their starts are at the height of the landing, as far as the car goes.
-    """
-    (rows, cols), width = car.window, ground.lattice.width
-    height, wide = car.floor.shape
-    parts = list[Leaps]()
-    for level in range(len(ground.floors)):
-        floor, free = ground.floors[level][rows, cols], ground.free[level][rows, cols]
-        reach = np.clip(floor, car.low, car.high)
-        with np.errstate(invalid="ignore"):
-            lands_on = free & ~car.outline & (np.abs(floor - reach) <= ground.step)
-        for way, (down, right) in enumerate(WAYS):
-            row, col = np.nonzero(car.floor)
-            # the last cell of the car's floor on the way
-            beyond = np.pad(car.floor, 1)[row + 1 + down, col + 1 + right]
-            row, col = row[~beyond], col[~beyond]
-            for num_between in range(ground.cells_in(gap) + 1):
-                r, c = row + (num_between + 1) * down, col + (num_between + 1) * right
-                inside = (r >= 0) & (r < height) & (c >= 0) & (c < wide)
-                row, col, r, c = (array[inside] for array in (row, col, r, c))
-                lands = lands_on[r, c]
-                one = (row[lands] + rows.start) * width + col[lands] + cols.start
-                other = (r[lands] + rows.start) * width + c[lands] + cols.start
-                count, z = len(one), floor[r[lands], c[lands]]
-                same = np.full(count, level)
-                parts.append(
-                    Leaps(
-                        np.full(count, way), same, one, same, other,
-                        np.full(count, num_between), np.clip(z, car.low, car.high), z,
-                    )
-                )  # fmt: skip
-                row, col = row[~lands], col[~lands]
-    return Leaps.join(parts)
-
-
-def _are_clear(group: Leaps, car: Car, ground: Ground) -> Bool:
-    """Whether nothing stands in the ways out of a car, which stops at their middle height."""
-    (rows, cols), width = car.window, ground.lattice.width
-    stop = float(np.median(group.z))
-    moved = _lifted(car.shapes, stop - car.z)
-    shapes = _together(car.others, moved)
-    cut = ground.lattice.cut(*car.window)
-    space = Space.of(shapes, cut, ground.space.footprint)
-    cells, owner = group.cells_passed(width)
-    cells, owner = np.append(cells, group.cell), np.append(owner, np.arange(len(group.cell)))
-    row, col = np.divmod(cells, width)
-    local = (row - rows.start) * cut.width + col - cols.start
-    top = np.maximum(group.other_z, stop)
-    clear = np.ones(len(top), dtype=np.bool_)
-    clear[owner[~space.is_free(local, top[owner])]] = False
-    return clear
-
-
-def _lifted(shapes: Shapes, by: float) -> Shapes:
-    """Shapes moved up."""
-    solids, triangles = shapes.solids, shapes.triangles
-    up = np.array([0.0, 0.0, by])
-    return replace(
-        shapes,
-        solids=solids._replace(pos=solids.pos + up, bounds=solids.bounds + np.tile(up, 2)),
-        triangles=triangles._replace(corners=triangles.corners + up),
-    )
-
-
-def _together(one: Shapes, other: Shapes) -> Shapes:
-    """The shapes of both, by geom."""
-
-    def join(a: Any, b: Any) -> Any:
-        order = np.argsort(np.concatenate([a.geom, b.geom]), kind="stable")
-        pairs = zip(a, b, strict=True)
-        return type(a)._make(np.concatenate(pair)[order] for pair in pairs)
-
-    return Shapes(
-        join(one.solids, other.solids),
-        join(one.planes, other.planes),
-        join(one.triangles, other.triangles),
-        one.endless | other.endless,
-    )
+def _space_at(car: Car, height: float, ground: Ground) -> Space:
+    """The geometry round a car when its floor is at a height."""
+    scene, model = ground.scene, ground.scene.model
+    axis = float(scene.data.xaxis[car.joint, 2])
+    position = float(scene.data.qpos[model.jnt_qposadr[car.joint]]) + axis * (height - car.z)
+    data = data_with_joints(model, scene.data, {car.joint: position})
+    kinds = scene.shapes.solids, scene.shapes.planes, scene.shapes.triangles
+    known = np.unique(np.concatenate([kind.geom for kind in kinds]))
+    chosen = scene.choices, scene.parts, known[car.geoms[known]].tolist(), scene.meshes
+    moved = collect_shapes(model, data, *chosen).shapes
+    lattice, footprint = ground.lattice.cut(*car.window), ground.space.footprint
+    tiled = tile_shapes(scene.shapes.replaced(moved, car.geoms), lattice, footprint.reach)
+    return Space(cast_columns(tiled), tiled, footprint, car.window)

@@ -127,8 +127,18 @@ def why(
         print_tables(*map(printing.cell_table, cells))
 
 
+class Planner(NamedTuple):
+    """Options that say who plans, for what, and over which links."""
+
+    agent: str | None = option("NAME", "Plan for one of the grid's agents.")
+    by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost")
+    close: list[str] | None = option("LINK", "Close a link; may be repeated.", "--close")
+    open: list[str] | None = option("LINK", "Open a link; may be repeated.", "--open")
+
+
 def path(
     grid: GridFile,
+    planner: Planner,
     start: str = option(
         f"{PLACE}|room:NAME",
         f"Start, {PLACE_HELP}; or near the middle of a room.",
@@ -145,10 +155,6 @@ def path(
         default=...,
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
-    agent: str | None = option("NAME", "Plan for one of the grid's agents."),
-    by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost"),
-    close: list[str] = option("LINK", "Close a link; may be repeated.", "--close", default=[]),
-    open_: list[str] = option("LINK", "Open a link; may be repeated.", "--open", default=[]),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the path; - for a PNG on stdout.", *OUTPUT),
@@ -167,11 +173,12 @@ def path(
     begin = None if start.startswith("room:") else parse_place(start, "--from")
     ends = [] if is_named else [parse_place(text, "--to") for text in goals]
     content = navbake.load(grid)
-    if close or open_:
-        content = content.with_links(dict.fromkeys(open_, "open") | dict.fromkeys(close, "closed"))
+    states = {"open": planner.open, "closed": planner.close}
+    if any(states.values()):
+        content = content.with_links({n: state for state, ns in states.items() for n in ns or ()})
     if radius is not None:
         content = content.inflate(radius)
-    finder = navbake.PathFinder(content, agent=agent)
+    finder = navbake.PathFinder(content, agent=planner.agent)
     origin: Any = position_of_place(content, begin, "--from") if begin else None
     if origin is None:
         name = start.removeprefix("room:")
@@ -180,7 +187,7 @@ def path(
         if origin is None:
             raise QueryError(f"no agent can stand in room {name!r}")
     goal: Any = goals[0] if is_named else [position_of_place(content, p, "--to") for p in ends]
-    found = finder.find_path(origin, goal, by=by, smooth=smooth)
+    found = finder.find_path(origin, goal, by=planner.by, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     with beside_output(output):
         if as_json:

@@ -61,6 +61,7 @@ class Robot(NamedTuple):
     radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m].")
     height: float | None = option("METRES", "Of the agent, at most the grid's [m].")
     speed: float | None = option("M/S", "Of the agent, as a note [m/s].")
+    agent: str | None = option("NAME", "One of the grids' agents: its size, speed and rights.")
 
 
 def episodes(

@@ -70,10 +70,11 @@ class Graph(NamedTuple):
     moves: NDArray[np.uint8]  # by cell, a bit for each direction
     weight: Float  # by cell, inf where it isn't free
     same_weight: float  # the weight of all free cells, 0 where they differ
-    # the smallest weight of a free cell, >= 0; less where a passage costs less than such cells
-    least_weight: float
+    least_weight: float  # the smallest weight of a free cell, >= 0
     bucket: float  # width and number of the queue's buckets, see `navbake.runtime.kernels.routes`
     num_buckets: int
+    # by how much links may make the way to the goals cheaper than the estimate says
+    lead: float = 0.0
 
 
 class OffCenter(NamedTuple):

@@ -4,8 +4,10 @@
 A step costs its length [m] times the weight of the cell that it leads to. What is left to the goals
 is estimated by the octile distance to the box round them times the smallest weight, which is never
 too much, so the answer is the cheapest route. On another level the same estimate holds along x and
-y, since a link costs at least what it covers there: where a passage costs less, the smallest weight
-is lowered to what it costs for each metre.
+y, since a step to it costs at least what it covers there. A passage over a link may cost less. So
+the search goes on, once a goal is reached, by as much as links may save on the way to it: an
+estimate that is too high by at most that leaves the answer exact (Harris 1974, the bandwidth
+condition).
 
 The queue has buckets (Dial 1969), each as wide as a share of the cheapest step, whose cells come
 out in any order: the "untidy" priority queue of Yatziv, Bartesaghi and Sapiro (2006). Unlike there,
@@ -119,10 +121,10 @@ def bucket_width(
 
     A bucket is `SHARE` of the cheapest step wide, wider where that would take over `MAX_BUCKETS`.
     `size` is the smallest cell's edge [m], `least` and `most` bound the weights of cells, `dearest`
-    is the cost of the dearest passage.
+    is the cost of the dearest passage, with what the estimate may rise over it.
     """
     # from a bucket to a new entry
-    farthest = 2.0 * max(most * max(DIAGONAL * size, longest_link), dearest)
+    farthest = max(2.0 * most * max(DIAGONAL * size, longest_link), dearest)
     width = max(SHARE * size * least, farthest / (MAX_BUCKETS - 4))
     if not width > 0.0:  # all steps are free of cost: one bucket holds everything
         return 1.0, 4
@@ -209,7 +211,7 @@ def find_route(graph, sources, goals, number, visits):
             at += 1
             # All that is still open costs as much as this bucket at least. A goal counts only
             # now, as a cheaper way to it may have been in the bucket that it was found in.
-            if at * bucket >= best:
+            if at * bucket >= best + graph.lead:
                 break
             continue
         head[at & last_slot] = entry_next[entry]
@@ -246,7 +248,12 @@ def find_route(graph, sources, goals, number, visits):
                     r, c = divmod(target - start[on], width[on])
             # Backwards, the step that is added leads into this cell. Steps lead both ways, so the
             # moves out of a cell are those into it; links are given turned round.
-            price = same_weight if same_weight > 0.0 else weight[target if has_goals else cell]
+            price = same_weight
+            if same_weight <= 0.0:
+                # most neighbours are known by ways that the smallest weight can't beat
+                if mark[target] >= mine and here + length * least_weight >= cost[target] - slack:
+                    continue
+                price = weight[target if has_goals else cell]
             total = there = here + length * price + extra
             goal = 0
             if mark[target] >= mine:  # no search has a larger number
