@@ -50,10 +50,13 @@ from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read
 from navbake.formats.octomap import encode_octomap
 from navbake.formats.omnigibson import encode_omnigibson
 from navbake.formats.procthor import encode_procthor
+from navbake.formats.route_files import ROUTE_FORMATS, find_module, read_routes
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import read_voxels
+from navbake.lazy import resolve
 from navbake.navgrid.grid import NavGrid
+from navbake.routes.graph import Lane, Node, RouteGraph
 from navbake.scores import read_trajectories
 from navbake.views.describe import describe
 from navbake.views.report.report import read_verification
@@ -95,6 +98,9 @@ HOUSE = {
     "grids": [LEVEL, {**LEVEL, "min": [0, 3, 0]}],
 }  # fmt: skip
 HALL = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+ROUTES = RouteGraph((Node("a", (0.0, 0.0, 0.0)), Node("b", (1.0, 0.0, 3.0), 1)),
+                    (Lane(0, 1, "a - b", 1.0, 1.0, kind="lift", link="L"),),
+                    level_names=("level 0", "level 1"))  # fmt: skip
 OUTLINES = {"type": "FeatureCollection", "features": [
     {"type": "Feature", "properties": {"name": "hall", "level": 0},
      "geometry": {"type": "Polygon", "coordinates": [HALL, [[1, 1], [2, 1], [2, 2]]]}},
@@ -296,6 +302,9 @@ READERS = {
     **{kind: Reader(use_mesh, lambda kind=kind: _meshes(kind), f".{kind}")  # type: ignore[misc]
        for kind in ("ply", "stl", "obj", "glb", "dae")},
     "geojson": Reader(read_room_outlines, lambda: [OUTLINES], ".geojson"),
+    **{form: Reader(lambda p, form=form: read_routes(p, form),  # type: ignore[misc]
+                    lambda form=form: [resolve(f"{find_module('', form)}:encode_routes")(ROUTES)],
+                    ends[0]) for form, (_, ends, _) in ROUTE_FORMATS.items()},
     "settings": Reader(load_config, lambda: [SETTINGS], ".yaml"),
     "manifest": Reader(lambda p: list_jobs([str(p)]),
                        lambda: [{"scene": "a.xml", "id": "hall", "agent.radius": 0.2}], ".jsonl"),

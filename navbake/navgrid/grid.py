@@ -266,6 +266,7 @@ class GridBase:
     inflate = Method[Any]("navbake.runtime.inflation:inflate")
     inflate_footprint = Method[list[Bool]]("navbake.runtime.inflation:inflate_footprint")
     block = Method[Any]("navbake.runtime.blocks:block")
+    routes = Method[Any]("navbake.routes.build:make_routes")
     tensors = Method[Any]("navbake.tensors.build:make_tensors")
     describe_cell = Method[Json]("navbake.views.describe:describe_cell")
     save = Method[None]("navbake.formats.navgrid:write_navgrid")

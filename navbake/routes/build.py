@@ -35,11 +35,11 @@ sparse = lazy("scipy.sparse")
 spatial = lazy("scipy.spatial")
 
 LEAST_AREA = 4.0  # m²: smaller islands have no nodes
-REACH = 2.0  # metres from any cell to a node
+REACH = 1.8  # metres from any cell to a node
 APART = 1.0  # metres between nodes that see each other
 SNAP = 0.4  # metres from a corner of a path to a node that takes its place
 HOPS = 3  # regions from one node's to another's, between which a way has to be short
-STRETCH = 1.07  # of a way over other lanes, against a straight one
+STRETCH = 1.05  # of a way over other lanes, against a straight one
 LONGEST = 20.0  # metres of a lane
 DIGITS = 6  # of positions and lengths, after the point: micrometres
 
@@ -348,7 +348,7 @@ class _Builder:
         for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
             if self.distance[a, b] > STRETCH * least:
                 self._join_path(a, b, {None, self.places[a].door, self.places[b].door})
-        for a, b in ends.tolist():  # through doors that stand side by side
+        for a, b in self._touching().tolist():  # through doors that stand side by side
             if not math.isfinite(self.distance[a, b]):
                 self._join_path(a, b, {None, *self.leaves.values()})
 

@@ -147,7 +147,11 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
         shapes = scene.shapes.only(own)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
-        if window is None or not any(fnmatchcase(names[body], pattern) for pattern in patterns):
+        if (
+            bounds is None
+            or window is None
+            or not any(fnmatchcase(names[body], pattern) for pattern in patterns)
+        ):
             continue
         part = lattice.cut(*window)
         columns = cast_columns(tile_shapes(shapes, part, 0.0))

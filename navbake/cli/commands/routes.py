@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from typer import BadParameter
@@ -12,6 +13,8 @@ from navbake.cli.printing import say_unless_quiet
 from navbake.errors import FormatError
 from navbake.formats.route_files import ROUTE_FORMATS, find_module, write_routes
 from navbake.lazy import resolve
+
+# Functions import what loads numpy when they run: --help stays quick.
 
 
 def routes(
@@ -24,8 +27,6 @@ def routes(
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
-    from dataclasses import replace  # with what loads numpy
-
     from navbake.navgrid.agents import Agent
     from navbake.routes.build import make_routes
     from navbake.runtime.agents import find_agent
