@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils, Vt
 
 # boxes of a room with a doorway, z up: centre and size [m]
 ROOM = {
@@ -227,6 +227,3 @@ def _write_joint(stage: Any, model: Any, data: Any, joint: int) -> None:
         factor = 180 / np.pi if kind == kinds.mjJNT_HINGE else 1.0
         made.CreateLowerLimitAttr(float(low * factor))
         made.CreateUpperLimitAttr(float(high * factor))
-
-
-__all__ = ["FORMS", "Kind", "ROOM", "add_mesh", "new_stage", "place", "write_model", "write_room"]
