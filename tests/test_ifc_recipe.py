@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,16 +12,12 @@ import navbake
 from project_paths import ROOT
 
 pytest.importorskip("shapely", reason="shapely is not installed")
-ifcopenshell = pytest.importorskip("ifcopenshell", reason="ifcopenshell is not installed")
+pytest.importorskip("ifcopenshell", reason="ifcopenshell is not installed")
+NAMES = "aggregate context feature geometry project root spatial unit".split()  # noqa: SIM905
+aggregate, context, feature, geometry, project, root, spatial, unit = (
+    import_module(f"ifcopenshell.api.{name}") for name in NAMES
+)
 
-import ifcopenshell.api.aggregate as aggregate
-import ifcopenshell.api.context as context
-import ifcopenshell.api.feature as feature
-import ifcopenshell.api.geometry as geometry
-import ifcopenshell.api.project as project
-import ifcopenshell.api.root as root
-import ifcopenshell.api.spatial as spatial
-import ifcopenshell.api.unit as unit
 
 # class, name: lower corner and size [m]; the door stands in the opening of the wall in the middle
 BOXES = {
@@ -87,10 +84,7 @@ def test_recipe(tmp_path, monkeypatch):
     rooms = {room["name"]: room["area"] for room in grid.metadata["navbake"]["rooms"]}
     assert rooms == pytest.approx({"Kitchen": 2.7 * 3.6, "Hall": 2.7 * 3.6}, abs=0.6)
     assert [door["id"] for door in grid.metadata["navbake"]["doors"]] == ["IfcDoor_Door_1"]
-    path = grid.find_path((2.0, 3.0, 0.0), (4.0, 1.0, 0.0))
-    assert path is not None
-    # through the middle wall by its door
-    (row, col) = np.argwhere(level.occupancy == 0).max(axis=0)
-    assert row > 0 and col > 0
+    # through the middle wall by its door, about
+    assert 2.8 < grid.find_path((2.0, 3.0, 0.0), (4.0, 1.0, 0.0)).length < 4.0
     objects = {name for data in level.user_data.values() for name in data.get("objects", [])}
     assert "IfcFurniture_Table" in objects
