@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.config.settings import load_config
 from project_paths import ROOT
 
 pytest.importorskip("shapely", reason="shapely is not installed")
@@ -79,7 +80,8 @@ def test_recipe(tmp_path, monkeypatch):
     exec(recipe, names)
     names["convert_ifc"]("house.ifc", "house.obj", "rooms.geojson")
     (tmp_path / "house.yaml").write_text(settings)
-    grid = navbake.bake("house.yaml")
+    config = load_config("house.yaml", ["rooms.polygons=rooms.geojson"])
+    grid = navbake.bake(config)
     (level,) = grid.levels
     rooms = {room["name"]: room["area"] for room in grid.metadata["navbake"]["rooms"]}
     assert rooms == pytest.approx({"Kitchen": 2.7 * 3.6, "Hall": 2.7 * 3.6}, abs=0.6)
