@@ -29,7 +29,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 PICTURES = sorted((ROOT / "docs" / "pictures").glob("*.png"))
 MAX_README_WORDS = 700
 MAX_PICTURE_BYTES = 150_000
-FRAMEWORKS = ("gymnasium", "jax", "mujoco.mjx", "torch")
+FRAMEWORKS = ("gymnasium", "ifcopenshell", "jax", "mujoco.mjx", "torch")
 COMMANDS: Any = typer.main.get_command(app)
 UsageError = typer.BadParameter.__base__  # click may be a part of typer, or not
 

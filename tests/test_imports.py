@@ -27,6 +27,7 @@ DOORS = {
     "mujoco": ("baker.scene", "verifier"),
     "fcl": ("baker.occupancy", "verifier"),
     "trimesh": ("baker.scene", "verifier", "views.viewer"),
+    "pxr": ("baker.scene.usd", "formats.scene_files"),
     "matplotlib": ("views.plot",),
     "typer": ("cli",),
     "rich": ("cli",),

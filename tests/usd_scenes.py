@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils, Vt
 
 # boxes of a room with a doorway, z up: centre and size [m]
 ROOM = {
@@ -211,9 +211,15 @@ def _write_joint(stage: Any, model: Any, data: Any, joint: int) -> None:
     mujoco.mju_quat2Mat(turn, quat)
     made.CreateLocalPos1Attr(Gf.Vec3f(*model.jnt_pos[joint].tolist()))
     made.CreateLocalRot1Attr(Gf.Quatf(*map(float, quat)))
-    anchor = data.xanchor[joint]
-    outer = np.empty(4)
+    # the other frame is where the joint's position is 0
+    position, outer = float(data.qpos[model.jnt_qposadr[joint]]), np.empty(4)
+    anchor = data.xanchor[joint].copy()
     mujoco.mju_mulQuat(outer, data.xquat[body], quat)
+    if kind == kinds.mjJNT_HINGE:
+        back = np.array([np.cos(position / 2), 0.0, 0.0, -np.sin(position / 2)])
+        mujoco.mju_mulQuat(outer, outer.copy(), back)
+    else:
+        anchor -= position * data.xaxis[joint]
     made.CreateLocalPos0Attr(Gf.Vec3f(*anchor.tolist()))
     made.CreateLocalRot0Attr(Gf.Quatf(*map(float, outer)))
     if model.jnt_limited[joint]:
@@ -221,6 +227,3 @@ def _write_joint(stage: Any, model: Any, data: Any, joint: int) -> None:
         factor = 180 / np.pi if kind == kinds.mjJNT_HINGE else 1.0
         made.CreateLowerLimitAttr(float(low * factor))
         made.CreateUpperLimitAttr(float(high * factor))
-
-
-__all__ = ["FORMS", "Kind", "ROOM", "add_mesh", "new_stage", "place", "write_model", "write_room"]

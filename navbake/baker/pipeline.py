@@ -82,7 +82,7 @@ def bake(
     name. ``docs/live.md`` says more.
 
     Args:
-        scene: the path of a scene (MJCF, MJB, URDF, OBJ, PLY, STL, GLB, DAE) for default
+        scene: the path of a scene (MJCF, MJB, URDF, USD, SDF, OBJ, PLY, STL, GLB, DAE) for default
             settings; the path of a YAML file with settings; the same as a mapping; a
             `BakeConfig`; or a scene in memory: a mujoco.MjModel or MjSpec, a trimesh.Scene or
             Trimesh. It is not changed.

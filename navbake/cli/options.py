@@ -6,6 +6,7 @@ Places have one syntax in all commands: ``x,y``, ``x,y,z`` or ``x,y,L1``.
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import os
 import re
@@ -46,6 +47,12 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
     return overrides or []
 
 
+def override_model_path(folders: list[Path] | None) -> list[str]:
+    """The override of `--model-path`, relative to the current folder."""
+    listed = [str(folder.absolute()) for folder in folders or []]
+    return [f"scene.model_path={json.dumps(listed)}"] if listed else []
+
+
 def read_pairs(texts: Iterable[str] | None, option: str, form: str) -> dict[str, str]:
     """Values by key, from texts as ``KEY=VALUE``."""
     pairs = [text.partition("=") for text in texts or ()]
@@ -67,6 +74,14 @@ Overrides = Annotated[
         metavar="KEY=VALUE",
         callback=check_overrides,
         help="Override a setting, e.g. grid.cell_size=0.05. May be repeated.",
+    ),
+]
+ModelPath = Annotated[
+    list[Path] | None,
+    Option(
+        "--model-path",
+        metavar="FOLDER",
+        help="A folder of models of an SDF scene (model://…). May be repeated.",
     ),
 ]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]

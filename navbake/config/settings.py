@@ -130,7 +130,7 @@ class SceneSettings(Settings):
         "whether the mesh is a scan: true (up: level where the file says no axis, "
         "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
-    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0")
+    unit: Positive = setting(1.0, "the unit of mesh files [m], > 0; of USD in place of its own")
     model_path: Annotated[
         list[Folder], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
     ] = setting([], "folders of the models of an SDF scene (model://…), relative to this file")

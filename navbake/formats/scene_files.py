@@ -18,7 +18,8 @@ from navbake.files import check_regular
 XML_SUFFIXES = frozenset({".xml", ".mjcf", ".urdf"})
 SDF_SUFFIXES = frozenset({".sdf", ".world"})
 BUILDING_SUFFIXES = frozenset({".building.yaml", ".building.yml"})
-USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})  # a .usdz holds all of its files
+USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})
+STAGE_SUFFIXES = USD_SUFFIXES | {".usdz"}  # which holds all of its files
 # environment variables with the folders of Gazebo's models, today's first
 MODEL_PATHS = (
     *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH"),

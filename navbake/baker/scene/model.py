@@ -32,6 +32,8 @@ from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.scene_files import (
     BUILDING_SUFFIXES,
+    SDF_SUFFIXES,
+    STAGE_SUFFIXES,
     XML_SUFFIXES,
     check_inputs,
     mesh_places,
@@ -40,16 +42,14 @@ from navbake.formats.scene_files import (
 from navbake.lazy import resolve
 
 MJB_SUFFIX = ".mjb"
-# The readers of scenes that become pieces, see `navbake.baker.scene.pieces`
-STAGE, WORLD = "navbake.baker.scene.usd:read_stage", "navbake.baker.scene.sdf:read_world"
-READERS = dict.fromkeys([".usd", ".usda", ".usdc", ".usdz"], STAGE)
-READERS |= dict.fromkeys([".sdf", ".world"], WORLD)
+# Readers of scenes that become pieces, see `navbake.baker.scene.pieces`; and of what has none, what
+# is to be done with it
+READERS = dict.fromkeys(STAGE_SUFFIXES, "navbake.baker.scene.usd:read_stage")
+READERS |= dict.fromkeys(SDF_SUFFIXES, "navbake.baker.scene.sdf:read_world")
 READERS |= dict.fromkeys(BUILDING_SUFFIXES, "navbake.baker.scene.building:read_building")
-# What is not read, and what to do with it
-CONVERT = "convert it first, as docs/scenes.md says: "
 REFUSED = {
-    ".fbx": f"{CONVERT}`assimp export SCENE.fbx SCENE.glb` (Debian's assimp-utils)",
-    ".ifc": f"{CONVERT}`pip install ifcopenshell`, then its `IfcConvert`-like export to OBJ",
+    ".fbx": "convert it first, by `assimp export SCENE.fbx SCENE.glb` (Debian's assimp-utils)",
+    ".ifc": "convert it first, by ifcopenshell (pip install ifcopenshell), as docs/scenes.md shows",
 }
 BROKEN_XML = (ElementTree.ParseError, ValueError, LookupError)
 NO_NAME = "MuJoCo Model"  # what MuJoCo calls a model that was given no name

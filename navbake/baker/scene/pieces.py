@@ -5,7 +5,8 @@ batches work on them as on MJCF. Solids and height fields are MuJoCo's own; mesh
 are kept exact beside the model, see `specs.model_of_parts`.
 
 MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
-So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh.
+So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh, until
+`FEW_PIECES` are left.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from navbake.baker.scene.specs import (
 from navbake.errors import SceneError
 from navbake.types import Float, Int32
 
-MOST_PIECES = 10_000
+MOST_PIECES, FEW_PIECES = 10_000, 3000
 SIDES = 32  # of a round solid that is drawn by triangles
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
 GEOM = mujoco.mjtGeom
@@ -141,7 +142,7 @@ class Ties:
             joint = None if name in held else Joint(name, "free", free, free)
             self._ties.setdefault(name, ("", joint))
         moving: dict[str, Body] = {}
-        left = dict.fromkeys(sorted(self._ties))
+        left = dict.fromkeys(self.poses)
         while left:
             for name in [name for name in left if self._ties[name][0] not in left]:
                 del left[name]
@@ -165,8 +166,8 @@ def build_model(
             # a mesh that moves is in the frame of its body
             body = found.bodies.get(piece.body)
             own = _own_pose(piece.pose, body)
-            placed = _place(piece.mesh, own[None], found.decimals)
-            part = check_part(MeshPart(piece.name, *placed, piece.mode), path)
+            mesh = _place([piece.mesh], own[None], found.decimals)
+            part = check_part(MeshPart(piece.name, *mesh, piece.mode), path)
             if not len(part.faces):
                 continue
             (parts if body is None else moving)[piece.name] = part
@@ -202,7 +203,8 @@ def build_model(
                 place = _place_of(_own_pose(piece.pose, found.bodies.get(piece.body)))
                 geom.pos, geom.quat = place["pos"], place["quat"]
                 if piece.heights is None:
-                    geom.size = (*piece.size, 0.0, 0.0)[:3]
+                    last = float(piece.kind == "plane")  # MuJoCo wants the spacing of its lines
+                    geom.size = (*piece.size, last, 0.0)[:3]
                 else:
                     rows, cols = piece.heights.shape
                     field = spec.add_hfield(name=piece.name, nrow=rows, ncol=cols)
@@ -238,17 +240,20 @@ def _add_joint(holder: Any, joint: Joint, pose: Float) -> None:
         made.range, made.limited = joint.limits, mujoco.mjtLimited.mjLIMITED_TRUE
 
 
-def _place(mesh: Mesh, poses: Float, decimals: int | None = None) -> tuple[Float, Int32]:
-    """Copies of a mesh at poses, shape (n, 4, 4), as one: vertices and faces."""
-    turns = np.ascontiguousarray(poses[:, :3, :3].transpose(0, 2, 1))
-    vertices = (mesh.vertices @ turns + poses[:, None, :3, 3]).reshape(-1, 3)
+def _place(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
+    """Meshes at poses, shape (n, 4, 4), as one."""
+    counts = [len(mesh.vertices) for mesh in meshes]
+    owner, turns = np.repeat(np.arange(len(meshes)), counts), poses[:, :3, :3]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    vertices = (turns[owner] @ vertices[:, :, None])[:, :, 0] + poses[owner, :3, 3]
     if decimals is not None:
         vertices = np.round(vertices, decimals) + 0.0  # no -0.0
-    faces = np.repeat(mesh.faces[None], len(poses), axis=0)
-    mirrors = np.linalg.det(turns) < 0  # which turn every triangle over
-    faces[mirrors] = faces[mirrors][:, :, ::-1]
-    first = np.arange(len(poses), dtype=np.int32) * np.int32(len(mesh.vertices))
-    return vertices, (faces + first[:, None, None]).reshape(-1, 3)
+    faces = np.concatenate([mesh.faces for mesh in meshes])
+    owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    mirrors = np.linalg.det(turns)[owner] < 0  # which turn every triangle over
+    faces[mirrors] = faces[mirrors, ::-1]
+    first = (np.cumsum(counts) - counts).astype(np.int32)
+    return Mesh(vertices, faces + first[owner, None])
 
 
 def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece]:
@@ -263,11 +268,11 @@ def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece
     stays = [p.body in found.bodies or p.kind in ("plane", "hfield") for p in pieces]
     # a piece stands in its body, a body in what its path names before its last "/"
     owners = [f"{piece.body}\0{number}" for number, piece in enumerate(pieces)]
-    while len(left := set(owners)) > MOST_PIECES:
+    while len(left := set(owners)) > FEW_PIECES:
         count = Counter(map(_above, left))
         num, chosen = len(left), set[str]()
         for name, size in count.most_common():
-            if num <= MOST_PIECES or (size == 1 and chosen):
+            if num <= FEW_PIECES or (size == 1 and chosen):
                 break
             chosen.add(name)
             num -= size - 1
@@ -294,24 +299,19 @@ def _above(name: str) -> str:
 
 
 def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
-    meshes: dict[Any, tuple[Mesh, list[Float]]] = {}
+    known: dict[Any, Mesh] = {}
+    meshes = list[Mesh]()
     for piece in group:
         key = (piece.kind, piece.size, piece.mode, id(piece.mesh))
-        if key not in meshes:
+        if key not in known:
             mesh = piece.mesh or tessellate(piece.kind, piece.size)
             hull = hull_faces(mesh.vertices) if piece.mode == "hull" else None
-            meshes[key] = Mesh(mesh.vertices, mesh.faces if hull is None else hull), []
-        meshes[key][1].append(piece.pose)
-    placed = [_place(mesh, np.stack(poses), decimals) for mesh, poses in meshes.values()]
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in placed)]).astype(np.int32)
-    vertices = np.concatenate([vertices for vertices, _ in placed])
-    faces = np.concatenate([
-        faces + start for (_, faces), start in zip(placed, first, strict=False)
-    ])  # fmt: skip
-    last = group[-1]
-    mesh = Mesh(vertices, faces)
-    return Piece(
-        name, name, "mesh", (), np.eye(4), mesh, None, "surface", last.collides, last.drawn
+            known[key] = mesh if hull is None else Mesh(mesh.vertices, hull)
+        meshes.append(known[key])
+    mesh = _place(meshes, np.stack([piece.pose for piece in group]), decimals)
+    only = group[0]
+    return only._replace(
+        name=name, body=name, kind="mesh", size=(), pose=np.eye(4), mesh=mesh, mode="surface"
     )
 
 

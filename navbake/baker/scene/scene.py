@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from navbake.baker.scene.shapes import Shapes
 from navbake.baker.scene.specs import catch_warnings
 from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, stem_of
 from navbake.errors import SceneError
+from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
 from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
 from navbake.types import Float
@@ -139,7 +141,9 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
     given = {"up": settings.up not in ("auto", "z"), "unit": settings.unit != 1.0}
     text = "is for mesh files and does nothing here"
     unused = [f"`scene.{name}` {text}" for name, is_given in given.items() if is_given]
-    return [*notes, *([] if parts else unused)]
+    suffix = Path(settings.path).suffix.lower()
+    takes_frame = suffix in STAGE_SUFFIXES or (bool(parts) and suffix not in SDF_SUFFIXES)
+    return [*notes, *([] if takes_frame else unused)]
 
 
 def _warn_size(
@@ -148,10 +152,15 @@ def _warn_size(
     """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
+    suffix = Path(settings.path).suffix.lower()
+    if suffix in SDF_SUFFIXES | STAGE_SUFFIXES:  # these state their unit
+        parts = {}
     sides = np.diff(box_of(parts.values()) if parts else bounds, axis=0)[0]
     width, height = float(sides.max()), float(sides[2])
     if width < SMALL:
         hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
+        if suffix in STAGE_SUFFIXES:
+            hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
         if parts:
             hint = "set `scene.unit` to the metres that one unit of it is, as 1000 for kilometres"
             hint += " (1 silences this)"

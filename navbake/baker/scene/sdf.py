@@ -310,7 +310,7 @@ class _Reader:
             parts = read_mesh_parts(file, stated_up(file) or "z")
             named = [part for part in parts if submesh in ("", part.name)]
             if not named:
-                listed = ", ".join(part.name for part in parts[:20])
+                listed = ", ".join(sorted(part.name for part in parts)[:20])
                 raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
             vertices = np.concatenate([part.vertices for part in named])
             first = np.cumsum([0, *(len(part.vertices) for part in named)]).astype(np.int32)

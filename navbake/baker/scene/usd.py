@@ -155,13 +155,12 @@ class _Reader:
 
     def _state_of(self, prim: Any, name: str, above: _State) -> _State:
         matrix, visible, purpose, body, component, collides, approximation = above
-        if prim.IsA(UsdGeom.Imageable):
-            shown = prim.GetAttribute("visibility").Get(self._time)
-            visible = visible and shown != "invisible"
-            attribute = prim.GetAttribute("purpose")
-            if attribute.HasAuthoredValue():
-                purpose = str(attribute.Get())
-        if prim.IsA(UsdGeom.Xformable):
+        names = prim.GetAuthoredPropertyNames()  # one call, where most prims have few
+        if "visibility" in names:
+            visible = visible and self._get(prim, "visibility") != "invisible"
+        if "purpose" in names:
+            purpose = str(self._get(prim, "purpose"))
+        if "xformOpOrder" in names:
             xform = UsdGeom.Xformable(prim)
             own = xform.GetLocalTransformation(self._time)
             matrix = own if xform.GetResetXformStack() else own * matrix
@@ -233,8 +232,8 @@ class _Reader:
 
     def _triangles_of(self, prim: Any, is_box: bool) -> Mesh | None:
         """A mesh in its own frame, counter-clockwise; None for an empty one."""
-        keys = "points", "faceVertexCounts", "faceVertexIndices", "holeIndices"
-        points, counts, indices, holes = (self._get(prim, key) for key in keys)
+        keys = "points", "faceVertexCounts", "faceVertexIndices"
+        points, counts, indices = (self._get(prim, key) for key in keys)
         if not points or not counts:
             return None
         vertices = np.array(points, dtype=np.float64)
@@ -254,7 +253,8 @@ class _Reader:
             box = tessellate("box", (0.5, 0.5, 0.5))
             low, high = vertices.min(axis=0), vertices.max(axis=0)
             return Mesh(low + (box.vertices + 0.5) * (high - low), box.faces)
-        faces = triangulate(vertices, counts, indices, np.array(holes or [], dtype=np.int64))
+        holes = np.array(self._get(prim, "holeIndices") or [], dtype=np.int64)
+        faces = triangulate(vertices, counts, indices, holes)
         if self._get(prim, "orientation") == "leftHanded":
             faces = faces[:, ::-1]
         return Mesh(vertices, faces)

@@ -17,12 +17,14 @@ from navbake.cli.options import (
     OUTPUT,
     STDOUT,
     AsJson,
+    ModelPath,
     Overrides,
     SceneOrConfig,
     beside_output,
     check_output,
     flag,
     option,
+    override_model_path,
     refuse_unused,
     say_if_sample,
     write_stdout,
@@ -53,7 +55,7 @@ def init(
     scene: Path = Argument(
         ...,
         metavar="SCENE",
-        help="Scene file: MJCF, MJB, URDF or a mesh.",
+        help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh.",
     ),
     output: Path | None = option(
         "FILE", "YAML to write; - for stdout.  [default: ./<id>.yaml]", *OUTPUT
@@ -106,7 +108,12 @@ def samples(
         )
 
 
-def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides = None) -> None:
+def geoms(
+    config: SceneOrConfig,
+    as_json: AsJson = False,
+    overrides: Overrides = None,
+    model_path: ModelPath = None,
+) -> None:
     """List the geoms of a scene: which count, as what, and why.
 
     Example: navbake geoms house.xml
@@ -114,7 +121,8 @@ def geoms(config: SceneOrConfig, as_json: AsJson = False, overrides: Overrides =
     from navbake.baker.scene.scene import load_scene
     from navbake.config.settings import load_config
 
-    settings = load_config(config, overrides or [])
+    overrides = [*(overrides or []), *override_model_path(model_path)]
+    settings = load_config(config, overrides)
     say_if_sample(config)
     scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
@@ -291,6 +299,7 @@ def bake(
     overrides: Overrides = None,
     radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
     cell_size: float | None = option("METRES", "The same as --set grid.cell_size=METRES [m]."),
+    model_path: ModelPath = None,
     threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
@@ -328,6 +337,7 @@ def bake(
     overrides = list(overrides or [])
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
+    overrides += override_model_path(model_path)
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:
