@@ -18,6 +18,51 @@ from navbake.compiled import kernel, part
 SHEET, COPY = np.int32(-1), np.int32(-2)
 
 
+@part
+def _list_edges(faces, num):
+    """Number the undirected edges of triangles, of points below `num`.
+
+    Returns:
+        The edge of each half-edge 3 f + k, from corner k of triangle f to the next one, (3 m,)
+        int32; and the half-edges of each edge, ragged, ascending, int32: `start` and `half`.
+    """
+    # the half-edges by the lower one of their two points, ragged
+    end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
+    for writing in (False, True):
+        for h in range(half.shape[0]):
+            low = min(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
+            if writing:
+                half[end[low]] = h
+            end[low] += 1
+        if not writing:  # to where each list begins, from where writing takes it to its end
+            total = np.int32(0)
+            for low in range(num):
+                count = end[low]
+                end[low] = total
+                total += count
+    edge, start = np.empty(half.shape[0], np.int32), np.empty(half.shape[0] + 1, np.int32)
+    keys = np.empty(16, np.int64)
+    first, edges = 0, 0
+    for low in range(num):
+        count = end[low] - first
+        if count > keys.shape[0]:
+            keys = np.empty(2 * count, np.int64)
+        for i in range(count):
+            h = half[first + i]
+            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
+            keys[i] = (np.int64(high) << 32) | h
+        sort_keys(keys, count)
+        for i in range(count):
+            h = keys[i] & 0xFFFFFFFF
+            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
+                start[edges] = first + i
+                edges += 1
+            half[first + i], edge[h] = h, edges - 1
+        first = end[low]
+    start[edges] = half.shape[0]
+    return edge, start[: edges + 1].copy(), half
+
+
 @part(inline="always")
 def _opposite(faces, half):
     """The corner of a triangle that is not on one of its edges; edges are numbered 3 f + k."""
@@ -241,16 +286,13 @@ def _unite_patches(faces, start, half, kept, patch, turned, num):
 
 
 @kernel
-def find_parts(faces, area, edge, start, half):
+def find_parts(faces, area, num_points):
     """Find the closed parts of a mesh.
 
     Args:
         faces: corners of each triangle, (m, 3) int32, no two of one triangle the same; equal
-            numbers are the same point.
+            numbers are the same point, all below `num_points`.
         area: of each triangle, (m,) float64 [m²].
-        edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the
-            next one, (3 m,) int32.
-        start, half: the half-edges of each edge, ragged, ascending, int32; see `find_shells`.
 
     Returns:
         part: by triangle, a number of its closed part, the lowest triangle in it, or SHEET, or
@@ -262,6 +304,7 @@ def find_parts(faces, area, edge, start, half):
     part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
+    edge, start, half = _list_edges(faces, num_points)
     _drop_copies(faces, start, half, part)
     kept = part == SHEET
     while True:  # a membrane that is gone joins the patches at its rim
