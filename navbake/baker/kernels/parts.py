@@ -11,56 +11,11 @@ edges. A part is closed when each edge is met as often in one direction as in th
 import numpy as np
 
 from navbake.baker.kernels.connect import find_root, unite
-from navbake.baker.scene.kernels.shells import sort_keys
+from navbake.baker.scene.kernels.shells import list_edges, sort_keys
 from navbake.compiled import kernel, part
 
 # In place of a closed part's number: of a sheet, or a copy of another triangle
 SHEET, COPY = np.int32(-1), np.int32(-2)
-
-
-@part
-def _list_edges(faces, num):
-    """Number the undirected edges of triangles, of points below `num`.
-
-    Returns:
-        The edge of each half-edge 3 f + k, from corner k of triangle f to the next one, (3 m,)
-        int32; and the half-edges of each edge, ragged, ascending, int32: `start` and `half`.
-    """
-    # the half-edges by the lower one of their two points, ragged
-    end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
-    for writing in (False, True):
-        for h in range(half.shape[0]):
-            low = min(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
-            if writing:
-                half[end[low]] = h
-            end[low] += 1
-        if not writing:  # to where each list begins, from where writing takes it to its end
-            total = np.int32(0)
-            for low in range(num):
-                count = end[low]
-                end[low] = total
-                total += count
-    edge, start = np.empty(half.shape[0], np.int32), np.empty(half.shape[0] + 1, np.int32)
-    keys = np.empty(16, np.int64)
-    first, edges = 0, 0
-    for low in range(num):
-        count = end[low] - first
-        if count > keys.shape[0]:
-            keys = np.empty(2 * count, np.int64)
-        for i in range(count):
-            h = half[first + i]
-            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
-            keys[i] = (np.int64(high) << 32) | h
-        sort_keys(keys, count)
-        for i in range(count):
-            h = keys[i] & 0xFFFFFFFF
-            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
-                start[edges] = first + i
-                edges += 1
-            half[first + i], edge[h] = h, edges - 1
-        first = end[low]
-    start[edges] = half.shape[0]
-    return edge, start[: edges + 1].copy(), half
 
 
 @part(inline="always")
@@ -304,7 +259,11 @@ def find_parts(faces, area, num_points):
     part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
-    edge, start, half = _list_edges(faces, num_points)
+    start, half = list_edges(faces, np.int64(0), num_points)
+    edge = np.empty(half.shape[0], np.int32)
+    for e in range(start.shape[0] - 1):
+        for h in half[start[e] : start[e + 1]]:
+            edge[h] = e
     _drop_copies(faces, start, half, part)
     kept = part == SHEET
     while True:  # a membrane that is gone joins the patches at its rim

@@ -82,18 +82,13 @@ def sort_keys(keys, num):
         gap //= 3
 
 
-@part(inline="always")
-def _are_neighbours(faces, h, g):
-    """Whether two half-edges of an edge run in opposite ways, of triangles not back to back."""
-    here, next_ = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
-    other, third = faces[g // 3, g % 3], faces[g // 3, (g % 3 + 2) % 3]
-    return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
-
-
 @part
-def _unite_at_edges(faces, low0, low_end, part, is_shell):
-    """Unite the triangles at the edges whose lower points are in ``range(low0, low_end)``."""
-    # the half-edges by the lower one of their two points, ragged
+def list_edges(faces, low0, low_end):
+    """List the half-edges 3 f + k, from corner k of triangle f to the next one, edge by edge.
+
+    Of the edges whose lower points are in ``range(low0, low_end)``: `start`, (edges + 1,), and
+    `half`, ragged, ascending, both int32.
+    """
     stop, half = np.zeros(low_end - low0, np.int32), np.empty(0, np.int32)
     for writing in (False, True):
         for f in range(faces.shape[0]):
@@ -110,26 +105,33 @@ def _unite_at_edges(faces, low0, low_end, part, is_shell):
                 stop[low] = total
                 total += count
             half = np.empty(total, np.int32)
-    begin, keys = np.int32(0), np.empty(16, np.int64)
+    start, keys = np.empty(half.shape[0] + 1, np.int32), np.empty(16, np.int64)
+    first, edges = np.int32(0), 0
     for low in range(low_end - low0):
-        count = stop[low] - begin
+        count = stop[low] - first
         if count > keys.shape[0]:
             keys = np.empty(2 * count, np.int64)
         for i in range(count):
-            h = half[begin + i]
+            h = half[first + i]
             high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
             keys[i] = (np.int64(high) << 32) | h
         sort_keys(keys, count)
-        one = 0
         for i in range(count):
-            h, other = keys[one] & 0xFFFFFFFF, keys[i] & 0xFFFFFFFF
-            if i > one:
-                unite(part, h // 3, other // 3)
-            if i + 1 == count or keys[i + 1] >> 32 != keys[one] >> 32:
-                if i != one + 1 or not _are_neighbours(faces, h, other):
-                    is_shell[h // 3] = False
-                one = i + 1
-        begin = stop[low]
+            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
+                start[edges] = first + i
+                edges += 1
+            half[first + i] = keys[i] & 0xFFFFFFFF
+        first = stop[low]
+    start[edges] = half.shape[0]
+    return start[: edges + 1], half
+
+
+@part(inline="always")
+def _are_neighbours(faces, h, g):
+    """Whether two half-edges of an edge run in opposite ways, of triangles not back to back."""
+    here, next_ = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
+    other, third = faces[g // 3, g % 3], faces[g // 3, (g % 3 + 2) % 3]
+    return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
 
 
 @kernel(nogil=True)
@@ -150,7 +152,14 @@ def find_shells(faces, num, parts, is_shell, first, end):
         for f in range(faces.shape[0]):
             parts[share, f] = f
         low, low_end = num * share // shares, num * (share + 1) // shares
-        _unite_at_edges(faces, low, low_end, parts[share], is_shell)
+        start, half = list_edges(faces, low, low_end)
+        for e in range(start.shape[0] - 1):
+            one = np.int64(half[start[e]])
+            for i in range(start[e] + 1, start[e + 1]):
+                unite(parts[share], one // 3, np.int64(half[i]) // 3)
+            is_pair = start[e + 1] - start[e] == 2
+            if not is_pair or not _are_neighbours(faces, one, np.int64(half[start[e] + 1])):
+                is_shell[one // 3] = False
     if end <= shares:
         return
     for share in range(1, shares):
