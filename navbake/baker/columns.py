@@ -13,6 +13,7 @@ from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Til
 from navbake.baker.kernels.hits import DROPPED, RIM
 from navbake.baker.kernels.rays import cast_lines, cast_points_at
 from navbake.baker.kernels.tiles import BAND, TILE, list_boxes
+from navbake.baker.scene.kernels.triangles import measure_facets
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_bands
@@ -228,8 +229,16 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
         run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
     if dropped.any():
         kept = crossings.geom != DROPPED
-        known[:] = np.append(0, np.cumsum(kept))[known]
-        crossings = Crossings(start, *(array[kept] for array in crossings[1:]))
+        place, every = np.append(0, np.cumsum(kept)), crossings
+        known[:] = place[known]
+        crossings = empty_crossings(start, int(place[-1]))
+
+        def keep(first: int, end: int) -> None:
+            layers: Any = zip(every[1:], crossings[1:], strict=True)
+            for old, new in layers:
+                new[place[first] : place[end]] = old[first:end][kept[first:end]]
+
+        run_in_bands(keep, len(kept), least=65536)
     return Columns(lattice, crossings, rows and asked)
 
 
@@ -287,14 +296,9 @@ def empty_crossings(start: Int, count: int) -> Crossings:
 
 def _facets_of(triangles: Triangles) -> Facets:
     bounds = np.empty((len(triangles.geom), 6))
-
-    def measure(first: int, end: int) -> None:
-        a, b, c = np.moveaxis(triangles.corners[first:end], 1, 0)
-        np.minimum(np.minimum(a, b), c, out=bounds[first:end, :3])
-        np.maximum(np.maximum(a, b), c, out=bounds[first:end, 3:])
-
-    run_in_bands(measure, len(bounds), least=4096)
-    return Facets(*triangles, bounds)
+    facing = np.empty(len(bounds), dtype=np.int8)
+    run_in_bands(measure_facets, len(bounds), triangles.corners, bounds, facing, least=4096)
+    return Facets(*triangles, bounds, facing)
 
 
 def height_range(shapes: Shapes, lattice: Lattice) -> Band:

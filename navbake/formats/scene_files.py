@@ -289,7 +289,10 @@ def _parse_elements(content: bytes) -> list[_Element]:
         """A name as the system's calls return it, also if it is no UTF-8."""
         return html.unescape(value.decode(errors="surrogateescape"))
 
+    found = ELEMENT.findall(COMMENT.sub(b"", content))
+    # of most elements, no attribute matters here
+    found[1:] = [each for each in found[1:] if b"file" in each[1] or b"dir" in each[1]]
     return [
         (text(tag), {text(key): text(a or b) for key, a, b in ATTRIBUTE.findall(attributes)})
-        for tag, attributes in ELEMENT.findall(COMMENT.sub(b"", content))
+        for tag, attributes in found
     ]

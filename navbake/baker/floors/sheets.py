@@ -17,7 +17,6 @@ from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
     Members,
-    count_left,
     east_rim,
     fill_members,
     find_large,
@@ -220,7 +219,10 @@ def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
     """Whether the marked cells of a lattice are enough for a floor, see `area_test`."""
     test = area_test(lattice, settings)
     mask = np.pad(marked.reshape(lattice.shape), test.reach)
-    return bool(count_left(mask, test, test.needed) >= test.needed)
+    left = np.flatnonzero(mask)
+    for row, col in test.disc.tolist():
+        left = left[mask.ravel()[left + row * mask.shape[1] + col]]
+    return len(left) >= test.needed
 
 
 @dataclass(frozen=True)

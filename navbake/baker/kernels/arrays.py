@@ -42,6 +42,7 @@ class Facets(NamedTuple):
         closed: what that part encloses, see `constants`, (m,) uint8.
         corners: (m, 3, 3) float64 [m].
         bounds: boxes round them, (m, 6) float64: lower corner, upper corner [m].
+        facing: hundredths of their unit normals' z, rounded; 0 of upright ones alone, (m,) int8.
     """
 
     geom: Int32
@@ -49,6 +50,7 @@ class Facets(NamedTuple):
     closed: NDArray[np.uint8]
     corners: Float
     bounds: Float
+    facing: NDArray[np.int8]
 
 
 class Tiles(NamedTuple):

@@ -167,8 +167,7 @@ def _list_in_tile(
         item, face, faces = np.int64(0), -1, 0
         if n >= last:
             item = np.int64(tiles.triangle_item[n + shift])
-            low, high = facets.bounds[item, 2], facets.bounds[item, 5]
-            if _is_common(heights, num, low, high, limits.step):
+            if facets.facing[item] < max(100.0 * limits.min_up - 1.0, 1.0):  # rounded
                 continue
         else:
             item = np.int64(tiles.solid_item[n])
@@ -176,16 +175,22 @@ def _list_in_tile(
         while face < faces:
             if num_sides + count + TILE * TILE > seen.shape[0]:
                 return -1
-            corners_of, radius = _take(solids, facets, item, face, limits.min_up, corners)
-            for k in range(3):
-                box[0, k], box[0, 3 + k] = math.inf, -math.inf
-                for i in range(corners_of):
-                    box[0, k] = min(box[0, k], corners[i, k])
-                    box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
+            # most triangles have floor all around: their corners are taken where there is none
+            corners_of, radius = -1, 0.0
+            if n >= last:
+                for k in range(6):
+                    box[0, k] = facets.bounds[item, k]
+            else:
+                corners_of, radius = _take(solids, facets, item, face, limits.min_up, corners)
+                for k in range(3):
+                    box[0, k], box[0, 3 + k] = math.inf, -math.inf
+                    for i in range(corners_of):
+                        box[0, k] = min(box[0, k], corners[i, k])
+                        box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
             middle, most = (box[0, 2] + box[0, 5]) / 2.0, step - (box[0, 5] - box[0, 2]) / 2.0
             row0, row1, col0, col1 = window[0], window[0], 0, 0
-            if corners_of > 0 and not _is_common(heights, num, box[0, 2], box[0, 5], limits.step):
+            if corners_of != 0 and not _is_common(heights, num, box[0, 2], box[0, 5], limits.step):
                 row0, row1, col0, col1 = cells_near(lattice, window, box, 0, crack + radius)
             for row in range(row0, row1):
                 for col in range(col0, col1):
@@ -193,6 +198,10 @@ def _list_in_tile(
                     if not (asked.shape[0] == 0 or asked[cell]) or _has_floor(
                         crossings, cell, middle, most, limits.min_up
                     ):
+                        continue
+                    if corners_of < 0:
+                        corners_of, _ = _take(solids, facets, item, face, limits.min_up, corners)
+                    if corners_of == 0:
                         continue
                     x, y = center_of(lattice, row, col)
                     away = _distance(corners, corners_of, radius, x, y, near)

@@ -11,7 +11,7 @@ edges. A part is closed when each edge is met as often in one direction as in th
 import numpy as np
 
 from navbake.baker.kernels.connect import find_root, unite
-from navbake.baker.scene.kernels.shells import sort_keys
+from navbake.baker.scene.kernels.shells import list_edges, sort_keys
 from navbake.compiled import kernel, part
 
 # In place of a closed part's number: of a sheet, or a copy of another triangle
@@ -241,16 +241,13 @@ def _unite_patches(faces, start, half, kept, patch, turned, num):
 
 
 @kernel
-def find_parts(faces, area, edge, start, half):
+def find_parts(faces, area, num_points):
     """Find the closed parts of a mesh.
 
     Args:
         faces: corners of each triangle, (m, 3) int32, no two of one triangle the same; equal
-            numbers are the same point.
+            numbers are the same point, all below `num_points`.
         area: of each triangle, (m,) float64 [m²].
-        edge: the undirected edge of each half-edge 3 f + k, from corner k of triangle f to the
-            next one, (3 m,) int32.
-        start, half: the half-edges of each edge, ragged, ascending, int32; see `find_shells`.
 
     Returns:
         part: by triangle, a number of its closed part, the lowest triangle in it, or SHEET, or
@@ -262,6 +259,11 @@ def find_parts(faces, area, edge, start, half):
     part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
+    start, half = list_edges(faces, np.int64(0), num_points)
+    edge = np.empty(half.shape[0], np.int32)
+    for e in range(start.shape[0] - 1):
+        for h in half[start[e] : start[e + 1]]:
+            edge[h] = e
     _drop_copies(faces, start, half, part)
     kept = part == SHEET
     while True:  # a membrane that is gone joins the patches at its rim

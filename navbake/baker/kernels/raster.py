@@ -14,7 +14,7 @@ import numpy as np
 
 from navbake.baker.kernels.hits import AT_EDGE, INSIDE, RIM
 from navbake.baker.kernels.tiles import cell_center, centers_between
-from navbake.baker.scene.kernels.triangles import is_upright, unit_normal
+from navbake.baker.scene.kernels.triangles import unit_normal
 from navbake.compiled import UNCOUNTED, part
 
 # Lines are never surely far from edges shorter than this [m]
@@ -138,7 +138,7 @@ def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writi
     width, height = lattice.width, lattice.height
     for i in range(listed.shape[0]):
         t, count = listed[i], 0
-        if (writing and not is_crossed[i]) or (not writing and is_upright(corners, t)):
+        if (writing and not is_crossed[i]) or (not writing and facets.facing[t] == 0):
             is_crossed[i] = False
             continue
         top, bottom = bounds[t, 4] + RIM, bounds[t, 1] - RIM

@@ -35,7 +35,6 @@ from navbake.baker.kernels.hits import (
 )
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
 from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
-from navbake.baker.scene.kernels.triangles import is_upright
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float
 
@@ -323,7 +322,7 @@ def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
             count += _hit_solid(solids, s, x, y, ray, hits, count)
     for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
         t = tiles.triangle_item[i]
-        if not is_beside(facets.bounds, t, x, y) and not is_upright(facets.corners, t):
+        if facets.facing[t] != 0 and not is_beside(facets.bounds, t, x, y):
             count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count, True)
     return count - settle(hits, zero, count, facets, hits, count)
 

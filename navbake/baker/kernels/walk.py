@@ -102,6 +102,8 @@ class Here(NamedTuple):
         first, end: the queries of each cell, (TILE, TILE) int64.
         span: the heights of all volumes that are tested, (2,) float64 [m].
         open: a bit for each undecided cell; (1,) int64.
+        still, bands: of each volume of a geom, a bit for each cell that it is to be tested in,
+            (4,) int64; and the heights of all these volumes, (4, 2) float64 [m].
         box: around a geom over the tile, (1, 6) float64 [m].
         planes: the numbers of all planes, int32.
     """
@@ -111,6 +113,8 @@ class Here(NamedTuple):
     end: Int
     span: Float
     open: Int
+    still: Int
+    bands: Float
     box: Float
     planes: Int32
     simplex: Simplex
@@ -153,6 +157,8 @@ def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, 
         np.empty((TILE, TILE), np.int64),
         np.empty(2),
         np.empty(1, np.int64),
+        np.empty(4, np.int64),
+        np.empty((4, 2)),
         np.empty((1, 6)),
         np.arange(geometry[2].geom.shape[0]).astype(np.int32),
         make_simplex(),
@@ -354,9 +360,11 @@ def _ask_geom(walk, kind, items, geom, entries, count):
     if here.box[0, 2] >= here.span[1] or here.box[0, 5] <= here.span[0]:
         return count
     footprint, facets = walk.footprint, walk.facets
-    reach = max(lattice.cell_size / 2, footprint.square, footprint.radius) + 2.0 * TOUCH
+    half = lattice.cell_size / 2 + 2.0 * TOUCH
+    reach = max(half, max(footprint.square, footprint.radius) + 2.0 * TOUCH)
     all_near = cells_near(lattice, window, here.box, 0, reach)
-    still, low, high = np.int64(0), math.inf, -math.inf
+    still, bands = here.still, here.bands
+    still[:], bands[:, 0], bands[:, 1] = 0, math.inf, -math.inf
     for row in range(all_near[0], all_near[1]):
         for col in range(all_near[2], all_near[3]):
             r, c = row - window[0], col - window[2]
@@ -367,33 +375,45 @@ def _ask_geom(walk, kind, items, geom, entries, count):
                     continue
                 if kind == PLANE and not plane_meets_prism(walk.planes, items[0], column):
                     continue
-                _begin(walk, kind, geom, n, _volumes(walk, n, row, col))
-                if queries.wanted[n] & ~queries.flags[n]:
-                    still |= cell_bit(r, c)
-                    low, high = min(low, column.low), max(high, column.high)
+                volumes = _volumes(walk, n, row, col)
+                _begin(walk, kind, geom, n, volumes)
+                left = np.int64(queries.wanted[n] & ~queries.flags[n])
+                for k, volume in enumerate(volumes):
+                    if left & (1 << k):
+                        still[k] |= cell_bit(r, c)
+                        bands[k, 0] = min(bands[k, 0], volume.low)
+                        bands[k, 1] = max(bands[k, 1], volume.high)
     for i in items:
-        if still == 0:
+        if still[0] | still[1] | still[2] | still[3] == 0:
             break
-        near = all_near
-        if kind == TRIANGLES:
-            if facets.bounds[i, 2] >= high or facets.bounds[i, 5] <= low:
-                continue
-            near = cells_near(lattice, all_near, facets.bounds, i, reach)
-        asked = still & cell_bits(window, near)
-        if asked == 0:  # so it is for most triangles of a fine mesh
+        # the cells that want the disc's flag, or a square's, at the heights of a triangle
+        wide, narrow, near = np.int64(0), np.int64(0), all_near
+        for k in range(4):
+            is_level = kind != TRIANGLES or (
+                facets.bounds[i, 2] < bands[k, 1] and facets.bounds[i, 5] > bands[k, 0]
+            )
+            wide |= still[k] if is_level and 1 << k == BLOCKS else 0
+            narrow |= still[k] if is_level and 1 << k != BLOCKS else 0
+        if kind == TRIANGLES and wide | narrow != 0:
+            near = cells_near(lattice, all_near, facets.bounds, i, reach if wide != 0 else half)
+            wide &= cell_bits(window, near)
+            if narrow != 0:
+                square = cells_near(lattice, near, facets.bounds, i, half)
+                narrow &= cell_bits(window, square)
+        if wide | narrow == 0:  # so it is for most triangles of a fine mesh
             continue
         for row in range(near[0], near[1]):
             for col in range(near[2], near[3]):
                 r, c = row - window[0], col - window[2]
-                if asked & cell_bit(r, c) == 0:
+                if (wide | narrow) & cell_bit(r, c) == 0:
                     continue
-                is_open = False
+                left = np.int64(0)
                 for n in range(here.first[r, c], here.end[r, c]):
                     if queries.wanted[n] & ~queries.flags[n]:
                         _ask_shape(walk, kind, i, n, _volumes(walk, n, row, col))
-                        is_open |= queries.wanted[n] & ~queries.flags[n] != 0
-                if not is_open:
-                    still &= ~cell_bit(r, c)
+                        left |= queries.wanted[n] & ~queries.flags[n]
+                for k in range(4):
+                    still[k] &= -1 if left & (1 << k) else ~cell_bit(r, c)
     return _note_entries(walk, all_near, geom, entries, count)
 
 

@@ -56,18 +56,18 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     run_in_bands(_take_points, len(faces), number, faces, point, kept, least=4096)
     if not kept.all():
         faces, point = faces[kept], point[kept]
-    found, is_shell, *edges = find_shells(point, len(vertices))
+    parts, is_shell = np.empty((shares, len(faces)), np.int32), np.ones(len(faces), np.bool_)
+    asked = point, len(vertices), parts, is_shell
+    run_in_bands(find_shells, shares, *asked)
+    find_shells(*asked, shares, shares + 1)
+    found = parts[0]
     turned = np.zeros(len(faces), dtype=np.bool_)
     if not is_shell.all():
         rest = np.flatnonzero(~is_shell)  # these hang together with no shell
-        own, corners = faces[rest], point[rest]
-        if is_shell.any():
-            used, own_number = np.unique(corners, return_inverse=True)
-            corners = own_number.reshape(corners.shape).astype(np.int32)
-            _, _, *edges = find_shells(corners, len(used))
-        part, turned[rest] = find_parts(corners, measure_areas(vertices, own), *edges)
+        area = measure_areas(vertices, faces[rest])
+        part, turned[rest] = find_parts(point[rest], area, len(vertices))
         found[rest] = np.where(part >= 0, rest[part], part)
-    del point, is_shell, edges
+    del point, is_shell, parts
     kept = found != COPY
     if not kept.all():
         faces, found, turned = faces[kept], found[kept], turned[kept]

@@ -176,9 +176,9 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     up = (number + 0.5) / NUM_AXES  # Fibonacci's lattice on a hemisphere
     turn, wide = np.pi * (3.0 - np.sqrt(5.0)) * number, np.sqrt(1.0 - up * up)
     axes = np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
-    nearest = np.concatenate([
+    nearest = np.concatenate([  # few at a time, as they stay in the caches, and BLAS on one thread
         np.abs(some @ axes.T).argmax(axis=1)
-        for some in np.array_split(normal, max(1, len(normal) // 8192))
+        for some in np.array_split(normal, max(1, len(normal) // 128))
     ])  # fmt: skip
     count = (np.abs(axes @ axes.T) >= FACING) @ np.bincount(nearest, area, NUM_AXES)
     found: list[Float] = []
@@ -205,13 +205,15 @@ class _Plane(NamedTuple):
 
 def _find_planes(axis: Float, center: Float, normal: Float, area: Float) -> list[_Plane]:
     """The largest flat surfaces that face along an axis, the largest first."""
-    left, planes = np.abs(normal @ axis) >= FACING, list[_Plane]()
+    every = center, normal, area
+    left, planes, num = np.flatnonzero(np.abs(normal @ axis) >= FACING), list[_Plane](), len(area)
     for _ in range(PLANES):
-        if not left.any():
+        if not len(left):
             break
-        slot, of = np.unique(np.floor(center[left] @ axis / THICK), return_inverse=True)
-        middle = axis * slot[np.bincount(of, area[left]).argmax()] * THICK
-        best, own = axis, left & (np.abs((center - middle) @ axis) <= 2 * THICK)
+        center, normal, area = (array[left] for array in every)
+        slot, of = np.unique(np.floor(center @ axis / THICK), return_inverse=True)
+        middle = axis * slot[np.bincount(of, area).argmax()] * THICK
+        best, own = axis, np.abs((center - middle) @ axis) <= 2 * THICK
         for _ in range(4):  # fitted to what lies near it
             total = area[own].sum()
             middle = area[own] @ center[own] / total
@@ -219,9 +221,11 @@ def _find_planes(axis: Float, center: Float, normal: Float, area: Float) -> list
             spread, ways = np.linalg.eigh((apart * area[own, None]).T @ apart)
             if spread[1] > 0.04 * total:  # a strip says little of its normal
                 best = ways[:, 0] if ways[:, 0] @ axis > 0 else -ways[:, 0]
-            near = left & (np.abs((center - middle) @ best) <= THICK)
+            near = np.abs((center - middle) @ best) <= THICK
             own = near if near.any() else own
         facing = float(area[own] @ np.sign(normal[own] @ best))
-        planes.append(_Plane(float(area[own].sum()), facing, middle, best, own))
-        left &= ~own
+        mask = np.zeros(num, dtype=np.bool_)
+        mask[left[own]] = True
+        planes.append(_Plane(float(area[own].sum()), facing, middle, best, mask))
+        left = left[~own]
     return sorted(planes, key=lambda plane: -plane.size)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.floors.kernels.members import AreaTest, count_left, east_rim, near_offsets
+from navbake.baker.floors.kernels import members
+from navbake.baker.floors.kernels.members import AreaTest, east_rim, near_offsets
+from navbake.baker.floors.sheets import is_large
+from navbake.config.settings import FloorSettings
+from navbake.navgrid.lattice import Lattice
+
+count_left = numba.njit(members.count_left.py_func)
 
 
 def count(mask, limit, needed):
@@ -26,6 +33,10 @@ def test_counts_what_a_distance_transform_leaves(seed, limit):
     expected = np.count_nonzero(mask & (distance >= limit))
     assert count(mask, limit, mask.size + 1) == expected
     assert count(mask, limit, expected // 2) >= expected // 2
+    lattice = Lattice.cover((0.0, 0.0, width, height), 1.0)
+    for needed in (expected, expected + 1):
+        settings = FloorSettings(min_area=needed, shrink=limit - 0.5)
+        assert is_large(lattice, settings, mask) == (needed <= expected)
 
 
 def test_asks_far_neighbours_first():

@@ -135,7 +135,7 @@ def is_left(mask, row, col, offsets):
     return True
 
 
-@kernel(nogil=True, **UNCOUNTED)
+@part(**UNCOUNTED)
 def count_left(mask, test, needed):
     """Count the cells left of a shrunk mask, which has a margin of `reach`, up to `needed`."""
     found = 0

@@ -83,27 +83,32 @@ def sort_keys(keys, num):
 
 
 @part
-def _list_edges(faces, num):
-    """Number the undirected edges of triangles; see `find_shells` for what it returns."""
-    # the half-edges by the lower one of their two points, ragged
-    end, half = np.zeros(num + 1, np.int32), np.empty(3 * faces.shape[0], np.int32)
+def list_edges(faces, low0, low_end):
+    """List the half-edges 3 f + k, from corner k of triangle f to the next one, edge by edge.
+
+    Of the edges whose lower points are in ``range(low0, low_end)``: `start`, (edges + 1,), and
+    `half`, ragged, ascending, both int32.
+    """
+    stop, half = np.zeros(low_end - low0, np.int32), np.empty(0, np.int32)
     for writing in (False, True):
-        for h in range(half.shape[0]):
-            low = min(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
-            if writing:
-                half[end[low]] = h
-            end[low] += 1
+        for f in range(faces.shape[0]):
+            for k in range(3):
+                low = min(faces[f, k], faces[f, (k + 1) % 3])
+                if low0 <= low < low_end:
+                    if writing:
+                        half[stop[low - low0]] = 3 * f + k
+                    stop[low - low0] += 1
         if not writing:  # to where each list begins, from where writing takes it to its end
             total = np.int32(0)
-            for low in range(num):
-                count = end[low]
-                end[low] = total
+            for low in range(low_end - low0):
+                count = stop[low]
+                stop[low] = total
                 total += count
-    edge, start = np.empty(half.shape[0], np.int32), np.empty(half.shape[0] + 1, np.int32)
-    keys = np.empty(16, np.int64)
-    first, edges = 0, 0
-    for low in range(num):
-        count = end[low] - first
+            half = np.empty(total, np.int32)
+    start, keys = np.empty(half.shape[0] + 1, np.int32), np.empty(16, np.int64)
+    first, edges = np.int32(0), 0
+    for low in range(low_end - low0):
+        count = stop[low] - first
         if count > keys.shape[0]:
             keys = np.empty(2 * count, np.int64)
         for i in range(count):
@@ -112,14 +117,13 @@ def _list_edges(faces, num):
             keys[i] = (np.int64(high) << 32) | h
         sort_keys(keys, count)
         for i in range(count):
-            h = keys[i] & 0xFFFFFFFF
             if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
                 start[edges] = first + i
                 edges += 1
-            half[first + i], edge[h] = h, edges - 1
-        first = end[low]
+            half[first + i] = keys[i] & 0xFFFFFFFF
+        first = stop[low]
     start[edges] = half.shape[0]
-    return edge, start[: edges + 1].copy(), half
+    return start[: edges + 1], half
 
 
 @part(inline="always")
@@ -130,33 +134,41 @@ def _are_neighbours(faces, h, g):
     return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
 
 
-@kernel
-def find_shells(faces, num):
+@kernel(nogil=True)
+def find_shells(faces, num, parts, is_shell, first, end):
     """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+
+    The points are divided into shares, of which this looks at ``range(first, end)``; and then, for
+    the share behind the last, puts together what was found.
 
     Args:
         faces: corners of each triangle, (m, 3) int32, of distinct points below `num`.
-
-    Returns:
-        By triangle the lowest one of its part, connected over edges, (m,) int32; whether that part
-        is a shell, (m,) bool; the edge of each half-edge 3 f + k, from corner k of triangle f to
-        the next one, (3 m,) int32; and the half-edges of each edge, ragged, ascending, int32:
-        `start` and `half`.
+        parts: by share, (shares, m) int32: receives parents of the triangles; ``parts[0]`` at last
+            the lowest triangle of each one's part, connected over edges.
+        is_shell: (m,) bool, all True; becomes whether each one's part is a shell.
     """
-    edge, start, half = _list_edges(faces, num)
-    is_shell = np.ones(faces.shape[0], np.bool_)
-    part = np.arange(faces.shape[0]).astype(np.int32)
-    for e in range(start.shape[0] - 1):
-        first = np.int64(half[start[e]])
-        for i in range(start[e] + 1, start[e + 1]):
-            unite(part, first // 3, np.int64(half[i]) // 3)
-        is_pair = start[e + 1] - start[e] == 2
-        if not is_pair or not _are_neighbours(faces, first, np.int64(half[start[e] + 1])):
-            is_shell[first // 3] = False
+    shares, part = parts.shape[0], parts[0]
+    for share in range(first, min(end, shares)):
+        for f in range(faces.shape[0]):
+            parts[share, f] = f
+        low, low_end = num * share // shares, num * (share + 1) // shares
+        start, half = list_edges(faces, low, low_end)
+        for e in range(start.shape[0] - 1):
+            one = np.int64(half[start[e]])
+            for i in range(start[e] + 1, start[e + 1]):
+                unite(parts[share], one // 3, np.int64(half[i]) // 3)
+            is_pair = start[e + 1] - start[e] == 2
+            if not is_pair or not _are_neighbours(faces, one, np.int64(half[start[e] + 1])):
+                is_shell[one // 3] = False
+    if end <= shares:
+        return
+    for share in range(1, shares):
+        for f in range(part.shape[0]):
+            if parts[share, f] != f:
+                unite(part, np.int64(f), np.int64(parts[share, f]))
     for f in range(part.shape[0]):
         part[f] = find_root(part, np.int64(f))
         if not is_shell[f]:
             is_shell[part[f]] = False
     for f in range(part.shape[0]):
         is_shell[f] = is_shell[part[f]]
-    return part, is_shell, edge, start, half

@@ -37,15 +37,22 @@ def unit_normal(corners, t):
     return x / length, y / length, 0.0 if abs(up) < UPRIGHT else up
 
 
-@part(inline="always")
-def is_upright(corners, t):
-    """Whether `unit_normal` would have a z of 0."""
-    x, y, z = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
-    # the sum is no less than the length; so most are told without a root
-    if abs(z) > 2.0 * UPRIGHT * (abs(x) + abs(y) + abs(z)):
-        return False
-    length = _length(x, y, z)
-    return not length > 0.0 or abs(z / length) < UPRIGHT
+@kernel(nogil=True, **UNCOUNTED)
+def measure_facets(corners, bounds, facing, first, end):
+    """Find the boxes round triangles ``range(first, end)``, and which way they face, see `Facets`.
+
+    Those are upright for which `unit_normal` has a z of 0.
+    """
+    for t in range(first, end):
+        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        for k in range(3):
+            bounds[t, k], bounds[t, 3 + k] = min(a[k], b[k], c[k]), max(a[k], b[k], c[k])
+        x, y, z = _cross(a, b, c)
+        length = _length(x, y, z)
+        up = z / length if length > 0.0 else 0.0
+        facing[t] = np.rint(100.0 * up)
+        if facing[t] == 0 and abs(up) >= UPRIGHT:
+            facing[t] = 1 if up > 0.0 else -1
 
 
 @kernel
