@@ -25,7 +25,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
 from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import Door, Runs, to_runs
+from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.user_data import UserData
@@ -197,7 +197,7 @@ def _verified(
 
 def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
     """Make the grid of the stages' results."""
-    doors = _cut_doors(stages)
+    doors = [*stages.cut_doors.values()]
     metadata = _metadata(stages, doors)
     numbers = range(len(stages.floors.levels))
     grids = [_level_grid(stages, number, doors, metadata) for number in numbers]
@@ -298,23 +298,6 @@ def _door_entry(door: Door) -> Json:
                 state: [[*runs] for runs in of.items()] for state, of in by_state.items()
             }
     return entry
-
-
-def _cut_doors(stages: Stages) -> list[Door]:
-    """The doors in the wanted state, with cells counted on each level's own rectangle."""
-
-    def cut(levels: list[Int]) -> dict[int, Runs]:
-        pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
-        some = ((k, pair) for k, pair in pairs if len(pair[0]))
-        inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in some)
-        return {number: to_runs(cells) for number, cells in inside if len(cells)}
-
-    doors = list[Door]()
-    for door in stages.placed:
-        cells, solid = ({s: cut(c) for s, c in of.items()} for of in (door.cells, door.solid))
-        state, known = door.state(stages.config.doors.state), door.candidate
-        doors.append(Door(known.id, known.joint, door.rooms, state, cells, solid))
-    return doors
 
 
 def _cut_links(stages: Stages) -> Int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from navbake.baker.blocks import Blocks
 from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
-from navbake.baker.doors.doors import Placing, place_doors
+from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
@@ -182,6 +183,9 @@ class LiveStages:
         now.doors = _follow_doors(was, now, touched)
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
+        if now.boxes.windows == was.boxes.windows:
+            known_doors = was.cut_doors
+            now.cut_doors = {one: known_doors.get(one) or now.cut_door(one) for one in now.placed}
         now.free_geometry()
         self.stages = now
         return ""
@@ -224,15 +228,19 @@ def _box(stages: Stages) -> Float:
 def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
     around, known = now.around_doors, {one.candidate: one for one in was.doors}
-    again = [
-        one
-        for one in now.candidates
-        if now.rooms is not was.rooms or one not in known or known[one].depends_on(touched, around)
+    new = [one for one in now.candidates if one not in known]
+    leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
+    leaves += [
+        one.leaf
+        for one in map(known.get, now.candidates)
+        if one and (now.rooms is not was.rooms or one.depends_on(touched, around))
     ]
-    if not again and len(now.candidates) == len(was.candidates):
-        return was.doors
-    known |= {one.candidate: one for one in place_doors(now.scene, again, around)}
-    return [known[one] for one in now.candidates]
+    for one in place_doors(leaves, around):
+        if one.candidate not in known or not are_equal(one, known[one.candidate]):
+            known[one.candidate] = one
+    doors = [known[one] for one in now.candidates]
+    same = len(doors) == len(was.doors) and all(map(is_, doors, was.doors))
+    return was.doors if same else doors
 
 
 def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:
