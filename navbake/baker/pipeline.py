@@ -213,20 +213,23 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
     window, num_levels = stages.boxes.windows[number], len(stages.floors.levels)
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
 
-    def with_doors(layers: list[Bool], cells_in: Callable[..., list[Int]]) -> Bool:
+    def with_doors(layers: list[Bool], name: str) -> Bool:
         layer = layers[number][window].copy()
+        cells = layer.ravel()
         for door in doors:
-            layer.ravel()[cells_in(door, door.state, num_levels)[number]] = True
+            runs = getattr(door, name).get(door.state, {}).get(number, [])
+            for first, count in zip(runs[::2], runs[1::2], strict=True):
+                cells[first : first + count] = True
         return layer
 
-    occupied = with_doors(stages.occupancy.levels, Door.cells_in)
+    occupied = with_doors(stages.occupancy.levels, "cells")
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.view(np.uint8),
     }
     if stages.occupancy.solid is not None:
-        attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
+        attributes["solid"] = with_doors(stages.occupancy.solid, "solid").view(np.uint8)
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
     user_data = UserData()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
 
@@ -136,6 +136,9 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 def find_reach(kind: Int32, way: Float, size: Float) -> Float:
     """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
     along = np.abs(way)
+    of_box = (along * size).sum(axis=1)
+    if (kind == BOX).all():
+        return np.asarray(of_box)
     flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
     tall = along[:, 2] * size[:, 1]
     reaches = {
@@ -145,7 +148,7 @@ def find_reach(kind: Int32, way: Float, size: Float) -> Float:
         CYLINDER: tall + size[:, 0] * flat,
     }
     is_kind = [kind == number for number in reaches]
-    return np.select(is_kind, list(reaches.values()), (along * size).sum(axis=1))  # else a box
+    return np.select(is_kind, list(reaches.values()), of_box)
 
 
 def plane_triangles(half: Float) -> Float:
