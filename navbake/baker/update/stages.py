@@ -168,7 +168,7 @@ class LiveStages:
                 touched = np.union1d(cut_cells(near, window, lattice.width)[0], changed)
             now.occupancy, now.contents = was.occupancy, was.contents
             if len(touched):
-                flags_hold &= self._look_again(now, differs, touched)
+                flags_hold &= self._look_again(now, differs, touched, not len(changed))
                 flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
@@ -202,7 +202,7 @@ class LiveStages:
         self._kept.put(near, crossings)
         return _same_surfaces(known, crossings, marks)
 
-    def _look_again(self, now: Stages, differs: Bool, touched: Int) -> bool:
+    def _look_again(self, now: Stages, differs: Bool, touched: Int, floors_hold: bool) -> bool:
         """Find occupancy and contents again in the cells near what moved or with another floor.
 
         Returns whether rooms depend on nothing that changed there.
@@ -210,7 +210,8 @@ class LiveStages:
         columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
         crossings, was = take_columns(columns.crossings, touched), now.contents
         holds = not of_columns.look(touched, crossings, now.floors.levels)
-        finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, differs)
+        known = now.doorless, now.floors, columns, now.tiled
+        finder.look_again(*known, touched, differs, floors_hold)
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
