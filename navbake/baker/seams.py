@@ -106,6 +106,8 @@ def _mark_lines(
     index = np.searchsorted(centers[axis], at - 2 * RIM)
     hit = index < len(centers[axis])
     hit[hit] = centers[axis][index[hit]] <= at[hit] + 2 * RIM
+    if not hit.any():
+        return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
     first = np.searchsorted(centers[1 - axis], begin[hit] - 2 * RIM)
     last = np.searchsorted(centers[1 - axis], end[hit] + 2 * RIM, side="right")
     which, place = ranges(first, last)

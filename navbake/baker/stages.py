@@ -278,9 +278,10 @@ class Stages:
 
         Those that `floors.fill` closes, or would close: floor surrounds them.
         """
-        shapes = [report.shape for report in self.scene.geoms]
+        # a file of one mesh is few geoms
+        shapes = [report.shape for report in self.scene.geoms] if self.scene.parts else []
         is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
-        if not self.scene.parts or not is_open or self.judged[0] != self.lattice:
+        if not is_open or self.judged[0] != self.lattice:
             return np.empty(0)
         level, cell_area = self.floors.levels[0], self.lattice.cell_size**2
         if level.unseen is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -80,6 +81,13 @@ class Placing:
         """Whose leaf it is."""
         return self.leaf.candidate
 
+    @cached_property
+    def is_stuck(self) -> bool:
+        """Whether its open state blocks most of what its closed one does."""
+        closed, opened = self.cells["closed"], self.cells.get("open", [])
+        both = sum(len(np.intersect1d(*pair)) for pair in zip(closed, opened, strict=False))
+        return both > 0 and both >= STUCK * sum(map(len, closed))
+
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
@@ -112,10 +120,8 @@ def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
     stuck, fixed = list[str](), list[str]()
     for door in doors:
-        name, closed = door.candidate.id, door.cells["closed"]
-        pairs = zip(closed, door.cells.get("open", ()), strict=False)
-        both = sum(len(np.intersect1d(*pair)) for pair in pairs)
-        if both and both >= STUCK * sum(map(len, closed)):
+        name = door.candidate.id
+        if door.is_stuck:
             stuck.append(
                 f"the open state of door {name!r} still closes its doorway, as its "
                 f"joint opens it by {door.leaf.travel} only: check its range, whether the file "

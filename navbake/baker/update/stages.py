@@ -216,7 +216,8 @@ class LiveStages:
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
             # widths of gaps are measured up to walls
-            holds &= not np.isin(now.contents.partitions[differs], (WALL, BUILDING)).any()
+            own = now.contents.partitions[differs]
+            holds &= not ((own == WALL) | (own == BUILDING)).any()
         return holds
 
 
