@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from navbake.config.yaml_text import override_key
 from navbake.errors import shorten
 from navbake.known_names import find_near
+from navbake.yaml_text import override_key
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:

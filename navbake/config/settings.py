@@ -44,12 +44,12 @@ from navbake.config.field_types import (
     setting,
     to_path,
 )
-from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats.shapes import read_room_outlines
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Json
+from navbake.yaml_text import apply_overrides, read_yaml
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
 

@@ -27,7 +27,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
@@ -52,6 +51,7 @@ from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.polygon import cover_cells
 from navbake.runtime.inflation import SCALING
 from navbake.types import Bool, Json
+from navbake.yaml_text import parse_yaml
 
 MODES = ("trinary", "scale", "raw")
 IMAGES = ("pgm", "png")
