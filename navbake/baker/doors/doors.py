@@ -42,6 +42,8 @@ LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
 # A door opens nothing if its open state blocks this share of the closed door's cells
 STUCK = 0.75
 MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
+Near = tuple[Window, TiledShapes, Columns]
+"""A window of the lattice, and what is in it."""
 WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
 
 
@@ -54,7 +56,7 @@ class Leaf:
     is_beside: bool  # the lattice, as modelled
     # by state, the window near it and what is in it, None for no cells; states at one position of
     # the joint share one
-    near: dict[str, tuple[Window, TiledShapes, Columns] | None]
+    near: dict[str, Near | None]
     # the cells along lines away from both sides of the closed leaf, shape (sides, lines, steps), -1
     # beside the lattice; None without such lines
     sight: Int | None
@@ -155,40 +157,35 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-    of_doors = [{state: one.only(posed[state]) for state in posed} for one in candidates]
     with limit_threads(1):  # a door is too small to be worth more
-        pairs = zip(candidates, of_doors, strict=True)
-        return [_pose_leaf(one, own, extents, scene, lattice, reach) for one, own in pairs]
+        return [_pose_leaf(one, posed, extents, scene, lattice, reach) for one in candidates]
 
 
 def _pose_leaf(
     candidate: DoorCandidate,
-    own: dict[str, Shapes],
+    posed: dict[str, Shapes],
     extents: dict[str, Extents],
     scene: Scene,
     lattice: Lattice,
     reach: float,
 ) -> Leaf:
+    own, geoms = {state: candidate.only(shapes) for state, shapes in posed.items()}, candidate.geoms
     boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
-    box, both = None, [*boxes.values()]
-    if both:
-        box = np.stack([np.min(both, axis=0)[0], np.max(both, axis=0)[1]])
-    windows = {state: lattice.window(bounds, reach) for state, bounds in boxes.items()}
-    near: dict[str, tuple[Window, TiledShapes, Columns] | None] = {}
-    state_at: dict[float | None, str] = {}
+    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+    ends, box = np.array([*boxes.values()]), None
+    if len(ends):
+        box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+    near, state_at = dict[str, Near | None](), dict[float | None, str]()
     for state, shapes in own.items():
         # states at one position of the joint are found once
         first, window = state_at.setdefault(candidate.position(state), state), windows.get(state)
-        if first != state or window is None:
-            near[state] = near.get(first)
-        else:
+        near[state] = near.get(first)
+        if first == state and window is not None:
             tiled = tile_shapes(shapes, lattice.cut(*window), reach)
             near[state] = window, tiled, cast_columns(tiled)
-    tops, geoms = dict[str, Shapes](), candidate.geoms
-    for state, of_all in extents.items():
-        # seen from above, most doors are too small, which is quickly found
-        if np.nansum((of_all.thin * of_all.long)[geoms]) >= MIN_AREA - SLACK:
-            tops[state] = own[state]
+    # seen from above, most doors are too small, which is quickly found
+    sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
+    tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
     travel = ""
     if candidate.positions:
         by = abs(candidate.positions["open"] - candidate.positions["closed"])
@@ -257,9 +254,7 @@ def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
     return Placing(leaf, False, rooms or (None, None), cells, solid, closed, carried)
 
 
-def _blocked_cells(
-    near: tuple[Window, TiledShapes, Columns] | None, around: Surroundings
-) -> tuple[list[Int], list[Int]]:
+def _blocked_cells(near: Near | None, around: Surroundings) -> tuple[list[Int], list[Int]]:
     """By level, the cells whose volume over the floor shapes meet, and whose squares they do."""
     if near is None:
         nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)

@@ -9,7 +9,6 @@ import numpy as np
 
 from navbake.baker.blocks import BlockAnswers, Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
-from navbake.baker.connect import ranges
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
 from navbake.baker.floors.kernels.surfaces import HELD
@@ -106,9 +105,7 @@ class FloorFinder:
         self._spans, self._lattice = given_spans(given or ()), store.lattice
         self._blocks = Blocks(store.lattice)
         self._sheets = Sheets(self._store, self._blocks, agent)
-        # the sheets of surfaces that closed meshes hold, and those of them that are told
-        self._held: Sheets | None = None
-        self._enclosed = list[Patch]()
+        self._held: Sheets | None = None  # of surfaces that closed meshes hold
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
         self._edges, self._walls = (
             BlockTable(self._blocks.num, NO_EDGES),
@@ -200,22 +197,16 @@ class FloorFinder:
         )
 
     def _find_enclosed(self, stale: Bool) -> list[Patch]:
-        surfaces, held = self._store.surfaces, self._held
+        surfaces = self._store.surfaces
         is_held = surfaces.marks & HELD != 0
         if not is_held.any():
             self._held = None
             return []
-        if held is None:
-            held, stale = Sheets(self._store, self._blocks, self._agent), self._blocks.all()
-        cells = self._blocks.cells(stale)
-        first = surfaces.first[cells]
-        are_near = is_held[ranges(first, first + surfaces.length[cells])[1]].any()
-        are_near |= held.labels.count[self._blocks.around(stale)].any()
-        if self._held is None or are_near:
-            held.update(stale, np.where(is_held, surfaces.geom, np.int32(-1)))
-            self._enclosed = find_enclosed(held, self._agent, self._settings)
-        self._held = held
-        return self._enclosed
+        if self._held is None:
+            self._held = Sheets(self._store, self._blocks, self._agent)
+            stale = self._blocks.all()
+        self._held.update(stale, np.where(is_held, surfaces.geom, np.int32(-1)))
+        return find_enclosed(self._held, self._agent, self._settings)
 
     def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
         """The fields of a `Site` from `edges` to `at_edges`; geometry has changed in `near`."""
