@@ -44,12 +44,12 @@ def run_in_bands(
         begin: start of the work.
     """
     threads = num_threads()
-    size = max(least, -(-count // (threads * BANDS)))
-    end = begin + count
-    bands = iter([(first, min(first + size, end)) for first in range(begin, end, size)])
+    size, end = max(least, -(-count // (threads * BANDS))), begin + count
     if threads == 1 or count <= size:
-        _work(kernel, args, iter([(begin, end)] if count else []))
+        if count:
+            kernel(*args, begin, end)
         return
+    bands = iter([(first, min(first + size, end)) for first in range(begin, end, size)])
     others = min(threads, -(-count // size)) - 1
     started = [_get_pool().submit(_work, kernel, args, bands) for _ in range(others)]
     try:

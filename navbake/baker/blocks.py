@@ -53,13 +53,12 @@ class Blocks:
         """Some blocks and those with a cell within `reach` rows and columns of them."""
         by = -(-reach // SIZE)
         grid = mask.reshape(self.rows, self.cols)
-        for axis in (0, 1):
-            wide, moved = grid.copy(), np.moveaxis(grid, axis, 0)
-            onto = np.moveaxis(wide, axis, 0)
-            for k in range(1, min(by, len(moved) - 1) + 1):
-                onto[k:] |= moved[:-k]
-                onto[:-k] |= moved[k:]
-            grid = wide
+        for _ in ("rows", "columns"):
+            wide = grid.copy()
+            for k in range(1, min(by, len(grid) - 1) + 1):
+                wide[k:] |= grid[:-k]
+                wide[:-k] |= grid[k:]
+            grid = wide.T
         return grid.ravel()
 
     def before(self, mask: Bool) -> Bool:

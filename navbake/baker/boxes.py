@@ -37,14 +37,13 @@ class LevelBoxes(NamedTuple):
     Attributes:
         windows: rows and columns of the lattice that each level's grid has.
         boxes: the box of each level.
-        num_free: free cells of all levels, doors being open.
-        lost: how many of them the original client puts on another level, or on none.
+        lost: how many free cells, doors being open, the original client puts on another level, or
+            on none.
         lost_on: the levels whose cells these are, ascending.
     """
 
     windows: list[Window]
     boxes: list[Box]
-    num_free: int
     lost: int
     lost_on: list[int]
 
@@ -70,30 +69,30 @@ def find_level_boxes(
         scene_box: (2, 3), of all finite geoms [m], None if there are none.
         agent_height: an agent on the highest floor is in the highest level's box [m].
     """
-    written = [level.floor.astype(np.float32).astype(np.float64) for level in levels]
-    has_floor = [~np.isnan(floor) for floor in written]
-    free = sum(
-        int(np.count_nonzero(floor > taken))
-        for floor, taken in zip(has_floor, occupied, strict=True)
+    written = [level.floor.astype(np.float32) for level in levels]
+    lowest, peaks = (
+        [float(end.reduce(floor, axis=None)) for floor in written] for end in (np.fmin, np.fmax)
     )
-    windows = [bounding_window(floor) for floor in has_floor]
+    highest = max(peaks)
+    windows = [bounding_window(~np.isnan(floor)) for floor in written]
     sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
-    lowest = [float(np.nanmin(floor)) for floor in written]
-    highest = max(float(np.nanmax(floor)) for floor in written)
     if len(levels) == 1:
         whole = (slice(0, lattice.height), slice(0, lattice.width))
         box = _scene_box(sides[0], lowest[0], highest, scene_box, agent_height)
-        return LevelBoxes([whole], [box], free, 0, [])
+        return LevelBoxes([whole], [box], 0, [])
     bottoms = [round(z - MARGIN, GAP_DIGITS) for z in lowest]
     bottoms[0] = min(bottoms[0], round(levels[0].ground - MARGIN, GAP_DIGITS))
     top = highest + agent_height
     if scene_box is not None:
         top = max(top, float(scene_box[1, 2]))
-    for floor, taken in zip(written, occupied, strict=True):
-        floor[taken] = np.nan
-    tops, lost = _find_tops(written, windows, bottoms, round(top, DIGITS))
+    heights = [np.empty((0, 0)) for _ in levels]  # they matter where one reaches up to a box above
+    if any(z > min(bottoms[k:], default=np.inf) - 2 * GAP for k, z in enumerate(peaks, 1)):
+        heights = [floor.astype(np.float64) for floor in written]
+        for floor, taken in zip(heights, occupied, strict=True):
+            floor[taken] = np.nan
+    tops, lost = _find_tops(heights, windows, bottoms, round(top, DIGITS))
     boxes = [_to_file(*box) for box in zip(sides, bottoms, tops, strict=True)]
-    return LevelBoxes(windows, boxes, free, int(lost.sum()), np.flatnonzero(lost).tolist())
+    return LevelBoxes(windows, boxes, int(lost.sum()), np.flatnonzero(lost).tolist())
 
 
 def written_ground(level: LevelFloor) -> float:

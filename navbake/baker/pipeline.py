@@ -26,7 +26,7 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
 from navbake.navgrid.agents import Agent
 from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import Door, Runs, to_runs
+from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.links import Link, Stop
@@ -199,7 +199,7 @@ def _verified(
 
 def build_grid(stages: Stages) -> SceneGrid2D | MultiLevelGrid:
     """Make the grid of the stages' results."""
-    doors = _cut_doors(stages)
+    doors = [*stages.cut_doors.values()]
     metadata = _metadata(stages, doors)
     numbers = range(len(stages.floors.levels))
     grids = [_level_grid(stages, number, doors, metadata) for number in numbers]
@@ -215,20 +215,23 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
     window, num_levels = stages.boxes.windows[number], len(stages.floors.levels)
     level, part = stages.floors.levels[number], stages.lattice.cut(*window)
 
-    def with_doors(layers: list[Bool], cells_in: Callable[..., list[Int]]) -> Bool:
+    def with_doors(layers: list[Bool], name: str) -> Bool:
         layer = layers[number][window].copy()
+        cells = layer.ravel()
         for door in doors:
-            layer.ravel()[cells_in(door, door.state, num_levels)[number]] = True
+            runs = getattr(door, name).get(door.state, {}).get(number, [])
+            for first, count in zip(runs[::2], runs[1::2], strict=True):
+                cells[first : first + count] = True
         return layer
 
-    occupied = with_doors(stages.occupancy.levels, Door.cells_in)
+    occupied = with_doors(stages.occupancy.levels, "cells")
     attributes: dict[str, NDArray[Any]] = {
         "floorHeight": np.ascontiguousarray(stages.floor_layers[number][window]),
         "roomIndex": np.ascontiguousarray(stages.rooms.index[number][window]),
         "occupancy": occupied.view(np.uint8),
     }
     if stages.occupancy.solid is not None:
-        attributes["solid"] = with_doors(stages.occupancy.solid, Door.solid_in).view(np.uint8)
+        attributes["solid"] = with_doors(stages.occupancy.solid, "solid").view(np.uint8)
     if level.unseen is not None:
         attributes["unseen"] = np.ascontiguousarray(level.unseen[window]).view(np.uint8)
     if stages.areas.layers:
@@ -303,23 +306,6 @@ def _door_entry(door: Door) -> Json:
                 state: [[*runs] for runs in of.items()] for state, of in by_state.items()
             }
     return entry
-
-
-def _cut_doors(stages: Stages) -> list[Door]:
-    """The doors in the wanted state, with cells counted on each level's own rectangle."""
-
-    def cut(levels: list[Int]) -> dict[int, Runs]:
-        pairs = enumerate(zip(levels, stages.boxes.windows, strict=True))
-        some = ((k, pair) for k, pair in pairs if len(pair[0]))
-        inside = ((k, cut_cells(*pair, stages.lattice.width)[0]) for k, pair in some)
-        return {number: to_runs(cells) for number, cells in inside if len(cells)}
-
-    doors = list[Door]()
-    for door in stages.placed:
-        cells, solid = ({s: cut(c) for s, c in of.items()} for of in (door.cells, door.solid))
-        state, known = door.state(stages.config.doors.state), door.candidate
-        doors.append(Door(known.id, known.joint, door.rooms, state, cells, solid))
-    return doors
 
 
 def _traffic_tables(stages: Stages) -> Json:

@@ -30,25 +30,37 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     Args:
         cells: those whose columns are known, ascending; those of the columns' rows if None.
     """
-    lattice = columns.lattice
-    tiles = tiles_of_rows(lattice, columns.known_rows) if cells is None else tile_of(lattice, cells)
-    tiles = np.unique(np.asarray(tiles, dtype=np.int64))
-    solids, bounds, over = tiled.shapes.solids, tiled.facets.bounds, tiled.tiles
-    turned = np.minimum(abs(solids.mat), abs(abs(solids.mat) - 1.0)).reshape(-1, 9).max(axis=1)
-    is_box = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
-    boxes = solids.bounds[is_box & (solids.kind == BOX) & (turned < RIM)]
-    flat = (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
-    flat &= _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
-    corners = tiled.facets.corners[flat]
-    known = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
-    known[slice(*columns.known_rows.cells(lattice)) if cells is None else cells] = True
-    seams = [_find_seams(tiled, axis, boxes, corners, known) for axis in (0, 1)]
-    asked = np.union1d(*seams)
-    if not len(asked):
+    if cells is not None and not len(cells):
         return columns
-    points = lattice.positions(*np.divmod(asked, lattice.width))
+    lattice, known_rows = columns.lattice, columns.known_rows
+    tiles = tiles_of_rows(lattice, known_rows) if cells is None else tile_of(lattice, cells)
+    tiles = np.unique(np.asarray(tiles, dtype=np.int64))
+    solids, over = tiled.shapes.solids, tiled.tiles
+    is_over = _are_over(over.solid_start, over.solid_item, tiles, len(solids.geom))
+    chosen = np.flatnonzero(is_over & (solids.kind == BOX))
+    mat = abs(solids.mat[chosen])
+    boxes = solids.bounds[chosen[np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM]]
+    is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(tiled.facets.bounds))
+    chosen = np.flatnonzero(is_over)
+    low, high = (tiled.facets.bounds[chosen, k : k + 2] for k in (0, 3))
+    corners = tiled.facets.corners[chosen[(high - low <= RIM).any(axis=1)]]
+    # only in the window round the cells
+    row, col = np.arange(*known_rows), np.arange(lattice.width)
+    known = np.ones((len(row), len(col)), dtype=np.bool_)
+    if cells is not None:
+        rows, cols = np.divmod(cells, lattice.width)
+        row, col = (np.arange(one.min(), one.max() + 1) for one in (rows, cols))
+        known = np.zeros((len(row), len(col)), dtype=np.bool_)
+        known[rows - row[0], cols - col[0]] = True
+    centers = lattice.center_x()[col], lattice.center_y()[row][::-1]  # ascending
+    seams = [known & _find_seams(centers, axis, boxes, corners) for axis in (0, 1)]
+    at = np.nonzero(seams[0] | seams[1])
+    if not len(at[0]):
+        return columns
+    asked = row[at[0]] * lattice.width + col[at[1]]
+    points = lattice.positions(row[at[0]], col[at[1]])
     for axis, on_seam in enumerate(seams):
-        points[np.isin(asked, on_seam), axis] += BESIDE
+        points[on_seam[at], axis] += BESIDE
     start = columns.crossings.start
     found = cast_points(tiled, asked, points)
     return splice_columns(columns, asked, start[asked], start[asked + 1], found)
@@ -62,8 +74,11 @@ def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
     return mask
 
 
-def _find_seams(tiled: TiledShapes, axis: int, boxes: Float, corners: Float, known: Bool) -> Int:
-    """The known cells whose lines run in faces of both directions along x or y, ascending."""
+def _find_seams(centers: tuple[Float, Float], axis: int, boxes: Float, corners: Float) -> Bool:
+    """The cells of a window whose lines run in faces of both directions along x or y.
+
+    `centers` are x of its columns and y of its rows, ascending.
+    """
     other = 1 - axis
     low, high = corners.min(axis=1), corners.max(axis=1)
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -76,26 +91,28 @@ def _find_seams(tiled: TiledShapes, axis: int, boxes: Float, corners: Float, kno
         at = np.concatenate([boxes[:, axis + 3 * is_upper], low[is_side, axis]])
         begin = np.concatenate([boxes[:, other], low[is_side, other]])
         end = np.concatenate([boxes[:, other + 3], high[is_side, other]])
-        marks.append(_mark_lines(tiled, axis, at, begin, end))
-    return np.flatnonzero(marks[0] & marks[1] & known).astype(np.int64)
+        marks.append(_mark_lines(centers, axis, at, begin, end))
+    return marks[0] & marks[1]
 
 
-def _mark_lines(tiled: TiledShapes, axis: int, at: Float, begin: Float, end: Float) -> Bool:
-    """Mark the cells, shape (cells,), with centres on lines at an x (`axis` 0) or a y (1).
+def _mark_lines(
+    centers: tuple[Float, Float], axis: int, at: Float, begin: Float, end: Float
+) -> Bool:
+    """Mark the cells of a window with centres on lines at an x (`axis` 0) or a y (1).
 
     Each reaches from `begin` to `end` along the other axis [m].
     """
-    lattice = tiled.lattice
-    centers = lattice.center_x(), lattice.center_y()[::-1]  # ascending
     marked = np.zeros((len(centers[axis]), len(centers[1 - axis])), dtype=np.bool_)
     index = np.searchsorted(centers[axis], at - 2 * RIM)
     hit = index < len(centers[axis])
     hit[hit] = centers[axis][index[hit]] <= at[hit] + 2 * RIM
+    if not hit.any():
+        return np.zeros((len(centers[1]), len(centers[0])), dtype=np.bool_)
     first = np.searchsorted(centers[1 - axis], begin[hit] - 2 * RIM)
     last = np.searchsorted(centers[1 - axis], end[hit] + 2 * RIM, side="right")
     which, place = ranges(first, last)
     marked[index[hit][which], place] = True
-    return np.asarray((marked.T if axis == 0 else marked)[::-1]).ravel()
+    return np.asarray((marked.T if axis == 0 else marked)[::-1])
 
 
 def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Crossings) -> Columns:

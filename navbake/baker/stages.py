@@ -22,7 +22,7 @@ from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shape
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
-from navbake.baker.doors.doors import Placing, Surroundings, place_doors
+from navbake.baker.doors.doors import Placing, Surroundings, cut_door, place_doors, pose_leaves
 from navbake.baker.floors.levels import FloorFinder, Floors, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.kernels.arrays import Band
@@ -41,6 +41,7 @@ from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
+from navbake.navgrid.doors import Door
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Json
@@ -262,7 +263,18 @@ class Stages:
         """What each candidate is, and what it blocks in each state."""
         around = self.around_doors
         with self.clock.stage("doors"):
-            return place_doors(self.scene, self.candidates, around)
+            posed = self.candidates, self.lattice, self.footprint.reach
+            return place_doors(pose_leaves(self.scene, *posed), around)
+
+    @cached_property
+    def cut_doors(self) -> dict[Placing, Door]:
+        """The doors as the grid has them."""
+        return {one: self.cut_door(one) for one in self.placed}
+
+    def cut_door(self, placing: Placing) -> Door:
+        """A door as the grid has it."""
+        windows, width = self.boxes.windows, self.lattice.width
+        return cut_door(placing, windows, width, self.config.doors.state)
 
     @cached_property
     def holes(self) -> Float:
@@ -270,9 +282,10 @@ class Stages:
 
         Those that `floors.fill` closes, or would close: floor surrounds them.
         """
-        shapes = [report.shape for report in self.scene.geoms]
+        # a file of one mesh is few geoms
+        shapes = [report.shape for report in self.scene.geoms] if self.scene.parts else []
         is_open = any(shape.startswith(("surface", "partly closed")) for shape in shapes)
-        if not self.scene.parts or not is_open or self.judged[0] != self.lattice:
+        if not is_open or self.judged[0] != self.lattice:
             return np.empty(0)
         level, cell_area = self.floors.levels[0], self.lattice.cell_size**2
         if level.unseen is None:

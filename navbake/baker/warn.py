@@ -236,9 +236,11 @@ def _warn_interleaved(stages: Stages) -> Iterator[str]:
     """Warn of free cells that the original client takes for another level's."""
     boxes = stages.boxes
     if boxes.lost:
+        pairs = zip(stages.floors.levels, stages.occupancy.levels, strict=True)
+        num_free = sum(np.count_nonzero(~np.isnan(level.floor[~taken])) for level, taken in pairs)
         names = ", ".join(repr(stages.floors.levels[number].name) for number in boxes.lost_on)
         yield (
             f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
-            f"and misses {boxes.lost} of {boxes.num_free} free cells, on {names}; navbake goes by "
+            f"and misses {boxes.lost} of {num_free} free cells, on {names}; navbake goes by "
             f"floors and misses none; other grounds in `levels` may part them"
         )

@@ -53,7 +53,6 @@ from navbake.config.settings import (
     settings_digest,
     settings_to_state,
 )
-from navbake.config.yaml_text import apply_overrides
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import read_navgrid, write_navgrid
@@ -61,6 +60,7 @@ from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.processes import lacked_memory
 from navbake.types import Json
+from navbake.yaml_text import apply_overrides
 
 OK, FAILED, LEFT = "ok", "failed", "left"
 NEW = "new"  # why a scene without a record isn't done

@@ -12,9 +12,9 @@ from navbake.batch.store import Folder, is_url, join, parent, plain_path, read_f
 from navbake.config.field_types import show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import BakeConfig, is_settings, parse_config
-from navbake.config.yaml_text import apply_overrides, decode_yaml, override_key
 from navbake.errors import ConfigError, shorten
 from navbake.types import Json
+from navbake.yaml_text import apply_overrides, decode_yaml, override_key
 
 OF_EACH = ("path", "id")  # keys of `scene` that are unique
 

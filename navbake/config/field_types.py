@@ -22,11 +22,11 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from navbake.config.yaml_text import override_key
 from navbake.errors import ConfigError, FormatError, shorten
 from navbake.files import check_regular
 from navbake.known_names import find_near
 from navbake.navgrid.polygon import find_fault
+from navbake.yaml_text import override_key
 
 
 def refusal(text: str, **details: str) -> PydanticCustomError:

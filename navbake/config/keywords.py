@@ -20,8 +20,8 @@ from navbake.config.settings import (
     memory_path,
     parse_config,
 )
-from navbake.config.yaml_text import read_yaml
 from navbake.errors import ConfigError, shorten
+from navbake.yaml_text import read_yaml
 
 
 class SettingKeywords(TypedDict, total=False):

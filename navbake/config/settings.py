@@ -50,12 +50,12 @@ from navbake.config.field_types import (
     to_path,
 )
 from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, NamedAgent
-from navbake.config.yaml_text import apply_overrides, read_yaml
 from navbake.errors import ConfigError
 from navbake.files import readable_stem
 from navbake.formats.scene_files import BUILDING_SUFFIXES, suffix_of
 from navbake.formats.shapes import read_room_outlines
 from navbake.types import Json
+from navbake.yaml_text import apply_overrides, read_yaml
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
 

@@ -19,9 +19,9 @@ from navbake.config.settings import (
     load_config,
     parse_config,
 )
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, SceneError
 from navbake.files import write_whole
+from navbake.yaml_text import parse_yaml
 
 LINE_LENGTH = 110
 COMMENT_COLUMN = 34

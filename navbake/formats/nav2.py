@@ -28,7 +28,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
@@ -51,6 +50,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.runtime.inflation import SCALING
 from navbake.types import Json
+from navbake.yaml_text import parse_yaml
 
 MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, json_object, number
@@ -39,6 +38,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
+from navbake.yaml_text import parse_yaml
 
 KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
 KINDS = ("keepout", "speed")

@@ -15,13 +15,13 @@ from typing import Any
 
 import yaml
 
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, FormatError
 from navbake.formats.allowance import JsonPath, json_object, optional_object
 from navbake.formats.route_rows import Rows, make_graph
 from navbake.formats.source import path_name, read_bytes
 from navbake.routes.graph import RouteGraph, directed, entry_of
 from navbake.types import Json
+from navbake.yaml_text import parse_yaml
 
 LIFT = "lift"
 

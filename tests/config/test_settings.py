@@ -15,8 +15,8 @@ from navbake.config.settings import (
     settings_digest,
 )
 from navbake.config.template import render_template, write_template
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError, SceneError
+from navbake.yaml_text import parse_yaml
 
 
 @pytest.fixture

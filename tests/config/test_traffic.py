@@ -6,8 +6,8 @@ import pytest
 
 from navbake.config.settings import parse_config, settings_digest
 from navbake.config.template import render_template
-from navbake.config.yaml_text import parse_yaml
 from navbake.errors import ConfigError
+from navbake.yaml_text import parse_yaml
 
 ROBOT = {"robot": {"radius": 0.3, "height": 1.2, "step": 0.1, "speed": 0.8}}
 STOPS = [[1, 2, 3], [1, 2, 6]]

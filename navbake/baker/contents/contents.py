@@ -167,12 +167,18 @@ class CellFinder:
                 self._listed.append(
                     LevelContents(lattice, first, *nothing, carrier, np.full(num, np.inf))
                 )
+            self._judge(scene, extents)
             self._names, self._free_body = name_geoms(scene), find_free_bodies(scene.model)
             self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
         self._used = [0 for _ in self._listed]
         self._steps: tuple[Int, Int, Float] | None = None
         self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
         self._classified: Classified | None = None
+
+    def _judge(self, scene: Scene, extents: Extents) -> None:
+        """Mark geoms by their shapes and joints alone; the classes of others follow from these."""
+        self._static, self._probed = is_static(scene), wall_candidates(scene, extents)
+        self._decisive = self._static | is_surface(scene) | self._probed
 
     def add(self, columns: Columns, tiled: TiledShapes) -> None:
         """Add the cells of a block; blocks come in the order of their rows."""
@@ -188,15 +194,17 @@ class CellFinder:
         tiled: TiledShapes,
         cells: Int,
         moved: Bool,
+        floors_hold: bool,
     ) -> None:
         """Update cells where things moved; earlier results of `found` are not changed.
 
         Args:
             cells: all near what moved, and all whose column or floor changed, ascending.
             moved: by geom id, whether its geometry changed.
+            floors_hold: whether no floor changed its height.
         """
         self._scene, was, self._floors = scene, self._floors, floors
-        if not np.array_equal(was.links, floors.links):
+        if not floors_hold or not np.array_equal(was.links, floors.links):
             self._steps = None
         if self._extents is not None:
             new = measure_geoms(scene.shapes.only(moved), len(moved))
@@ -205,22 +213,22 @@ class CellFinder:
                 old[moved] = now[moved]
             self._extents = extents
             # moving parts count in the body whose size makes a static panel furniture
-            static, roots = is_static(scene), np.asarray(scene.model.body_rootid)
-            roots = roots[scene.model.geom_bodyid]
+            self._judge(scene, extents)
+            roots = np.asarray(scene.model.body_rootid)[scene.model.geom_bodyid]
             own = np.unique(roots[moved])
-            decisive = moved & (static | is_surface(scene) | wall_candidates(scene, extents))
-            if decisive.any() or (static & np.isin(roots, own[own > 0])).any():
+            of_moving = self._static & np.isin(roots, own[own > 0])
+            if ((self._decisive & moved) | of_moving).any():
                 self._basis = []
         self._look(columns, tiled, cells, None)
 
     def _look(self, columns: Columns, tiled: TiledShapes, cells: Int, share: float | None) -> None:
         """Find what stands in some cells, ascending; `share` as for `_put_lists`."""
-        floors, scene, (taken, by_ray, by_fcl, solid) = self._floors, self._scene, self.occupancy
+        floors, (taken, by_ray, by_fcl, solid) = self._floors, self.occupancy
         # each storey ends at the next one's ground, or else high above its floors [m]
         tops = [*(level.ground for level in floors.levels[1:]), np.inf]
         listing, probed = NO_LISTING, np.empty(0, dtype=np.bool_)
         if self._extents is not None:
-            probed = wall_candidates(scene, self._extents)
+            probed = self._probed
         for k, (level, top) in enumerate(zip(floors.levels, tops, strict=True)):
             floor = level.floor.ravel()[cells]
             has_floor = ~np.isnan(floor)
@@ -294,8 +302,7 @@ class CellFinder:
         carriers = find_carriers(counts, stood_on, cell_size, step, self._steps)
         # geoms are classified again only where their basis has changed, in which it does not matter
         # how deep one reaches under a floor
-        static = is_static(scene)
-        decisive = static | is_surface(scene) | wall_candidates(scene, extents)
+        static, decisive = self._static, self._decisive
         base = np.maximum(over_floors.base, min(NEAR_FLOOR, agent.height / 2))
         measured = np.stack([base, *over_floors[1:]])[:, decisive]
         basis = [measured, carriers.building, carriers.things[static], carriers.stood_on[static]]

@@ -9,21 +9,29 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
+from navbake.baker.columns import (
+    Columns,
+    ColumnSource,
+    TiledShapes,
+    cast_columns,
+    tile_shapes,
+)
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
-from navbake.baker.lattice import EDGES, cut_cells
+from navbake.baker.lattice import EDGES, Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
-from navbake.navgrid.doors import STATES
+from navbake.navgrid.doors import STATES, Door, Runs, to_runs
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
@@ -34,15 +42,33 @@ LINES = (-0.3, -0.15, 0.0, 0.15, 0.3)
 # A door opens nothing if its open state blocks this share of the closed door's cells
 STUCK = 0.75
 MIN_AREA = 0.5  # of floor on a door that is worth a warning [m²]
+Near = tuple[Window, TiledShapes, Columns]
+"""A window of the lattice, and what is in it."""
 WHEN = {"modelled": "as it is modelled", "open": "when it is open", "closed": "when it is closed"}
 
 
-@dataclass(frozen=True)
-class Placing:
-    """A candidate on the whole lattice: a door, a part of the scene, or neither."""
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """The geometry of a candidate in each of its states, on the whole lattice."""
 
     candidate: DoorCandidate
     box: Float | None  # round all of its states, shape (2, 3) [m]; None if it has no geometry
+    is_beside: bool  # the lattice, as modelled
+    # by state, the window near it and what is in it, None for no cells; states at one position of
+    # the joint share one
+    near: dict[str, Near | None]
+    # the cells along lines away from both sides of the closed leaf, shape (sides, lines, steps), -1
+    # beside the lattice; None without such lines
+    sight: Int | None
+    tops: dict[str, Shapes]  # by state, where large enough to walk on
+    travel: str  # by how much its joint opens it, with the unit
+
+
+@dataclass(frozen=True, eq=False)
+class Placing:
+    """A candidate among floors and rooms: a door, a part of the scene, or neither."""
+
+    leaf: Leaf
     is_part: bool = False  # of the scene: it is on the lattice and joins no two rooms
     rooms: RoomIds = (None, None)
     # by state and level, the cells that the door alone blocks, ascending; empty for no door
@@ -50,8 +76,19 @@ class Placing:
     # the cells whose squares the door alone meets; empty where the footprint is the square
     solid: dict[str, list[Int]] = field(default_factory=dict)
     closed_cells: Sequence[Int] = ()  # by level, what the closed door blocks, whatever else does
-    travel: str = ""  # by how much its joint opens it, with the unit
     carried: str = ""  # a warning of the floor that it carries
+
+    @property
+    def candidate(self) -> DoorCandidate:
+        """Whose leaf it is."""
+        return self.leaf.candidate
+
+    @cached_property
+    def is_stuck(self) -> bool:
+        """Whether its open state blocks most of what its closed one does."""
+        closed, opened = self.cells["closed"], self.cells.get("open", [])
+        both = sum(len(np.intersect1d(*pair)) for pair in zip(closed, opened, strict=False))
+        return both > 0 and both >= STUCK * sum(map(len, closed))
 
     def state(self, wanted: str) -> str:
         """The wanted state if the door has it, else modelled."""
@@ -61,21 +98,35 @@ class Placing:
         """Whether a change in some cells may change it."""
         lattice = around.rooms.lattice
         reach = max(SIGHT, around.footprint.reach) + lattice.cell_size
-        window = None if self.box is None else lattice.window(self.box, reach)
+        window = None if self.leaf.box is None else lattice.window(self.leaf.box, reach)
         return window is not None and bool(cut_cells(cells, window, lattice.width)[1].any())
+
+
+def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: str) -> Door:
+    """The door in the wanted state, with cells counted on each level's own window of the lattice.
+
+    `width` is the lattice's.
+    """
+
+    def cut(levels: list[Int]) -> dict[int, Runs]:
+        pairs = enumerate(zip(levels, windows, strict=True))
+        inside = ((k, cut_cells(*pair, width)[0]) for k, pair in pairs if len(pair[0]))
+        return {number: to_runs(cells) for number, cells in inside if len(cells)}
+
+    cells, solid = ({s: cut(c) for s, c in of.items()} for of in (placing.cells, placing.solid))
+    state, known = placing.state(wanted), placing.candidate
+    return Door(known.id, known.joint, placing.rooms, state, cells, solid)
 
 
 def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
     stuck, fixed = list[str](), list[str]()
     for door in doors:
-        name, closed = door.candidate.id, door.cells["closed"]
-        pairs = zip(closed, door.cells.get("open", ()), strict=False)
-        both = sum(len(np.intersect1d(*pair)) for pair in pairs)
-        if both and both >= STUCK * sum(map(len, closed)):
+        name = door.candidate.id
+        if door.is_stuck:
             stuck.append(
                 f"the open state of door {name!r} still closes its doorway, as its "
-                f"joint opens it by {door.travel} only: check its range, whether the file "
+                f"joint opens it by {door.leaf.travel} only: check its range, whether the file "
                 "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
             )
         if wanted == "open" and not door.candidate.positions:
@@ -98,50 +149,91 @@ class Surroundings:
     agent: AgentSettings
 
 
-def place_doors(
-    scene: Scene, candidates: Sequence[DoorCandidate], around: Surroundings
-) -> list[Placing]:
+def pose_leaves(
+    scene: Scene, candidates: Sequence[DoorCandidate], lattice: Lattice, reach: float
+) -> list[Leaf]:
+    """Pose candidates in each state, and cast what is within `reach` [m] of their geometry."""
+    if not candidates:
+        return []
+    posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
+    extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
+    with limit_threads(1):  # a door is too small to be worth more
+        return [_pose_leaf(one, posed, extents, scene, lattice, reach) for one in candidates]
+
+
+def _pose_leaf(
+    candidate: DoorCandidate,
+    posed: dict[str, Shapes],
+    extents: dict[str, Extents],
+    scene: Scene,
+    lattice: Lattice,
+    reach: float,
+) -> Leaf:
+    own, geoms = {state: candidate.only(shapes) for state, shapes in posed.items()}, candidate.geoms
+    boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
+    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+    ends, box = np.array([*boxes.values()]), None
+    if len(ends):
+        box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+    near, state_at = dict[str, Near | None](), dict[float | None, str]()
+    for state, shapes in own.items():
+        # states at one position of the joint are found once
+        first, window = state_at.setdefault(candidate.position(state), state), windows.get(state)
+        near[state] = near.get(first)
+        if first == state and window is not None:
+            tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+            near[state] = window, tiled, cast_columns(tiled)
+    # seen from above, most doors are too small, which is quickly found
+    sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
+    tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
+    travel = ""
+    if candidate.positions:
+        by = abs(candidate.positions["open"] - candidate.positions["closed"])
+        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
+    sight = _lines_of_sight(extents["closed"], geoms, lattice)
+    is_beside = "modelled" in windows and windows["modelled"] is None
+    return Leaf(candidate, box, is_beside, near, sight, tops, travel)
+
+
+def _lines_of_sight(extents: Extents, geoms: Int, lattice: Lattice) -> Int | None:
+    leaf = largest_side(extents, geoms)
+    if not np.isfinite(extents.center[leaf]).all():
+        return None
+    across = extents.across[leaf]
+    along = np.array([-across[1], across[0]])
+    # points on lines away from both sides, shape (sides, lines, steps, 2) [m]
+    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, lattice.cell_size / 2)
+    start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
+    sight = start[:, None] + across * np.array([-1.0, 1.0])[:, None, None, None] * distance[:, None]
+    rows, cols = lattice.rows_cols(sight)
+    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
+    return np.where(inside, rows * lattice.width + cols, -1)
+
+
+def place_doors(leaves: Sequence[Leaf], around: Surroundings) -> list[Placing]:
     """Decide which candidates are doors, and find the cells that each door blocks in each state.
 
     A candidate that no pattern names is a door when it stands between two rooms, or between a
     room and the outside. One beside the lattice, as modelled, is neither door nor part of a scene.
     """
-    if not candidates:
-        return []
-    posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
-    extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-    of_doors = [{state: one.only(posed[state]) for state in posed} for one in candidates]
     with limit_threads(1):  # a door is too small to be worth more
-        pairs = zip(candidates, of_doors, strict=True)
-        return [_place_door(one, own, extents, scene, around) for one, own in pairs]
+        return [_place_door(leaf, around) for leaf in leaves]
 
 
-def _place_door(
-    candidate: DoorCandidate,
-    own: dict[str, Shapes],
-    extents: dict[str, Extents],
-    scene: Scene,
-    around: Surroundings,
-) -> Placing:
-    boxes = [box for shapes in own.values() if (box := shapes.bounds) is not None]
-    box = np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]) if boxes else None
+def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
+    candidate = leaf.candidate
     # by state; one that can't move is closed as it is modelled, and blocks nothing when it is open
     blocked: dict[str, tuple[list[Int], list[Int]]] = {}
-    state_at: dict[float | None, str] = {}
-    for state, shapes in own.items():
-        # states at one position of the joint are found once
-        first = state_at.setdefault(candidate.position(state), state)
-        blocked[state] = blocked.get(first) or _blocked_cells(shapes, around)
+    for state, near in leaf.near.items():
+        same = (blocked[other] for other in blocked if leaf.near[other] is near)
+        blocked[state] = next(same, None) or _blocked_cells(near, around)
     if not candidate.positions:
-        nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
-        blocked["open"] = nothing, nothing
+        blocked["open"] = _blocked_cells(None, around)
     closed, _ = blocked["closed"]
-    leaf = largest_side(extents["closed"], candidate.geoms)
-    rooms = _rooms_beside(leaf, extents["closed"], closed, around)
+    rooms = _rooms_beside(leaf, closed, around)
     if rooms is None and not candidate.named:
-        bounds, reach = own["modelled"].bounds, around.footprint.reach
-        is_part = bounds is None or around.rooms.lattice.window(bounds, reach) is not None
-        return Placing(candidate, box, is_part)
+        return Placing(leaf, not leaf.is_beside)
 
     def only_free(number: int, occupied: Sequence[Bool]) -> dict[str, list[Int]]:
         pairs = {s: zip(both[number], occupied, strict=True) for s, both in blocked.items()}
@@ -149,102 +241,77 @@ def _place_door(
 
     cells = only_free(0, around.occupancy.levels)
     solid = only_free(1, around.occupancy.solid) if around.occupancy.solid is not None else {}
-    travel = ""
-    if candidate.positions:
-        by = abs(candidate.positions["open"] - candidate.positions["closed"])
-        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-        travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
     carried = ""
-    for state, when in WHEN.items():
-        area = _walkable_area(own[state], extents[state], candidate.geoms, around)
+    for state, shapes in leaf.tops.items():
+        area = _walkable_area(shapes, around)
         if area >= MIN_AREA - SLACK:
             carried = (
-                f"door {candidate.id!r} carries {area:.1f} m² of floor {when}, which is missing "
-                "in the grid, because doors carry no floor: exclude it from `doors` if agents "
-                "walk on it"
+                f"door {candidate.id!r} carries {area:.1f} m² of floor {WHEN[state]}, which is "
+                "missing in the grid, because doors carry no floor: exclude it from `doors` if "
+                "agents walk on it"
             )
             break
-    found = cells, solid, closed, travel, carried
-    return Placing(candidate, box, False, rooms or (None, None), *found)
+    return Placing(leaf, False, rooms or (None, None), cells, solid, closed, carried)
 
 
-def _blocked_cells(shapes: Shapes, around: Surroundings) -> tuple[list[Int], list[Int]]:
+def _blocked_cells(near: Near | None, around: Surroundings) -> tuple[list[Int], list[Int]]:
     """By level, the cells whose volume over the floor shapes meet, and whose squares they do."""
-    lattice, reach = around.rooms.lattice, around.footprint.reach
-    bounds = shapes.bounds
-    window = None if bounds is None else lattice.window(bounds, reach)
-    if window is None:
+    if near is None:
         nothing = [np.empty(0, dtype=np.int64)] * len(around.floors)
         return nothing, nothing
     # only the cells near the door are looked at
-    rows, cols = window
-    tiled = tile_shapes(shapes, lattice.cut(rows, cols), reach)
-    columns, width = cast_columns(tiled), cols.stop - cols.start
+    (rows, cols), tiled, columns = near
+    width, whole = cols.stop - cols.start, around.rooms.lattice.width
     blocked, solid = [], []
     for level in around.floors:
         floor = level.floor[rows, cols].ravel()
         local: Int = np.flatnonzero(~np.isnan(floor))
         answers = look_at_cells(columns, tiled, around.footprint, local, floor[local])
         row, col = np.divmod(local, width)
-        ids = (row + rows.start) * lattice.width + col + cols.start
+        ids = (row + rows.start) * whole + col + cols.start
         blocked.append(ids[answers.occupied])
         solid.append(ids[answers.solid])
     return blocked, solid
 
 
-def _rooms_beside(
-    leaf: int, extents: Extents, closed_cells: Sequence[Int], around: Surroundings
-) -> RoomIds | None:
+def _rooms_beside(leaf: Leaf, closed: Sequence[Int], around: Surroundings) -> RoomIds | None:
     """For each side, the last room seen along lines away from the closed leaf; None for one room.
 
     If both sides see the same room, as where the doorway belongs to it, the outside, None, begins
     where the floor ends.
     """
-    sizes = [len(cells) for cells in closed_cells]
-    if not any(sizes) or not np.isfinite(extents.center[leaf]).all():
+    sizes = [len(cells) for cells in closed]
+    if not any(sizes) or leaf.sight is None:
         return None
     level = int(np.argmax(sizes))
-    across = extents.across[leaf]
-    along = np.array([-across[1], across[0]])
-    lattice = around.rooms.lattice
-    # points on lines away from both sides, shape (sides, lines, steps, 2) [m]
-    distance = extents.thin[leaf] / 2 + np.arange(0.0, SIGHT, lattice.cell_size / 2)
-    start = extents.center[leaf] + along * np.array(LINES)[:, None] * extents.long[leaf]
-    sight = start[:, None] + across * np.array([-1.0, 1.0])[:, None, None, None] * distance[:, None]
-    rows, cols = lattice.rows_cols(sight)
-    open_cells, floor = around.rooms.open_cells[level], around.floors[level].floor
+    inside, cell = leaf.sight >= 0, np.maximum(leaf.sight, 0)
+    floor, is_open = around.floors[level].floor.ravel(), around.rooms.open_cells[level].ravel()
+    is_wall = inside & ~is_open[cell] & ~np.isnan(floor[cell])
+    is_seen = ~np.logical_or.accumulate(is_wall, axis=-1)
+    room = np.where(inside, around.rooms.index[level].ravel()[cell], 0)
 
-    def room_in_sight(side: int, floor_ends: bool) -> str | None:
-        """The room that most lines end in; `floor_ends` where the outside begins beyond a floor."""
-        votes: Counter[str | None] = Counter()
-        for line in zip(rows[side].tolist(), cols[side].tolist(), strict=True):
-            seen: str | None = None
-            for row, col in zip(*line, strict=True):
-                inside = 0 <= row < lattice.height and 0 <= col < lattice.width
-                if inside and not open_cells[row, col] and not np.isnan(floor[row, col]):
-                    break  # a wall
-                room = around.rooms.room_at(level, row * lattice.width + col) if inside else None
-                if room is not None or floor_ends:
-                    seen = room
-            votes[seen] += 1
+    def room_in_sight(side: int, seen: Bool) -> str | None:
+        """The room that most lines end in, of what is `seen` along them."""
+        last = seen.shape[-1] - 1 - seen[side, :, ::-1].argmax(axis=-1)
+        number = np.where(seen[side].any(axis=-1), room[side, np.arange(len(last)), last], 0)
+        votes = Counter(around.rooms.id_of(level, k) for k in number.tolist())
         return max(votes, key=lambda room: (votes[room], room is not None, room or ""))
 
-    for floor_ends in (False, True):
-        one, other = room_in_sight(0, floor_ends), room_in_sight(1, floor_ends)
+    for seen in (is_seen & (room > 0), is_seen):
+        one, other = room_in_sight(0, seen), room_in_sight(1, seen)
         if one != other:
             return one, other
     return None
 
 
-def _walkable_area(shapes: Shapes, extents: Extents, geoms: Int, around: Surroundings) -> float:
+def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
     """The area of a door's top on which an agent can stand, if a step leads there [m²].
 
     What lies on a floor, like a mat, does not count.
     """
     lattice, bounds, agent = around.rooms.lattice, shapes.bounds, around.agent
     window = None if bounds is None else lattice.window(bounds)
-    # seen from above, most doors are too small, which is quickly found
-    if window is None or np.nansum((extents.thin * extents.long)[geoms]) < MIN_AREA - SLACK:
+    if window is None:
         return 0.0
     rows, cols = window
     cut = lattice.cut(rows, cols)

@@ -93,8 +93,8 @@ class FloorGrowth:
             kernels.grow(lattice, *options, floor, ring, self._local, room)
             is_other = was.view(np.int64) != floor[cell].view(np.int64)  # to the last bit
             changed, differs = cell[is_other], cell[is_other | (was_in != ring[cell])]
-            row, col = np.divmod(differs, lattice.width)
-            at_edge = np.isin(row % SIZE, (0, SIZE - 1)) | np.isin(col % SIZE, (0, SIZE - 1))
+            row, col = (place % SIZE for place in np.divmod(differs, lattice.width))
+            at_edge = (row == 0) | (row == SIZE - 1) | (col == 0) | (col == SIZE - 1)
             asked = blocks.around(blocks.holding(differs[at_edge])) & ~region
             region |= asked
         return changed

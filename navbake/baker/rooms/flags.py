@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.columns import ColumnSource
 from navbake.baker.connect import label_parts
@@ -64,7 +65,9 @@ class RoomFlags(NamedTuple):
 
 
 def are_equal(one: Any, other: Any) -> bool:
-    """Whether flags or rooms, or parts of them, are the same."""
+    """Whether flags, rooms or doors, or parts of them, are the same."""
+    if one is other:
+        return True
     if is_dataclass(one):
         return all(are_equal(getattr(one, k.name), getattr(other, k.name)) for k in fields(one))
     if isinstance(one, Mapping):
@@ -77,19 +80,26 @@ def are_equal(one: Any, other: Any) -> bool:
 
 
 class ColumnFlags:
-    """Flags of each cell's column: `bits` by level, (cells,), see `flag_columns`."""
+    """Flags of each cell's column.
+
+    Attributes:
+        bits: by level, (cells,), see `flag_columns`.
+        decisive: by level, (cells,), which of them rooms depend on, as `read_flags` finds.
+    """
 
     def __init__(self, floors: Floors, agent: AgentSettings) -> None:
         self._limits = agent_limits(agent)
         self.bits = [np.zeros(level.floor.size, dtype=np.uint8) for level in floors.levels]
+        self.decisive = list[NDArray[np.uint8]]()
 
     def look(self, cells: slice | Int, crossings: Crossings, levels: Sequence[LevelFloor]) -> bool:
-        """Flag some cells, as which the columns are numbered; whether any flag changed."""
+        """Flag some cells, as which the columns are numbered; whether any decisive flag changed."""
         changed, found = False, np.empty(len(crossings.start) - 1, dtype=np.uint8)
-        for bits, level in zip(self.bits, levels, strict=True):
+        for number, (bits, level) in enumerate(zip(self.bits, levels, strict=True)):
             asked = crossings, level.floor.ravel()[cells], level.ground, self._limits, WALL_BAND[0]
             run_in_bands(kernels.flag_columns, len(found), *asked, found, least=LEAST_CELLS)
-            changed |= not np.array_equal(bits[cells], found)
+            if self.decisive:
+                changed |= bool(((bits[cells] ^ found) & self.decisive[number][cells]).any())
             bits[cells] = found
         return changed
 
@@ -105,6 +115,7 @@ def read_flags(
 ) -> RoomFlags:
     """Read all that rooms depend on from a scene and its earlier stages."""
     lattice, levels = columns.lattice, list[LevelFlags]()
+    of_columns.decisive = []
     wall = low = np.zeros(lattice.shape, dtype=np.bool_)
     for number, level in enumerate(floors.levels):
         if contents is not None:
@@ -112,9 +123,15 @@ def read_flags(
         marked = of_columns.bits[number].reshape(lattice.shape)
         empty, hole, bank, sky, tall = ((marked & flag) > 0 for flag in kernels.COLUMN_FLAGS)
         open_cells = ~np.isnan(level.floor) & ~wall & ~find_windows(low, wall, lattice.cell_size)
-        edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells & ~tall
+        edge = edge_cells(empty | bank, EVERY_SIDE) & open_cells
+        decisive = np.full(edge.shape, sum(kernels.COLUMN_FLAGS), dtype=np.uint8)
+        decisive[~edge] -= kernels.TALL
+        edge &= ~tall
         longest = np.sqrt(2) * np.count_nonzero(edge) * lattice.cell_size  # if all touch
-        sky &= longest > EDGE_LENGTH
+        if longest <= EDGE_LENGTH:
+            sky[:] = False
+            decisive -= kernels.SKY
+        of_columns.decisive.append(decisive.ravel())
         levels.append(LevelFlags(level.floor, open_cells, hole, edge, sky, bank))
     ends = ~EVERY_SIDE
     if scene.bounds is not None:

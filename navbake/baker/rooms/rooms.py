@@ -71,9 +71,9 @@ class Rooms:
     open_cells: list[Bool]  # by level, those that may be in a room: see `LevelFlags`
     warnings: list[str]  # what the user should know, one line each
 
-    def room_at(self, level: int, cell: int) -> str | None:
-        """The id of the room of a level's cell, counted on the whole lattice; None for none."""
-        return self._ids.get((level, int(self.index[level].flat[cell])))
+    def id_of(self, level: int, index: int) -> str | None:
+        """The id of a level's room by its index; None for none."""
+        return self._ids.get((level, index))
 
     @cached_property
     def _ids(self) -> dict[RoomKey, str]:

@@ -27,6 +27,7 @@ from navbake.threads import run_beside
 from navbake.types import Float
 
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
+WORTH_THREAD = 1 << 17  # hashing so many bytes takes longer than starting a thread
 # A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m]
 HIGH_MESH, WIDE_MESH, SMALL = 100.0, 5000.0, 0.5
 
@@ -213,7 +214,7 @@ def start_digest(
         digest.update(left)
         return str(digest.hexdigest())
 
-    return run_beside(finish)
+    return run_beside(finish) if len(left) > WORTH_THREAD else finish
 
 
 def _digest_arrays(

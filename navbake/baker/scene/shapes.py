@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.kernels.constants import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from navbake.lazy import lazy
 from navbake.types import Bool, Float, Int32
 
@@ -135,17 +135,20 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 
 def find_reach(kind: Int32, way: Float, size: Float) -> Float:
     """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
-    along = np.abs(way)
-    flat = np.sqrt(np.clip(1.0 - np.square(along[:, 2]), 0.0, None))
-    tall = along[:, 2] * size[:, 1]
-    reaches = {
-        SPHERE: size[:, 0],
-        CAPSULE: size[:, 0] + tall,
-        ELLIPSOID: np.sqrt(np.square(along * size).sum(axis=1)),
-        CYLINDER: tall + size[:, 0] * flat,
-    }
-    is_kind = [kind == number for number in reaches]
-    return np.select(is_kind, list(reaches.values()), (along * size).sum(axis=1))  # else a box
+    along, reach = np.abs(way), np.empty(len(kind))
+    for number in set(kind.tolist()):
+        own = kind == number
+        up, sizes = along[own, 2], size[own]
+        if number == BOX:
+            reach[own] = (along[own] * sizes).sum(axis=1)
+        elif number == ELLIPSOID:
+            reach[own] = np.sqrt(np.square(along[own] * sizes).sum(axis=1))
+        elif number == CYLINDER:
+            flat = np.sqrt(np.clip(1.0 - np.square(up), 0.0, None))
+            reach[own] = up * sizes[:, 1] + sizes[:, 0] * flat
+        else:
+            reach[own] = sizes[:, 0] + (up * sizes[:, 1] if number == CAPSULE else 0.0)
+    return reach
 
 
 def plane_triangles(half: Float) -> Float:

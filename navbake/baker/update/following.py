@@ -160,6 +160,8 @@ class FollowedScene:
 
     def _check_finite(self, pose: Any) -> None:
         model, wrong = self._model, np.flatnonzero(~np.isfinite(pose.qpos))
+        if not len(wrong) and all(np.isfinite(getattr(pose, part)).all() for part in PARTS[1:]):
+            return
         joints = np.searchsorted(model.jnt_qposadr, wrong, side="right") - 1
         mocap = np.isfinite(np.hstack([pose.mocap_pos, pose.mocap_quat])).all(axis=1)
         placed = np.isin(model.body_mocapid, np.flatnonzero(~mocap))

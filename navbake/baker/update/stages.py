@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from navbake.baker.blocks import Blocks
 from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
-from navbake.baker.doors.doors import Placing, place_doors
+from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
 from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
@@ -167,7 +168,7 @@ class LiveStages:
                 touched = np.union1d(cut_cells(near, window, lattice.width)[0], changed)
             now.occupancy, now.contents = was.occupancy, was.contents
             if len(touched):
-                flags_hold &= self._look_again(now, differs, touched)
+                flags_hold &= self._look_again(now, differs, touched, not len(changed))
                 flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
@@ -182,6 +183,9 @@ class LiveStages:
         now.doors = _follow_doors(was, now, touched)
         if now.rooms is was.rooms and now.doors is was.doors:
             now.room_table = was.room_table
+        if now.boxes.windows == was.boxes.windows:
+            known_doors = was.cut_doors
+            now.cut_doors = {one: known_doors.get(one) or now.cut_door(one) for one in now.placed}
         now.free_geometry()
         self.stages = now
         return ""
@@ -198,7 +202,7 @@ class LiveStages:
         self._kept.put(near, crossings)
         return _same_surfaces(known, crossings, marks)
 
-    def _look_again(self, now: Stages, differs: Bool, touched: Int) -> bool:
+    def _look_again(self, now: Stages, differs: Bool, touched: Int, floors_hold: bool) -> bool:
         """Find occupancy and contents again in the cells near what moved or with another floor.
 
         Returns whether rooms depend on nothing that changed there.
@@ -206,12 +210,14 @@ class LiveStages:
         columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
         crossings, was = take_columns(columns.crossings, touched), now.contents
         holds = not of_columns.look(touched, crossings, now.floors.levels)
-        finder.look_again(now.doorless, now.floors, columns, now.tiled, touched, differs)
+        known = now.doorless, now.floors, columns, now.tiled
+        finder.look_again(*known, touched, differs, floors_hold)
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:
             holds &= now.contents.have_same_walls(was, touched)
             # widths of gaps are measured up to walls
-            holds &= not np.isin(now.contents.partitions[differs], (WALL, BUILDING)).any()
+            own = now.contents.partitions[differs]
+            holds &= not ((own == WALL) | (own == BUILDING)).any()
         return holds
 
 
@@ -224,15 +230,19 @@ def _box(stages: Stages) -> Float:
 def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
     around, known = now.around_doors, {one.candidate: one for one in was.doors}
-    again = [
-        one
-        for one in now.candidates
-        if now.rooms is not was.rooms or one not in known or known[one].depends_on(touched, around)
+    new = [one for one in now.candidates if one not in known]
+    leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
+    leaves += [
+        one.leaf
+        for one in map(known.get, now.candidates)
+        if one and (now.rooms is not was.rooms or one.depends_on(touched, around))
     ]
-    if not again and len(now.candidates) == len(was.candidates):
-        return was.doors
-    known |= {one.candidate: one for one in place_doors(now.scene, again, around)}
-    return [known[one] for one in now.candidates]
+    for one in place_doors(leaves, around):
+        if one.candidate not in known or not are_equal(one, known[one.candidate]):
+            known[one.candidate] = one
+    doors = [known[one] for one in now.candidates]
+    same = len(doors) == len(was.doors) and all(map(is_, doors, was.doors))
+    return was.doors if same else doors
 
 
 def _same_surfaces(old: Crossings, new: Crossings, geoms: Bool) -> bool:

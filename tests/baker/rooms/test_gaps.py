@@ -317,4 +317,4 @@ def test_a_cavity_is_no_room(tmp_path, wide, rooms):
     walls += box("", 4, 3.1, 0, 4.2 + wide, 3.2, 2.5) + box("", 4.5, 4.2, 0, 4.6, 5, 2.5)
     stages = stages_of_xml(tmp_path, world(box("floor", 0, 0, -0.1, 10, 5, 0) + walls))
     assert len(stages.rooms.table) == rooms
-    assert (stages.rooms.room_at(0, stages.lattice.width * 30 + 45) is None) == (rooms == 2)
+    assert (stages.rooms.index[0].flat[stages.lattice.width * 30 + 45] == 0) == (rooms == 2)

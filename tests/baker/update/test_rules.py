@@ -71,6 +71,18 @@ def test_boxes_that_carry_floors_move_over_one_another():
         check(baker, {}, bodies={f"box_{rng.integers(4)}": place})
 
 
+def test_a_platform_that_is_lifted_is_a_thing_for_itself():
+    # beside another one at its height it is a part of the building, as the two are large together
+    bodies = "".join(
+        f'<body name="platform_{x}" pos="{x} 3 0.05"><freejoint/>'
+        f'<geom type="box" size="0.75 0.75 0.05"/></body>'
+        for x in (2.25, 3.75)
+    )
+    baker = navbake.Baker(make(bodies))
+    for z in (0.07, 0.05, 0.09):
+        assert check(baker, {}, bodies={"platform_2.25": [2.25, 3, z]}) == ""
+
+
 def test_a_table_that_grows_bit_by_bit_may_be_a_floor():
     # each time so little that it can be none, until it is one: 9 rows of 5, 5 and 10 cells
     parks = ((1.0, 5.2), (3.0, 5.2), (3.0, 1.0))
