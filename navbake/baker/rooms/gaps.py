@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from navbake.baker.connect import connect, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import Gaps, Scan
-from navbake.baker.rooms.walls import Direction, WallRays, find_directions, turned
+from navbake.baker.rooms.walls import (
+    FAR,
+    FAR_OF_DOORWAY,
+    Direction,
+    WallRays,
+    find_directions,
+    turned,
+)
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
@@ -31,7 +38,7 @@ ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
 # Two spaces are one where the gap between them is at least this share of both, or of the narrower
-BOTH, NARROWER = 0.8, 0.78
+BOTH, NARROWER = 0.78, 0.76
 # A passage is a space of its own from this length on, in widths, where the other space is wider by
 # this factor
 LONG, WIDER = 3.0, 1.5
@@ -171,7 +178,9 @@ class Spaces:
             own = slice(self._start[number], self._start[number + 1])
             cols = np.stack([gaps.first, gaps.last], axis=1)
             rows = (gaps.top + gaps.bottom) // 2
-            self._beside[own] = self._beyond(number, rows * scan.label.shape[1] + cols)
+            doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
+            far = np.where(gaps.is_doorway, doorway, FAR)
+            self._beside[own] = self._beyond(number, rows * scan.label.shape[1] + cols, far)
             inner = gaps.last - gaps.first
             self._width[own] = (inner + self._beside[own].sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
@@ -211,7 +220,7 @@ class Spaces:
         share = float(self._shares[gap].min()) if both else self._decide(gap)
         if share < (BOTH if both else NARROWER):
             return None
-        return both and bool(self._is_doorway[gap]), -share
+        return both and bool(self._is_doorway[gap]), -share if both else -float(self._width[gap])
 
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""
@@ -269,16 +278,19 @@ class Spaces:
             close = np.flatnonzero(wavers)
             if len(close) and self._rays is not None:
                 some, own = lines[close], self._beside[chosen[close], None, None]
-                beside = np.where(some[..., 2:4] > 0, 0.5, own).sum(axis=3)
+                passed = some[..., 2:4]
+                # up to the wall at the gap's end, or as far as openings beyond it go
+                beside = np.where(passed > 0, np.maximum(passed + 0.5, own), own).sum(axis=3)
                 beyond = self._beyond(number, some[..., 4:]).sum(axis=3)
-                exact = (some[..., 1:4].sum(axis=3) - 1 + beside) / (some[..., 0] - 1 + beyond)
+                exact = (some[..., 1] - 1 + beside) / (some[..., 0] - 1 + beyond)
                 shares[close] = np.minimum(exact.min(axis=2), 1.0)
             self._shares[chosen] = shares
 
-    def _beyond(self, number: int, cells: Int) -> Float:
+    def _beyond(self, number: int, cells: Int, far: Float | None = None) -> Float:
         """How far the centres of lines' end `cells` are from walls beyond, shape (…, 2) [columns].
 
-        Half a column for -1, where the line ends at no wall.
+        Half a column for -1, where the line ends at no wall, and for walls that are too `far`,
+        shape (n,) for cells (n, 2).
         """
         direction, scan, _ = self._found[number]
         rest = np.full(cells.shape, 0.5)
@@ -286,7 +298,8 @@ class Spaces:
         if self._rays is not None and len(at[0]):
             row, col = np.divmod(cells[at], scan.label.shape[1])
             row, col = (col, row) if direction.swapped else (row, col)
-            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1)
+            limit = FAR if far is None else far[at[0]]
+            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1, limit)
         return rest
 
     def join(self, gap: int) -> list[int]:

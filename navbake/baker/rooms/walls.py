@@ -36,8 +36,9 @@ PADDING = 2
 
 RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
 CHUNK = 4096  # triangles that are looked at together
-# Walls farther from the cells' ends are ignored [columns]
-FAR = 4.0
+# Walls farther from the centres of end cells are ignored: of lines [columns], and of doorways, whose
+# walls lean where they are at an angle to the lattice [m]
+FAR, FAR_OF_DOORWAY = 4.0, 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
 
@@ -204,14 +205,17 @@ class WallRays:
         # rays meet what is near to their cells alone, so that nothing is left as often as entered
         triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
         walls = replace(walls, triangles=triangles)
+        self._reach = max(FAR * lattice.cell_size, FAR_OF_DOORWAY)
         # by tiles as seen from above, whatever the rays' direction
-        self._tiled = tile_shapes(walls, lattice, (FAR + 1.0) * lattice.cell_size)
+        self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
-    def measure(self, direction: Direction, row: Int, col: Int, is_after: Bool) -> Float:
+    def measure(
+        self, direction: Direction, row: Int, col: Int, is_after: Bool, far: float | Float = FAR
+    ) -> Float:
         """How far walls are from cells' centres along a direction, or back, (n,) [columns].
 
-        Half a column where there is none within `FAR`.
+        Half a column where there is none within `far`, at most `FAR` or `FAR_OF_DOORWAY`.
         """
         axes, tiled, known = self._turn(direction)
         cell = row * self._lattice.width + col
@@ -220,8 +224,8 @@ class WallRays:
         if len(new):
             rays = axes, tiled, direction.stretch * self._lattice.cell_size
             known[cell[new], way[new]] = self._cast(*rays, row[new], col[new], is_after[new])
-        columns: Float = known[cell, way] - 1.0
-        return columns
+        columns = known[cell, way] - 1.0
+        return np.where(columns <= far, columns, 0.5)
 
     def _cast(
         self, axes: Float, tiled: TiledShapes, column: float, row: Int, col: Int, is_after: Bool
@@ -239,8 +243,7 @@ class WallRays:
         ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
-        columns = nearest / column
-        return np.where(columns <= FAR, columns, 0.5) + 1.0
+        return nearest / column + 1.0
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
         """A frame in which the direction is up, its axes as rows; the walls in it; what is known.

@@ -384,7 +384,7 @@ def test_rays_to_walls(as_mesh, tmp_path):
                 ]
                 nearest = min(hits)
                 expected = nearest if nearest <= FAR else 0.5
-                assert found[k] == pytest.approx(expected, abs=1e-6)
+                assert found[k] == pytest.approx(expected, abs=1e-4)
                 met += nearest <= FAR
     assert met > 100
 
