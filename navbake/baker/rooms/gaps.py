@@ -38,7 +38,7 @@ ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
 # Two spaces are one where the gap between them is at least this share of both, or of the narrower
-BOTH, NARROWER = 0.78, 0.76
+BOTH, NARROWER = 0.8, 0.78
 # A passage is a space of its own from this length on, in widths, where the other space is wider by
 # this factor
 LONG, WIDER = 3.0, 1.5

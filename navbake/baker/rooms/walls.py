@@ -36,8 +36,8 @@ PADDING = 2
 
 RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
 CHUNK = 4096  # triangles that are looked at together
-# Walls farther from the centres of end cells are ignored: of lines [columns], and of doorways, whose
-# walls lean where they are at an angle to the lattice [m]
+# Walls farther from the centres of end cells are ignored: of lines [columns]; of doorways, whose
+# walls lean in the lattice where they are at an angle to it [m]
 FAR, FAR_OF_DOORWAY = 4.0, 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
