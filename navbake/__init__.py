@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from navbake.baker.update.baker import Baker
     from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
     from navbake.config.settings import BakeConfig
+    from navbake.formats.grscenes import read_grscenes as from_grscenes
     from navbake.formats.nav2 import read_nav2 as from_nav2
     from navbake.formats.navgrid import read_navgrid as load
     from navbake.formats.npz import read_grid_npz as from_npz
+    from navbake.formats.omnigibson import read_omnigibson as from_omnigibson
     from navbake.formats.procthor import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -62,8 +64,10 @@ __all__ = [
     "bake",
     "create_voxel_grid",
     "episodes",
+    "from_grscenes",
     "from_nav2",
     "from_npz",
+    "from_omnigibson",
     "from_procthor",
     "load",
     "load_voxels",
@@ -88,8 +92,10 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
+    "from_grscenes": "navbake.formats.grscenes:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",
+    "from_omnigibson": "navbake.formats.omnigibson:read_omnigibson",
     "from_procthor": "navbake.formats.procthor:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",

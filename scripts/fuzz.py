@@ -43,10 +43,12 @@ from navbake.config.settings import load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox
+from navbake.formats.grscenes import encode_grscenes
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap
+from navbake.formats.omnigibson import encode_omnigibson
 from navbake.formats.procthor import encode_procthor
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
@@ -277,6 +279,10 @@ READERS = {
                    _map_image),
     "procthor": Reader(lambda p: use_grid(navbake.from_procthor(p)),
                        lambda: [_bytes_of(encode_procthor(_grid(), Path("a.png")))], ".png"),
+    "omnigibson": Reader(lambda p: use_grid(navbake.from_omnigibson(p)),
+                         lambda: [_bytes_of(encode_omnigibson(_grid(), Path("a.png")))], ".png"),
+    "grscenes": Reader(lambda p: use_grid(navbake.from_grscenes(p)),
+                       lambda: [_bytes_of(encode_grscenes(_grid(), Path("a.npy")))], ".npy"),
     "binvox": Reader(use_voxels, lambda: [encode_binvox(_voxels())], ".binvox"),
     "bt": Reader(use_voxels, lambda: [encode_octomap(_voxels(), "bt", free=True)], ".bt"),
     "ot": Reader(use_voxels, lambda: [encode_octomap(_voxels(), "ot", free=True)], ".ot"),

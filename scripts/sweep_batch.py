@@ -1,7 +1,7 @@
 """Shows what a batch withstands, and how fast it is.
 
     python scripts/sweep_batch.py [PART ...] [--kills 50] [--scenes 200] [--seed 0]
-                                   [--many 2000] [--few 24]
+                                   [--many 2000] [--few 24] [--sliced 1000]
 
 faults  200 scenes, 20 broken in ten ways, one that hangs, one that takes 27 GiB, one that crashes
         its process: what became of each, held against what was to become of it.
@@ -9,6 +9,10 @@ kills   a batch whose process group is killed by SIGKILL at random moments, and 
         time, while a thread reads the folder: at the end the grids of an undisturbed batch.
 ray     the scenes of faults on a Ray cluster of two nodes, of which one is killed half way: what
         became of each, and the grids of a batch on one machine. Left out where ray isn't installed.
+slices  1,000 scenes in 8 slices, two at a time, merged, and the same in one run: grids, episodes,
+        shards and the index without times.
+memory  what a worker grows by, over scenes of 80,000 triangles each, with the meshes that MuJoCo
+        keeps by itself and with those that it keeps in a worker of a batch.
 speed   what a batch adds to a loop of bakes, for scenes of 10 ms and of 1 s, and two workers
         against one; figures count while all workers are at work.
 """
@@ -20,14 +24,19 @@ import contextlib
 import multiprocessing
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
+
+import mujoco
+import trimesh
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
@@ -36,12 +45,15 @@ from batch_processes import Watcher, digests, start_list  # noqa: E402 (of the t
 from batch_scenes import draw_room, write_scenes, wrong_rows  # noqa: E402
 from navbake.baker.pipeline import run_bake  # noqa: E402
 from navbake.batch.index import NAME, read_index  # noqa: E402
-from navbake.batch.job import prepare  # noqa: E402
+from navbake.batch.job import CACHE, prepare  # noqa: E402
 from navbake.config.settings import as_config  # noqa: E402
 from navbake.formats.navgrid import write_navgrid  # noqa: E402
 from ray_cluster import two_nodes  # noqa: E402
 
-PARTS = ("faults", "kills", "speed", "ray")
+PARTS = ("faults", "kills", "speed", "ray", "slices", "memory")
+NUM_SLICES = 8
+NUM_MESHES = 40
+TIMES = ("seconds", "stages", "ended")  # of a row of the index, which differ each time
 LIMITS = ("--time-limit", "30", "--memory-limit", "4")
 WARM = 4  # scenes of each worker that don't count
 WHILE_STARTING = 0.2  # share of the kills that don't wait until a scene is done
@@ -162,6 +174,90 @@ def show_ray(folder: Path, args: argparse.Namespace) -> bool:
     return is_same and is_running and not wrong and status == 1 and len(whole) == num_good
 
 
+def show_slices(folder: Path, args: argparse.Namespace) -> bool:
+    """The same scenes in slices and in one run; a twentieth equal others, ten are broken."""
+    scenes, parts, one = folder / "scenes", folder / "parts", folder / "one"
+    write_scenes(scenes, args.sliced, broken=10, half=1.5)
+    for number in range(0, args.sliced, 20):
+        (scenes / f"good-{number + 1:04}.xml").write_text(draw_room(number, 1.5))
+    options = ("-q", "--set", "grid.cell_size=0.2", "--make", "episodes:point:uniform:3")
+    _, whole = run(scenes, one, "--jobs", "2", "--shards", "10", *options)
+
+    def run_slice(number: int) -> float:
+        return run(scenes, parts, "--slice", f"{number}/{NUM_SLICES}", *options)[1]
+
+    with ThreadPoolExecutor(2) as pool:
+        sliced = sum(pool.map(run_slice, range(1, NUM_SLICES + 1))) / 2
+    _, merged = run(scenes, parts, "--merge", "--shards", "10", *options)
+    of_one, of_parts = (
+        {**digests(out), **digests(out, "*.tar"), **digests(out, "episodes*")}
+        for out in (one, parts)
+    )
+    rows_of_one, rows_of_parts = (
+        [
+            {key: value for key, value in row.items() if key not in TIMES}
+            for row in read_index(out).values()
+        ]
+        for out in (one, parts)
+    )
+    is_same = of_one == of_parts and [*rows_of_one] == [*rows_of_parts]
+    indexes = [path.name for path in parts.glob("*index*")]
+    before = (parts / NAME).read_bytes().splitlines()
+    run(scenes, parts, *options)
+    after = (parts / NAME).read_bytes().splitlines()
+    good = [b'"status":"ok"' in line for line in before]
+    same = all(a == b for a, b, ok in zip(before, after, good, strict=True) if ok)
+    print(
+        f"{len(of_one)} files and {len(rows_of_one)} rows of one run ({whole:.0f} s) and of "
+        f"{NUM_SLICES} slices ({sliced:.0f} s, merged in {merged:.1f} s) "
+        f"{'are the same' if is_same else 'DIFFER'}; indexes: {', '.join(indexes)}; a run after "
+        f"that leaves the bytes of {sum(good)} rows {'as they are' if same else 'CHANGED'}"
+    )
+    return is_same and same and indexes == [NAME]
+
+
+def grow(folder: str, limited: bool) -> list[int]:
+    """Resident memory of a worker before its first scene and after the last, and the peak [MB]."""
+    prepare((), False)
+    cache = mujoco.mj_getCache()
+    mujoco.mj_setCacheCapacity(cache, CACHE if limited else 500 << 20)
+    begin = resident()
+    for path in sorted(Path(folder).glob("*.xml")):
+        config = as_config({"scene": {"path": str(path)}, "grid": {"cell_size": 0.2}})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run_bake(config, threads=1)
+    return [begin, resident(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10]
+
+
+def resident() -> int:
+    """Resident memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() >> 20
+
+
+def show_memory(folder: Path, args: argparse.Namespace) -> bool:
+    """Scenes with a mesh of its own each."""
+    ball = trimesh.creation.icosphere(6)
+    for number in range(NUM_MESHES):
+        ball.vertices *= 1 + 1e-3 * random.Random(number).random()
+        ball.export(folder / f"{number}.stl")
+        mesh = f'<asset><mesh name="m" file="{number}.stl"/></asset>'
+        geoms = '<geom type="box" size="3 3 .1"/><geom type="mesh" mesh="m" contype="0"/>'
+        text = f"<mujoco>{mesh}<worldbody>{geoms}</worldbody></mujoco>"
+        (folder / f"{number}.xml").write_text(text)
+    for limited in (False, True):
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            begin, end, most = pool.apply(grow, (str(folder), limited))
+        kept = f"{CACHE >> 20} MB" if limited else "500 MB"
+        print(
+            f"{NUM_MESHES} scenes, MuJoCo keeps meshes of {kept}: {begin} MB before, {end} MB "
+            f"after, {most} MB at most",
+            flush=True,
+        )
+    return end < 2 * begin
+
+
 def loop(paths: list[str], out: str, edge: float) -> float:
     """Scenes a second that are baked and written in a loop, on one thread, warm."""
     prepare((), False)
@@ -222,8 +318,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--many", type=int, default=2000, help="scenes of 10 ms")
     parser.add_argument("--few", type=int, default=24, help="scenes of 1 s")
+    parser.add_argument("--sliced", type=int, default=1000, help="scenes in slices")
     args = parser.parse_args()
     shows = {"faults": show_faults, "kills": show_kills, "speed": show_speed, "ray": show_ray}
+    shows |= {"slices": show_slices, "memory": show_memory}
     failed = []
     for part in args.parts or PARTS:
         with tempfile.TemporaryDirectory() as folder:

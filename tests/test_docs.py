@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import gzip
 import importlib
+import json
 import re
 import shlex
 from importlib.util import find_spec
@@ -15,6 +17,8 @@ import typer
 import yaml
 
 import navbake
+from batch_in_process import stay_in_process
+from batch_scenes import draw_room
 from command_line import run_command
 from navbake.cli.main import app
 from navbake.config.settings import SECTIONS, parse_config
@@ -132,6 +136,26 @@ def test_the_commands_of_the_page_of_formats_run_in_an_empty_folder(tmp_path, mo
     for words in commands_of(page):
         assert run_command(capsys, *words)[0] == 0, words
     assert {file.suffix for file in tmp_path.iterdir()} >= {".pgm", ".npz", ".xml", ".yaml"}
+
+
+def test_the_commands_of_the_page_of_batches_run_on_this_machine(tmp_path, monkeypatch, capsys):
+    """All but those on stores and on a cluster, on two scenes; patterns and lists name them."""
+    stay_in_process(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scenes").mkdir()
+    for number in (1, 2):
+        (tmp_path / "scenes" / f"{number}.xml").write_text(draw_room(number))
+    (tmp_path / "all.yaml").write_text("grid: {cell_size: 0.2}\n")
+    (tmp_path / "houses.csv").write_text("scene,id\nscenes/1.xml,0001\nscenes/2.xml,0002\n")
+    row = {"files": {"mjcf": "scenes/1.xml"}, "house": "h", "robot": 0.2, "split": "train"}
+    (tmp_path / "dataset.jsonl.gz").write_bytes(gzip.compress(json.dumps(row).encode()))
+    ran = []
+    for words in commands_of(ROOT / "docs" / "batch.md"):
+        if words[0] == "batch" and "ray" not in words and "s3://" not in " ".join(words):
+            ran.append([word.replace("$SLURM_ARRAY_TASK_ID", "1") for word in words])
+            assert run_command(capsys, *ran[-1])[0] == 0, words
+    flags = {word for words in ran for word in words if word.startswith("--")}
+    assert flags >= {"--plan", "--slice", "--merge", "--shards", "--column", "--page", "--make"}
 
 
 def test_the_page_of_episodes_scores_what_its_lines_make(tmp_path, monkeypatch, capsys):

@@ -1,14 +1,19 @@
-"""The index of a batch: a line of JSON for each scene, and the same as Parquet."""
+"""The index of a batch: a line of JSON for each scene, and the same as Parquet.
+
+A slice of a batch writes its own part, ``index-3-of-64.jsonl``, and has a lock of its own. The next
+run of the whole batch merges the parts into the index.
+"""
 
 from __future__ import annotations
 
 import io
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import filelock
 
@@ -21,6 +26,7 @@ from navbake.batch.store import (
     read_file,
     refused,
     remove_files,
+    sizes_below,
     write_file,
 )
 from navbake.errors import NavbakeError
@@ -31,34 +37,62 @@ from navbake.types import Json
 NAME = "index.jsonl"
 TABLE = "index.parquet"
 LOCK = ".navbake-batch.lock"
+PART = re.compile(r"index-(\d+)-of-(\d+)\.jsonl")
+PART_LOCK = re.compile(r"\.navbake-batch-\d+-of-\d+\.lock")
+PATIENCE = 5.0  # for a slice that looks whether the whole batch runs [s]
+
+
+class Slice(NamedTuple):
+    """Every `total`-th scene of a batch, from scene `number` on; 1 is the first."""
+
+    number: int
+    total: int
+
+    @property
+    def file(self) -> str:
+        """The name of its part of the index."""
+        return f"index-{self.number}-of-{self.total}.jsonl"
 
 
 @contextmanager
-def only_batch(folder: Path) -> Iterator[None]:
+def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
     """Hold the lock of an output folder; the system releases it when the process ends.
 
-    Raises a NavbakeError if another batch holds it, or the folder can't be made or written.
+    Slices exclude themselves and whole batches, and a whole batch all others. Raises a NavbakeError
+    if another batch holds a lock, or the folder can't be made or written.
     """
     if folder.is_file():
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
-    lock = filelock.FileLock(folder / LOCK, timeout=0)
-    for name in (LOCK, NAME, TABLE):
-        check_inside(folder, folder / name)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
-    except filelock.Timeout:
-        raise NavbakeError(
-            f"another batch writes into {folder}: wait for it, or choose another folder"
-        ) from None
-    except NotImplementedError:  # a file system without locks
-        pass
-    except OSError as error:
-        raise refused(f"into {folder}", error) from error
-    try:
+    name = NAME if part is None else part.file
+    for own in (LOCK, name, TABLE):
+        check_inside(folder, folder / own)
+    slices: list[str] = []
+    with ExitStack() as stack:
+
+        def hold(name: str) -> Any:
+            lock = filelock.FileLock(folder / name, timeout=PATIENCE if part else 0)
+            return stack.enter_context(lock.acquire())
+
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            whole = hold(LOCK)
+            if part is None:
+                slices = [*filter(PART_LOCK.fullmatch, os.listdir(folder))]
+                for own in slices:
+                    hold(own)
+            else:
+                hold(f".navbake-batch-{part.number}-of-{part.total}.lock")
+                whole.release()
+        except filelock.Timeout:
+            raise NavbakeError(
+                f"another batch writes into {folder}: wait for it, or choose another folder"
+            ) from None
+        except NotImplementedError:  # a file system without locks
+            pass
+        except OSError as error:
+            raise refused(f"into {folder}", error) from error
         yield
-    finally:
-        lock.release()
+        remove_files(folder, slices)
 
 
 class LineFile:
@@ -92,25 +126,44 @@ class LineFile:
             os.close(self._file)
 
 
-def write_index(folder: Folder, rows: Iterable[Json], has_table: bool) -> None:
-    """Write a batch's rows in its order, then the existing rows of other scenes."""
+def write_index(
+    folder: Folder, rows: Iterable[Json], has_table: bool, part: Slice | None = None
+) -> None:
+    """Write a batch's rows in its order, then the existing rows of other scenes.
+
+    The latter include those of slices, whose parts of the index are then removed. A slice writes
+    its own rows alone.
+    """
     own = {row["id"]: row for row in rows}
-    own |= {id: row for id, row in read_index(folder).items() if id not in own}
+    if part is not None:
+        write_file(folder, part.file, b"".join(map(line_of, own.values())))
+        return
+    parts = find_parts(folder)
+    for name in (*parts, NAME):
+        own |= {id: row for id, row in read_index(folder, name).items() if id not in own}
     write_file(folder, NAME, b"".join(map(line_of, own.values())))
     if has_table:
         write_file(folder, TABLE, encode_rows(own.values()))
     else:
         remove_files(folder, [TABLE])  # outdated
+    remove_files(folder, parts)
 
 
-def read_index(folder: Folder) -> dict[str, Json]:
+def find_parts(folder: Folder) -> list[str]:
+    """The names of the parts of the index that slices wrote, by count and number."""
+    names = sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
+    found = [match for match in map(PART.fullmatch, names) if match]
+    return [match[0] for match in sorted(found, key=lambda match: (int(match[2]), int(match[1])))]
+
+
+def read_index(folder: Folder, name: str = NAME) -> dict[str, Json]:
     """The last row of each scene, by its id; {} without an index.
 
     A truncated line, as of a killed batch, is skipped.
     """
     rows: dict[str, Json] = {}
     try:
-        content = read_file(join(folder, NAME))
+        content = read_file(join(folder, name))
     except MissingFileError:
         return rows
     for line in content.split(b"\n"):

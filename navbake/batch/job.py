@@ -20,6 +20,7 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
+from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch.products import (
     GRID,
     OWN,
@@ -46,19 +47,28 @@ from navbake.batch.store import (
     why_full,
     write_file,
 )
-from navbake.config.settings import BakeConfig, load_config
+from navbake.config.settings import (
+    BakeConfig,
+    load_config,
+    settings_digest,
+    settings_to_state,
+)
 from navbake.config.yaml_text import apply_overrides
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
-from navbake.formats.navgrid import write_navgrid
+from navbake.formats.navgrid import read_navgrid, write_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.navgrid.grid import NavGrid
 from navbake.processes import lacked_memory
 from navbake.types import Json
 
 OK, FAILED, LEFT = "ok", "failed", "left"
+NEW = "new"  # why a scene without a record isn't done
 ERROR = "error"  # of a failure in a process that goes on
 DIGITS = 4  # of seconds
+CACHE = 64 << 20  # of meshes that MuJoCo keeps in a worker [bytes]; by itself it keeps 500 MB
+# keys of a record that are not in the index: files that don't count, and parts of the key
+OF_RECORD = ("more", "content", "settings", "products")
 
 
 class Plan(NamedTuple):
@@ -94,6 +104,9 @@ class Scene(NamedTuple):
     #: Size and digest of each input file, by its path from the output folder, or its URL.
     inputs: dict[str, Json]
     key: str  #: Changes when the grid or a product may change; see `open_scene`.
+    #: The key without the scene's name and products: scenes with the same have the same cells.
+    content: str
+    settings: str  #: Digest of the settings.
 
 
 # ---------------------------------------------------------------- the key
@@ -135,39 +148,69 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
                 url, state = mirror.url_of(path), mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
                 files.append([shown(url) if url else _relative(path, home), *state.values()])
+    settings = config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}})
+    name = config.inputs[0].name  # which the grid states
     stated = {
-        "settings": config.model_dump(mode="json", exclude={"output": True, "scene": {"path"}}),
-        "scene": config.inputs[0].name,  # which the grid states
+        "settings": settings,
+        "scene": name,
         "products": list(plan.products),
         "version": __version__,
         "files": sorted(files),
     }
-    canonical = json.dumps(stated, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return Scene(config, inputs, hashlib.sha256(canonical.encode()).hexdigest())
+    unnamed = {
+        "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
+        "scene": config.inputs[0].suffix,
+        "version": __version__,
+        "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
+    }
+    return Scene(config, inputs, *map(_digest_of, (stated, unnamed, settings)))
 
 
-def find_record(plan: Plan, job: Job, sizes: Mapping[str, int] | None = None) -> Json | None:
-    """The row of a scene that is done: its key is the same, and its files exist.
+def _digest_of(value: Json) -> str:
+    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
-    Its record has ``files`` that count for this, and ``more`` that don't, as a thumbnail. `sizes`
-    are those of all files in the output folder if it is on a store.
+
+def check_record(
+    plan: Plan, job: Job, sizes: Mapping[str, int] | None = None
+) -> tuple[Json | None, str]:
+    """The row of a scene that is done (its key is the same, and its files exist), else why not.
+
+    Why is ``new``, ``made files`` (missing, or of another size), or what changed of the key:
+    ``version``, ``products``, ``settings``, or ``files`` and their names. `sizes` are those of all
+    files in the output folder if it is on a store.
     """
     if sizes is not None and f"{job.id}/{RECORD}" not in sizes:
-        return None
+        return None, NEW
     try:
         place = plan.place(job)
         row = read_record(place)
+        if row["id"] != job.id:
+            return None, NEW
         for name, state in row["files"].items():
-            there = os.path.getsize(place / name) if isinstance(place, Path) else None
+            path = Path(join(place, name))
+            there = os.path.getsize(path) if sizes is None and path.exists() else None
             if (there if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
-                return None
+                return None, "made files"
         with open_scene(plan, job, whole=False) as scene:
-            if (row["id"], row["key"]) != (job.id, scene.key):
-                return None
-        del row["more"]
+            if row["key"] != scene.key:
+                return None, _what_changed(plan, row, scene)
+        row = {key: value for key, value in row.items() if key not in OF_RECORD}
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
-        return None
-    return {**row, "source": _name(plan, job.source)}  # it may have moved
+        return None, NEW
+    return {**row, "source": _name(plan, job.source)}, ""  # it may have moved
+
+
+def _what_changed(plan: Plan, record: Json, scene: Scene) -> str:
+    now = {"version": __version__, "products": [*plan.products], "settings": scene.settings}
+    changed = [name for name, value in now.items() if record.get(name, value) != value]
+    before = record["inputs"]
+    files = [
+        Path(name).name
+        for name in sorted({*before, *scene.inputs})
+        if before.get(name) != scene.inputs.get(name)
+    ]
+    return ", ".join([*changed, *([f"files: {' '.join(files)}"] if files else [])]) or "files"
 
 
 def read_record(place: Folder) -> Json:
@@ -244,7 +287,11 @@ def stamp() -> str:
 
 
 def prepare(products: Iterable[str], thumbnail: bool) -> None:
-    """Make all products of a sample once, to load modules outside of the scenes' times."""
+    """Set up a worker, and make all products of a sample once.
+
+    So modules are loaded outside of the scenes' times.
+    """
+    limit_mesh_cache(CACHE)
     config = load_config(samples.path("apartment"), ["grid.cell_size=0.5"])
     grid = run_bake(config, threads=1).grid
     with scratch_folder() as folder:
@@ -260,10 +307,12 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
 def _make(plan: Plan, job: Job, begin: float) -> Json:
     place = plan.place(job)
     with open_scene(plan, job, whole=True) as scene:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the row has the relevant ones
-            result = run_bake(scene.config, threads=1)
-        grid = result.grid
+        grid, timings = _copy_twin(plan, job, scene), dict[str, float]()
+        if grid is None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the row has the relevant ones
+                result = run_bake(scene.config, threads=1)
+            grid, timings = result.grid, result.timings
         grid.timings = {}  # the same scene, the same bytes
         free = sum(int(np.count_nonzero(level.free)) for level in grid.levels)
         row = {
@@ -280,13 +329,37 @@ def _make(plan: Plan, job: Job, begin: float) -> Json:
             "warnings": list(grid.warnings),
             "audit": [str(remark) for remark in audit(grid).remarks],
             "inputs": scene.inputs,
-            "stages": {name: round(seconds, DIGITS) for name, seconds in result.timings.items()},
+            "stages": {name: round(seconds, DIGITS) for name, seconds in timings.items()},
         }
         remove_made(place)
         row["files"] = _write_products(plan, place, grid, scene.config, row)
         row |= _times(time.perf_counter() - begin)
-        write_record(place, {**row, "more": [THUMBNAIL] * plan.thumbnail})
+        parts = [[THUMBNAIL] * plan.thumbnail, scene.content, scene.settings, [*plan.products]]
+        write_record(place, {**row, **dict(zip(OF_RECORD, parts, strict=True))})
     return row
+
+
+def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
+    """The grid of an equal scene under this one's name, as its own bake would make it.
+
+    None without such a scene, if it isn't done, or if a warning names one of its files.
+    """
+    if not job.twin:
+        return None
+    try:
+        place = plan.place(job._replace(id=job.twin))
+        if read_record(place).get("content") != scene.content:
+            return None
+        grid = read_navgrid(read_file(join(place, GRID)))
+    except NavbakeError:
+        return None
+    stated = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
+    if any("/" in line or os.sep in line or stated in line for line in grid.warnings):
+        return None
+    named: Json = {"settingsDigest": settings_digest(scene.config)}
+    named["settings"] = settings_to_state(scene.config)
+    metadata = {**grid.metadata, "sceneId": scene.config.scene.id}
+    return grid.with_levels(grid.levels, {**metadata, "navbake": {**grid.navbake, **named}})
 
 
 def _write_products(

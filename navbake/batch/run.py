@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+import os
+from collections import defaultdict
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
@@ -11,22 +13,34 @@ from pathlib import Path
 from typing import TypeAlias
 
 from navbake._version import __version__
-from navbake.batch.index import NAME, LineFile, only_batch, write_index
+from navbake.batch.index import (
+    NAME,
+    LineFile,
+    Slice,
+    find_parts,
+    only_batch,
+    read_index,
+    write_index,
+)
 from navbake.batch.job import (
     FAILED,
     LEFT,
+    OK,
     Plan,
     bake_scene,
     begin_row,
+    check_record,
     fail,
-    find_record,
+    open_scene,
     prepare,
     stamp,
 )
 from navbake.batch.products import merge_sets
 from navbake.batch.settings import Job, check_settings
+from navbake.batch.shards import write_shards
 from navbake.batch.store import (
     FullError,
+    is_url,
     join,
     read_file,
     sizes_below,
@@ -75,6 +89,9 @@ def run_batch(
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     max_failures: int | None = None,
     executor: Executor | None = None,
+    part: Slice | None = None,
+    only_merge: bool = False,
+    shards: int | None = None,
 ) -> BatchResult:
     """Bake scenes in worker processes, each into a folder of its own.
 
@@ -92,6 +109,10 @@ def run_batch(
         limits: of each scene.
         max_failures: the batch ends when more scenes failed than this; None for never.
         executor: runs the worker processes; None for this machine.
+        part: bake these of the scenes only, and write their part of the index.
+        only_merge: bake nothing, and merge the parts of the index that slices wrote. Scenes without
+            a row there are ``left`` unless they are done.
+        shards: number of tar files to pack the scenes into at the end, None for none.
 
     Raises:
         ConfigError: an override or a shared setting is wrong.
@@ -101,49 +122,60 @@ def run_batch(
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     if plan.has_table:
         import_extra("pyarrow", "batch", "Parquet")
+    if part is not None:
+        jobs = jobs[part.number - 1 :: part.total]
     with ExitStack() as stack:
         lines: LineFile | None = None
         if isinstance(plan.folder, Path):
-            stack.enter_context(only_batch(plan.folder))
-            lines = LineFile(plan.folder / NAME, f"into {plan.folder}")
+            stack.enter_context(only_batch(plan.folder, part))
+            lines = LineFile(plan.folder / (part.file if part else NAME), f"into {plan.folder}")
             stack.callback(lines.close)
-        rows = find_done(plan, jobs)
-        left = [job for job in jobs if job.id not in rows]
+        rows = read_parts(plan, jobs) if only_merge else {}
+        rows |= find_done(plan, [job for job in jobs if job.id not in rows])
+        left = [] if only_merge else [job for job in jobs if job.id not in rows]
         result, num_failed = BatchResult(skipped=len(rows)), 0
+        if only_merge:
+            result.skipped = sum(row["status"] == OK for row in rows.values())
 
-        def note(event: str, ended: Ended) -> None:
+        def note(jobs: Sequence[Job], event: str, ended: Ended) -> None:
             why: Json = {"worker": ended.worker, "seconds": round(ended.seconds, 3)}
             why |= {"how": ended.how, "error": ended.value}
-            on_event(event, {"id": left[ended.number].id, **(why if event == AGAIN else {})})
+            on_event(event, {"id": jobs[ended.number].id, **(why if event == AGAIN else {})})
 
         try:
             if left:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(rows)})
+            twins = find_twins(plan, jobs, rows) if left else {}
+            first = [job for job in left if job.id not in twins]
+            then = [job._replace(twin=twins[job.id]) for job in left if job.id in twins]
             execute: Executor = executor or do_jobs
-            ended = execute(
-                left,
-                partial(bake_scene, plan),
-                workers or (None if executor else 1),
-                limits=limits,
-                prepare=partial(prepare, plan.products, plan.thumbnail),
-                on_event=note,
-            )
-            with closing(ended):
-                for end in ended:
-                    job, row = left[end.number], end.value
-                    if end.how != DONE:
-                        row = fail(plan, job, end.how, end.value, end.seconds)
-                    if row["status"] == LEFT:  # no room for others, either
-                        result.stopped = row["error"]
-                        break
-                    rows[job.id] = row
-                    if lines is not None:
-                        lines.add(row)
-                    on_event("scene", {**row, "worker": end.worker})
-                    num_failed += row["status"] == FAILED
-                    if max_failures is not None and num_failed > max_failures:
-                        result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
-                        break
+            for some in filter(None, (first, then)):
+                ended = execute(
+                    some,
+                    partial(bake_scene, plan),
+                    workers or (None if executor else 1),
+                    limits=limits,
+                    prepare=partial(prepare, plan.products, plan.thumbnail),
+                    on_event=partial(note, some),
+                )
+                with closing(ended):
+                    for end in ended:
+                        job, row = some[end.number], end.value
+                        if end.how != DONE:
+                            row = fail(plan, job, end.how, end.value, end.seconds)
+                        if row["status"] == LEFT:  # no room for others, either
+                            result.stopped = row["error"]
+                            break
+                        rows[job.id] = row
+                        if lines is not None:
+                            lines.add(row)
+                        on_event("scene", {**row, "worker": end.worker})
+                        num_failed += row["status"] == FAILED
+                        if max_failures is not None and num_failed > max_failures:
+                            result.stopped = f"{num_failed} scenes failed, more than {max_failures}"
+                            break
+                if result.stopped is not None:
+                    break
         except FullError as error:
             result.stopped = str(error)
         finally:
@@ -154,12 +186,13 @@ def run_batch(
                         remove_leftovers(Path(plan.place(job)), age=0)
             result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
             try:
-                write_index(plan.folder, result.rows, plan.has_table)
+                write_index(plan.folder, result.rows, plan.has_table, part)
             except FullError as error:
                 result.stopped = result.stopped or str(error)
-        if result.stopped is None:
+        if result.stopped is None and part is None:
             try:
                 write_sets(plan, result.rows)
+                write_shards(plan.folder, result.rows, shards)
             except NavbakeError as error:
                 result.stopped = str(error)
         return result
@@ -181,10 +214,50 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
 
 def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows of scenes that are done already, by id."""
+    return {row["id"]: row for row, _ in check_records(plan, jobs) if row is not None}
+
+
+def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, str]]:
+    """What `job.check_record` returns for each scene."""
     sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(AT_ONCE) as pool:  # stores respond slowly
-        found = [*pool.map(partial(find_record, plan, sizes=sizes), jobs)]
-    return {row["id"]: row for row in found if row is not None}
+        return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
+
+
+def read_parts(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
+    """The rows that slices wrote of scenes that they baked, or that failed there, by id."""
+    rows: dict[str, Json] = {}
+    for name in find_parts(plan.folder):
+        rows |= read_index(plan.folder, name)
+    own = {job.id for job in jobs}
+    return {id: row for id, row in rows.items() if id in own and row.get("status") in (OK, FAILED)}
+
+
+def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dict[str, str]:
+    """The scenes that aren't done but equal another one: its id, by theirs.
+
+    That is one that is done, else the first of them. Scenes on stores are compared with those of
+    the same URL only, as their content isn't here.
+    """
+
+    def content_of(job: Job) -> str:
+        with suppress(NavbakeError, OSError), open_scene(plan, job, whole=False) as scene:
+            return scene.content
+        return ""  # it fails for a reason of its own
+
+    alike = defaultdict[str | int, list[Job]](list)
+    for job in sorted(jobs, key=lambda job: job.id not in done):
+        with suppress(OSError):
+            alike[job.source if is_url(job.source) else os.path.getsize(job.source)].append(job)
+    groups = [group for group in alike.values() if group[1:] and group[-1].id not in done]
+    some = [job for group in groups for job in group]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        contents = [*pool.map(content_of, some)]
+    first: dict[str, str] = {}
+    for job, content in zip(some, contents, strict=True):
+        first.setdefault(content or job.id, job.id)
+    found = {job.id: first[c or job.id] for job, c in zip(some, contents, strict=True)}
+    return {id: other for id, other in found.items() if id != other and id not in done}
 
 
 def line_of_event(event: str, values: Json) -> Json:

@@ -12,6 +12,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from navbake import samples
@@ -31,7 +32,7 @@ from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig
 from navbake.errors import ConfigError, shorten
-from navbake.formats.source import import_extra
+from navbake.formats.source import import_extra, unpack
 from navbake.types import Json
 
 LISTS = (".txt", ".csv", ".jsonl", ".parquet")
@@ -40,20 +41,28 @@ TEXTS = ("id", *SCENE_KEYS)  # whose `001` is text
 LINE_END = re.compile(r"\r\n?|\n")
 # characters that some file system forbids, or drops at the end of a name
 UNFIT = re.compile(r'[\\:*?"<>|]|^[.\s]|[.\s]$')
-RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?")
+RESERVED = re.compile(
+    r"(?i)(con|prn|aux|nul|com\d|lpt\d|index\.(jsonl|parquet|html))(\..*)?"
+    r"|index-\d+-of-\d+\.jsonl|shard-\d+\.tar"
+)
+NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 MAX_BYTES = 200  # of a part of an id; file systems take 255
 WANTED = "expected a scene, settings, a list or a pattern, got"
 
 
-def list_jobs(sources: Iterable[str]) -> list[Job]:
+def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -> list[Job]:
     """List the scenes of sources, in their order.
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
     sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
-    a scene. Each may be a URL that fsspec knows. Paths in a list are relative to it. A row has
+    a scene; all but Parquet also with ``.gz``. Each may be a URL that fsspec knows. Paths in a
+    list are relative to it. A row has
     ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
     in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. Empty values are
     ignored. A given id is the grid's, too, and overrides the scene's own settings.
+
+    With `columns`, lists of other programs are read: the names of their columns by those above.
+    Their other columns are ignored. A dot leads into an object: ``files.mjcf``.
 
     The default id is the file's name without its ending, and with the parent folders needed to
     make it unique.
@@ -64,7 +73,7 @@ def list_jobs(sources: Iterable[str]) -> list[Job]:
         NavbakeError: a list can't be read.
         MissingDependencyError: a dependency for a URL or Parquet is not installed.
     """
-    found = [entry for source in sources for entry in _expand(plain_path(source))]
+    found = [entry for source in sources for entry in _expand(plain_path(source), columns)]
     if not found:
         raise ConfigError("expected at least one scene, got none")
     jobs = [
@@ -155,7 +164,7 @@ def _parts_of(source: str) -> tuple[str, ...]:
     return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
 
 
-def _expand(source: str) -> Iterator[Job]:
+def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     """The scenes of a source."""
     name = shown(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
@@ -163,8 +172,8 @@ def _expand(source: str) -> Iterator[Job]:
         settings = str(samples.find(source))
         hint = "" if settings == source else f"; the settings of that name are {settings}"
         raise ConfigError(f"{WANTED} {source}: there is no such file{hint}")
-    if PurePosixPath(name).suffix.lower() in LISTS:
-        yield from _read_list(source)
+    if _list_ending(name) in LISTS:
+        yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
         folder = name.rstrip("/")
         raise ConfigError(f"{WANTED} the folder {folder}: name its files, as '{folder}/*.xml'")
@@ -186,23 +195,52 @@ def _expand(source: str) -> Iterator[Job]:
 # ---------------------------------------------------------------- lists
 
 
-def _read_list(source: str) -> list[Job]:
+def _list_ending(name: str) -> str:
+    """The ending of a list's name, without ``.gz``."""
+    return PurePosixPath(name.lower().removesuffix(".gz")).suffix
+
+
+def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
     """The scenes of a list, each with the place of its row for messages."""
     name = shown(source)
     read = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": _table_rows}
-    rows = read[PurePosixPath(name).suffix.lower()](read_file(source), name)
+    content = read_file(source)
+    content = unpack(content, name) if name.lower().endswith(".gz") else content
+    rows = read[_list_ending(name)](content, name, {*SCENE_KEYS, *columns.values()})
     on_web = source if is_url(source) else ""
-    jobs = [_entry(row, parent(source), place)._replace(list=on_web) for place, row in rows]
+    jobs = [
+        _entry(_pick(row, columns, place), parent(source), place)._replace(list=on_web)
+        for place, row in rows
+    ]
     if not jobs:
         raise ConfigError(f"expected at least one scene in {name}, got none")
     return jobs
+
+
+def _pick(row: Json, columns: Mapping[str, str], place: str) -> Json:
+    """A row under our names, by theirs; itself without `columns`."""
+    picked: Json = {}
+    for own, theirs in columns.items():
+        value: Any = row.get(theirs)
+        if theirs not in row:
+            value = row
+            for key in theirs.split("."):
+                value = value.get(key) if isinstance(value, Mapping) else None
+        if value is None and own in SCENE_KEYS:
+            had = ", ".join(map(repr, row))
+            raise ConfigError(f"expected a column {theirs!r} at {place}, got {shorten(had)}")
+        picked[own] = value
+    return picked if columns else row
 
 
 def _entry(row: Json, folder: Folder, place: str) -> Job:
     row = _without_nones(row)
     given = [row.pop(key) for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(given[0], str):
-        raise ConfigError(f"expected a path as `scene` or as `config` at {place}")
+        hint = "; --column scene=NAME names the column that has it" if not given and row else ""
+        if {"rooms", "walls", "objects"} <= row.keys():  # without its objects' shapes
+            hint = "; a house of ProcTHOR only names the assets in it: list an MJCF of it"
+        raise ConfigError(f"expected a path as `scene` or as `config` at {place}{hint}")
     name, nested = row.pop("id", None), row.pop("settings", {})
     if not isinstance(nested, dict):
         raise ConfigError(f"expected an object as `settings` at {place}, got {show_value(nested)}")
@@ -244,13 +282,13 @@ def _lines(content: bytes, name: str) -> list[str]:
         raise ConfigError(f"expected UTF-8 in {name}, line {number}: {error.reason}") from error
 
 
-def _text_rows(content: bytes, name: str) -> Rows:
+def _text_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
     for number, line in enumerate(_lines(content, name), 1):
         if line.strip() and not line.strip().startswith("#"):
             yield f"{name}, line {number}", {"scene": line.strip()}
 
 
-def _json_rows(content: bytes, name: str) -> Rows:
+def _json_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
     for number, line in enumerate(_lines(content, name), 1):
         place = f"{name}, line {number}"
         if not line.strip():
@@ -264,8 +302,11 @@ def _json_rows(content: bytes, name: str) -> Rows:
         yield place, row
 
 
-def _csv_rows(content: bytes, name: str) -> Rows:
-    """The rows by their first line, as a quoted value may span several."""
+def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
+    """The rows by their first line, as a quoted value may span several.
+
+    One of the columns `scenes` is expected.
+    """
     lines = csv.reader(
         (f"{line}\n" for line in _lines(content, name)), strict=True, skipinitialspace=True
     )
@@ -275,7 +316,7 @@ def _csv_rows(content: bytes, name: str) -> Rows:
         for values in lines:
             if values and not columns:
                 columns = values
-                if not {*columns} & {*SCENE_KEYS}:
+                if not {*columns} & scenes:
                     raise ConfigError(
                         "expected names of columns, `scene` or `config` among them, got "
                         f"{show_value(','.join(columns))} at {place}"
@@ -301,7 +342,7 @@ def _plain(text: str) -> Any:
         return text
 
 
-def _table_rows(content: bytes, name: str) -> Rows:
+def _table_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     try:
         rows = parquet.read_table(io.BytesIO(content)).to_pylist()

@@ -27,6 +27,7 @@ class Job(NamedTuple):
     settings: Json  #: Override the batch's settings for it, by section.
     place: str  #: Its place in a list, for messages.
     list: str = ""  #: The URL of its list; empty for local lists and sources given by the user.
+    twin: str = ""  #: The id of an equal scene, whose grid serves for this one; empty without one.
 
 
 def read_shared(path: str | os.PathLike[str]) -> Json:

@@ -7,7 +7,7 @@ import hashlib
 import os
 import posixpath
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
@@ -178,7 +178,7 @@ def read_file(path: str | Path) -> bytes:
         return Path(path).read_bytes()
 
 
-def write_file(folder: Folder, name: str, content: bytes | Sequence[bytes]) -> None:
+def write_file(folder: Folder, name: str, content: bytes | Iterable[bytes]) -> None:
     """Write a file atomically, given as bytes or pieces.
 
     Raises a FullError if the folder has no room, and else a NavbakeError if it can't be written.

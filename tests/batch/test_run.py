@@ -412,7 +412,7 @@ def test_memory_that_a_library_lacked_is_for_the_worker_to_tell(scenes, here, mo
 
 def test_a_batch_ends_after_too_many_failures(scenes, here):
     for name in ("bad-1", "bad-2"):
-        (scenes / f"{name}.xml").write_text("<mujoco>")
+        (scenes / f"{name}.xml").write_text(f"<mujoco><!-- {name}")
     sources = ["scenes/bad-1.xml", ALL[0], "scenes/bad-2.xml", ALL[1]]
     names, result = run(*sources, max_failures=1)
     assert names == ["bad-1", "first", "bad-2"]

@@ -98,6 +98,11 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     return OpenScene(model, parts, ground_of(model, settings), warnings)
 
 
+def limit_mesh_cache(num_bytes: int) -> None:
+    """Set how much memory MuJoCo keeps of meshes in case a later scene names the same files."""
+    mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), num_bytes)
+
+
 def ground_of(model: Any, settings: SceneSettings) -> int | None:
     """The geom of `scene.ground`, None without."""
     return None if settings.ground is None else int(model.ngeom) - 1

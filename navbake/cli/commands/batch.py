@@ -13,26 +13,40 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, BadParameter, Exit
 
-from navbake.cli.options import OUTPUT, STDOUT, Overrides, check_output, flag, option, refuse_unused
+from navbake.cli.options import (
+    OUTPUT,
+    STDOUT,
+    Overrides,
+    check_output,
+    flag,
+    option,
+    read_pairs,
+    refuse_unused,
+)
 from navbake.cli.printing import (
     VOLUME,
     is_terminal,
     print_error,
     print_json_line,
     print_warnings,
+    say,
     say_unless_quiet,
 )
 from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
+    from navbake.batch.index import Slice
+    from navbake.batch.job import Plan
     from navbake.batch.page import LivePage
     from navbake.batch.run import BatchResult
+    from navbake.batch.settings import Job
     from navbake.batch.store import Folder
     from navbake.types import Json
 
 # Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
 
 INDEX = "index.jsonl"
+MOST_NAMED = 5  # scenes that a line of --plan names
 
 
 class Ways(NamedTuple):
@@ -61,6 +75,18 @@ class Ways(NamedTuple):
     retries: int = option(
         "N", "How often a scene that crashed or exceeded a limit is tried again.", default=0, min=0
     )
+    preview: bool = flag(
+        "--plan", "Bake nothing: say what would be baked and why, and how large it is."
+    )
+    part: str | None = option(
+        "K/N",
+        "Bake every N-th scene from the K-th on, as task K of N of a job array; then --merge.",
+        "--slice",
+    )
+    merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one.")
+    shards: int | None = option(
+        "N", "Pack the scenes into N tar files, as WebDataset reads them.", min=1
+    )
     executor: Literal["embedded", "ray"] = option(
         "embedded|ray",
         "Where workers run: embedded, on this machine; ray, on a Ray cluster.",
@@ -76,8 +102,8 @@ def batch(
     sources: list[str] = Argument(
         ...,
         metavar="SOURCE",
-        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl or "
-        ".parquet; paths or URLs such as s3://.",
+        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl, also "
+        "with .gz, or .parquet; paths or URLs such as s3://.",
     ),
     output: str = option(
         "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
@@ -89,6 +115,11 @@ def batch(
         "nav2[:RADIUS], "
         "voxels:EDGE[:ENDING], picture[:LAYER...], report, "
         "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be repeated.",
+    ),
+    column: list[str] | None = option(
+        "NAME=COLUMN",
+        "A list's column for scene, config, id or a setting; all others are then ignored. May be "
+        "repeated.",
     ),
     allow_hosts: list[str] | None = option(
         "HOST",
@@ -119,8 +150,18 @@ def batch(
     from navbake.batch.workers import JobLimits
 
     is_ray = ways.executor == "ray"
+    part = _read_slice(ways.part)
     refuse_unused(
         ("--ray-address", ways.ray_address is not None, is_ray, "--executor ray"),
+        ("--merge", ways.merge, part is None, "all slices"),
+        *(
+            (f"--{name}", bool(given), part is None, "the whole batch, as with --merge")
+            for name, given in (
+                ("page", ways.page),
+                ("parquet", ways.parquet),
+                ("shards", ways.shards),
+            )
+        ),
     )
     if not output:
         raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
@@ -128,7 +169,7 @@ def batch(
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     hosts = tuple(allow_hosts or ())
     store.allow_hosts(hosts)
-    jobs = list_jobs(sources)
+    jobs = list_jobs(sources, read_pairs(column, "--column", "NAME=COLUMN"))
     if ways.log is not None:
         own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
         given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
@@ -141,6 +182,9 @@ def batch(
     made = parse_products(make or [])
     given = tuple(overrides or [])
     plan = Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
+    if ways.preview:
+        _print_preview(plan, jobs[part.number - 1 :: part.total] if part else jobs, ways.as_json)
+        return
     with ExitStack() as stack:
         watch = _Watch(stack, ways, folder)
         try:
@@ -152,6 +196,9 @@ def batch(
                 limits=limits,
                 max_failures=ways.max_failures,
                 executor=on_ray if is_ray else None,
+                part=part,
+                only_merge=ways.merge,
+                shards=ways.shards,
             )
         except BaseException as error:
             watch.interrupt(error)
@@ -159,6 +206,57 @@ def batch(
         watch.end(result)
     if result.count("failed") or result.stopped:
         raise Exit(1)
+
+
+def _read_slice(text: str | None) -> Slice | None:
+    from navbake.batch.index import Slice
+
+    if text is None:
+        return None
+    number, _, total = text.partition("/")
+    if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
+        raise BadParameter(
+            f"expected K/N with K from 1 to N, as 3/64, got {text!r}", param_hint="--slice"
+        )
+    return Slice(int(number), int(total))
+
+
+def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
+    """Print what a batch would bake: a line for each reason, or of JSON for each scene."""
+    from rich.filesize import decimal
+
+    from navbake.auditor.report import count_of
+    from navbake.batch.cost import BROKEN, DONE, measure_cost, preview
+    from navbake.batch.index import read_index
+
+    found = preview(plan, jobs)
+    if as_json:
+        for scene in found:
+            print_json_line(scene)
+        return
+    by_why: dict[str, list[Json]] = {}
+    for scene in found:
+        kind = scene["why"].partition(":")[0]
+        by_why.setdefault("equal" if kind.startswith("equal to ") else kind, []).append(scene)
+    for kind, scenes in by_why.items():
+        some = [
+            scene["id"] + (f" ({scene['why'].removeprefix(f'{kind}: ')})" * (kind != scene["why"]))
+            for scene in scenes[: 0 if kind == DONE else MOST_NAMED]
+        ]
+        more = [f"{len(scenes) - len(some)} more"] if some and scenes[len(some) :] else []
+        names = f": {', '.join([*some, *more])}" if some else ""
+        size = decimal(sum(scene["bytes"] for scene in scenes))
+        say(f"{kind}: {count_of(len(scenes), 'scene')}, {size}{names}")
+    baked = [scene for kind, some in by_why.items() for scene in some if kind not in (DONE, BROKEN)]
+    copied = len(by_why.get("equal", ()))
+    line = f"{len(baked) - copied} of {count_of(len(found), 'scene')} would be baked"
+    line += f", and {copied} copied" if copied else ""
+    cost = measure_cost(read_index(plan.folder).values())
+    if cost is not None and len(baked) > copied:
+        share = (len(baked) - copied) / cost["scenes"]
+        seconds, size = cost["seconds"]["sum"] * share, decimal(int(cost["bytes"]["sum"] * share))
+        line += f", by those done here in about {seconds:.3g} s of a worker, into {size}"
+    say(line)
 
 
 class _Watch:
@@ -233,6 +331,9 @@ class _Watch:
 
     def end(self, result: BatchResult) -> None:
         """Print the result."""
+        from rich.filesize import decimal
+
+        from navbake.batch.cost import measure_cost
         from navbake.batch.index import NAME, TABLE
         from navbake.batch.page import NAME as PAGE
         from navbake.batch.page import write_page
@@ -248,7 +349,9 @@ class _Watch:
                 print_error(str(error))
             result.stopped = result.stopped or str(error)
         seconds = time.perf_counter() - self._begin
-        names = [NAME, *[TABLE] * self._ways.parquet]
+        part = _read_slice(self._ways.part)
+        names = [part.file if part else NAME, *[TABLE] * self._ways.parquet]
+        names += ["shard-*.tar"] if self._ways.shards else []
         if self._ways.page:
             draw_missing_thumbnails(self._folder)
             try:
@@ -264,10 +367,17 @@ class _Watch:
         notes = f", {warned} with warnings" if warned else ""
         files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
         say_unless_quiet(f"{_in_words(self._counts)}{notes} in {seconds:.1f} s: {files}")
+        if cost := measure_cost(result.rows):
+            times, sizes = cost["seconds"], {key: decimal(n) for key, n in cost["bytes"].items()}
+            say_unless_quiet(
+                f"a scene: {times['median']:.2g} s (90%: {times['p90']:.2g}, longest "
+                f"{times['max']:.2g}), {sizes['median']} (90%: {sizes['p90']}, largest "
+                f"{sizes['max']}); all: {times['sum']:.3g} s, {sizes['sum']}"
+            )
 
 
 def _in_words(counts: Json) -> str:
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no scene"
 
 
 def draw_missing_thumbnails(folder: Folder) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
@@ -18,14 +18,20 @@ from navbake.cli.options import (
     beside_output,
     check_output,
     option,
+    parse_place,
+    position_of_place,
     read_pairs,
     refuse_unused,
     write_stdout,
 )
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
 from navbake.formats.source import write_files
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+    from navbake.runtime.paths import Path as Route
 
 ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 SQUARE = 0.1  # edge of a descriptor's square unless given [m]
@@ -62,6 +68,14 @@ class FormatOptions(NamedTuple):
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
     scaling: float | None = option(
         "FACTOR", "How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
+    )
+    categories: Path | None = option(
+        "TXT", "OmniGibson's room_categories.txt.  [default: one of these rooms, written beside]"
+    )
+    route: list[str] | None = option(
+        "'START GOAL'",
+        "Path to plan and to write, between positions or to room:NAME or object:NAME. May be "
+        "repeated.",
     )
     tolerance: float | None = option(
         "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
@@ -109,6 +123,9 @@ def convert(
         raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name)
+    if route := given.get("route"):
+        inflated = grid if chosen.radius is None else grid.inflate(chosen.radius)
+        given["route"] = [_plan(inflated, text) for text in route]
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **given)
     if output == STDOUT:
@@ -121,6 +138,20 @@ def convert(
         check_output(path, inputs=inputs)
     for path in write_files(files):
         say_unless_quiet(path)
+
+
+def _plan(grid: NavGrid, text: str) -> Route:
+    """The path of a route: a position, a space and a goal."""
+    start, _, end = text.partition(" ")
+    origin = position_of_place(grid, parse_place(start, "--route"), "--route")
+    goal: str | list[float] = end.strip()
+    if not str(goal).startswith(("room:", "object:")):
+        goal = position_of_place(grid, parse_place(str(goal), "--route"), "--route")
+    finder = navbake.PathFinder(grid)
+    found = finder.find_path(origin, goal)
+    if found is None:
+        raise QueryError(f"no path for --route {text!r}: {finder.why_not(origin, goal)}")
+    return found
 
 
 def _describe_format(form: Format) -> str:

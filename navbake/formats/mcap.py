@@ -1,0 +1,157 @@
+"""MCAP files of ROS 2 messages, which Foxglove, rerun and ``ros2 bag play`` open.
+
+Topics: ``/map``, or ``/map_0`` and on of several levels, with a ``nav_msgs/OccupancyGrid`` at the
+level's height; ``/path_0`` and on with a ``nav_msgs/Path`` each; and ``/links`` with a
+``visualization_msgs/MarkerArray`` of the steps between levels. Frames are ``map``, times are 0.
+
+Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from navbake.errors import FormatError
+from navbake.formats.convert import chosen_levels
+from navbake.formats.occupancy import values_of
+from navbake.formats.source import Files, import_extra
+from navbake.navgrid.grid import NavGrid
+from navbake.runtime.paths import Path as Route
+from navbake.types import Float, Json
+
+# fields of messages by type, ``name: type`` as in ROS' own definitions
+MESSAGES = {
+    "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
+    "builtin_interfaces/Duration": "int32 sec; uint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
+    "std_msgs/ColorRGBA": "float32 r; float32 g; float32 b; float32 a",
+    "geometry_msgs/Point": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Vector3": "float64 x; float64 y; float64 z",
+    "geometry_msgs/Quaternion": "float64 x 0; float64 y 0; float64 z 0; float64 w 1",
+    "geometry_msgs/Pose": "geometry_msgs/Point position; geometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header; geometry_msgs/Pose pose",
+    "nav_msgs/MapMetaData": (
+        "builtin_interfaces/Time map_load_time; float32 resolution; uint32 width; uint32 height; "
+        "geometry_msgs/Pose origin"
+    ),
+    "nav_msgs/OccupancyGrid": ("std_msgs/Header header; nav_msgs/MapMetaData info; int8[] data"),
+    "nav_msgs/Path": "std_msgs/Header header; geometry_msgs/PoseStamped[] poses",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header; string format; uint8[] data",
+    "visualization_msgs/UVCoordinate": "float32 u; float32 v",
+    "visualization_msgs/MeshFile": "string filename; uint8[] data",
+    "visualization_msgs/Marker": (
+        "std_msgs/Header header; string ns; int32 id; int32 type; int32 action; "
+        "geometry_msgs/Pose pose; geometry_msgs/Vector3 scale; std_msgs/ColorRGBA color; "
+        "builtin_interfaces/Duration lifetime; bool frame_locked; geometry_msgs/Point[] points; "
+        "std_msgs/ColorRGBA[] colors; string texture_resource; "
+        "sensor_msgs/CompressedImage texture; visualization_msgs/UVCoordinate[] uv_coordinates; "
+        "string text; string mesh_resource; visualization_msgs/MeshFile mesh_file; "
+        "bool mesh_use_embedded_materials"
+    ),
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
+}
+FRAME = {"frame_id": "map"}
+UPRIGHT = {"w": 1.0}  # a quaternion
+LINE_LIST = 5  # type of a marker: a line between each two points
+LINE = 0.03  # width of a line [m]
+COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
+
+
+def encode_mcap(
+    grid: NavGrid,
+    path: Path,
+    *,
+    level: int | None = None,
+    radius: float | None = None,
+    route: Sequence[Route] = (),
+) -> Files:
+    """Encode a file of a message for each level, for each path, and for all links.
+
+    Args:
+        path: ends in ``.mcap``.
+        level: the map of this level only, without links.
+        radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
+        route: paths of `PathFinder.find_path`.
+
+    Raises:
+        FormatError: there is no such level.
+        MissingDependencyError: mcap-ros2-support is not installed.
+    """
+    writing: Any = import_extra("mcap_ros2.writer", "mcap", "MCAP")
+    if radius is not None:
+        grid = grid.inflate(radius)
+    chosen = chosen_levels(grid, path, level, (".mcap",))
+    if any(found is None for found in route):
+        raise FormatError("expected paths as `route`, got None: there is no path")
+    file, schemas = io.BytesIO(), dict[str, Any]()
+    with writing.Writer(file) as writer:
+        for topic, kind, message in _messages(grid, chosen, route):
+            if kind not in schemas:
+                name = kind.replace("/", "/msg/")
+                schemas[kind] = writer.register_msgdef(name, define(kind))
+            writer.write_message(topic, schemas[kind], message, log_time=0, publish_time=0)
+    return {path: file.getvalue()}
+
+
+def _messages(
+    grid: NavGrid, chosen: list[int], route: Sequence[Route]
+) -> Iterator[tuple[str, str, Json]]:
+    """Topic, type and content of all messages."""
+    for number in chosen:
+        level = grid.levels[number]
+        x, y = level.lattice.bounds[:2]
+        origin = {"position": _point([x, y, level.ground]), "orientation": UPRIGHT}
+        info = {"resolution": level.lattice.cell_size, "origin": origin}
+        info |= {"width": level.width, "height": level.height}
+        values = values_of(grid, number)[::-1].ravel().tolist()  # row 0 at the bottom
+        topic = "/map" if len(chosen) == 1 else f"/map_{number}"
+        yield topic, "nav_msgs/OccupancyGrid", {"header": FRAME, "info": info, "data": values}
+    for number, found in enumerate(route):
+        poses = [
+            {"header": FRAME, "pose": {"position": _point(place), "orientation": UPRIGHT}}
+            for place in found.positions
+        ]
+        yield f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses}
+    if len(chosen) == len(grid.levels) and grid.links:
+        marker = {"header": FRAME, "ns": "links", "type": LINE_LIST, "scale": {"x": LINE}}
+        marker |= {"pose": {"orientation": UPRIGHT}, "color": COLOR}
+        marker["points"] = [_point(place) for place in _ends_of_links(grid)]
+        yield "/links", "visualization_msgs/MarkerArray", {"markers": [marker]}
+
+
+def _ends_of_links(grid: NavGrid) -> Float:
+    """World x, y, z of both ends of each link, on their floors, shape (2 n, 3)."""
+    ends = grid.link_array.reshape(-1, 2)
+    found = np.empty((len(ends), 3))
+    for number, level in enumerate(grid.levels):
+        here = ends[:, 0] == number
+        rows, cols = np.divmod(ends[here, 1], level.width)
+        found[here, :2] = level.lattice.positions(rows, cols)
+        found[here, 2] = level.floor_or_ground[rows, cols]
+    return found
+
+
+def _point(place: Any) -> Json:
+    return dict(zip("xyz", map(float, place), strict=True))
+
+
+def define(kind: str) -> str:
+    """The definition of a message of ROS 2, with those of its parts."""
+    parts: dict[str, str] = {}
+
+    def add(name: str) -> None:
+        parts[name] = MESSAGES[name].replace("; ", "\n") + "\n"
+        for field in MESSAGES[name].split("; "):
+            inner = field.split()[0].removesuffix("[]")
+            if inner in MESSAGES and inner not in parts:
+                add(inner)
+
+    add(kind)
+    first, *others = parts.items()
+    line = "=" * 80
+    return first[1] + "".join(f"{line}\nMSG: {name}\n{text}" for name, text in others)
