@@ -196,7 +196,7 @@ class GatheredColumns:
 
 def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
     """List the shapes by tiles, within `reach` of cells' centres [m]."""
-    facets = _facets_of(shapes.triangles)
+    facets = facets_of(shapes.triangles)
     solids = list_by_tile(shapes.solids.bounds, reach, lattice)
     triangles = list_by_tile(facets.bounds, reach, lattice)
     return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
@@ -294,7 +294,8 @@ def empty_crossings(start: Int, count: int) -> Crossings:
     return Crossings(start, z, normal, geom, closed)
 
 
-def _facets_of(triangles: Triangles) -> Facets:
+def facets_of(triangles: Triangles) -> Facets:
+    """Triangles with the boxes round them."""
     bounds = np.empty((len(triangles.geom), 6))
     facing = np.empty(len(bounds), dtype=np.int8)
     run_in_bands(measure_facets, len(bounds), triangles.corners, bounds, facing, least=4096)

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from navbake.baker.connect import connect, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import Gaps, Scan
-from navbake.baker.rooms.walls import Direction, WallRays, find_directions, turned
+from navbake.baker.rooms.walls import (
+    FAR,
+    FAR_OF_DOORWAY,
+    Direction,
+    WallRays,
+    find_directions,
+    turned,
+)
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
@@ -40,6 +47,7 @@ LONG, WIDER = 3.0, 1.5
 CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
 # Widths are measured on the walls' geometry where so many cells could decide
 WAVERING = 2.0
+DECIDING = np.array([BOTH, NARROWER, 1 / WIDER])
 # Of the widest gap [m]
 ROUNDING = 1e-9
 
@@ -160,16 +168,21 @@ class Spaces:
         self._cells, self._first = cells.astype(np.int64), cells  # now, and before any was joined
         self.whole = np.arange(len(cells), dtype=np.int32)
         # of each gap, those of all directions together
-        self._start = np.cumsum([0, *(len(gaps.first) for *_, gaps in found)])
-        spans = [(gaps.last - gaps.first + 1) * d.stretch for d, _, gaps in found]
-        self._width = np.concatenate([np.empty(0), *spans])  # [cells]
+        counts = [len(gaps.first) for *_, gaps in found]
+        self._start = np.cumsum([0, *counts])
+        self._number = np.repeat(np.arange(len(found)), counts)
         # from the centre of a gap's first cell, and of its last one, to the wall [columns]
-        self._beside = np.full((len(self._width), 2), 0.5)
-        self._is_measured = np.zeros(len(self._width), dtype=np.bool_)
-        off = np.abs(self._width - (door_width or WIDEST) / cell_size)
-        for number in range(len(found)):
-            own = np.arange(self._start[number], self._start[number + 1])
-            self._measure_widths(number, own[off[own] <= WAVERING])
+        self._beside = np.full((len(self._number), 2), 0.5)
+        self._width = np.ones(len(self._number))  # [cells]
+        for number, (direction, scan, gaps) in enumerate(found):
+            own = slice(self._start[number], self._start[number + 1])
+            cols = np.stack([gaps.first, gaps.last], axis=1)
+            rows = (gaps.top + gaps.bottom) // 2
+            doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
+            far = np.where(gaps.is_doorway, doorway, FAR)
+            self._beside[own] = self._beyond(number, rows * scan.label.shape[1] + cols, far)
+            inner = gaps.last - gaps.first
+            self._width[own] = (inner + self._beside[own].sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
         pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
@@ -207,7 +220,7 @@ class Spaces:
         share = float(self._shares[gap].min()) if both else self._decide(gap)
         if share < (BOTH if both else NARROWER):
             return None
-        return both and bool(self._is_doorway[gap]), -share
+        return both and bool(self._is_doorway[gap]), -share if both else -float(self._width[gap])
 
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""
@@ -233,7 +246,7 @@ class Spaces:
             sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
             if (sizes < CLOSE_AREA / self._cell_size**2).any():
                 continue
-            number = int(np.searchsorted(self._start, k, side="right")) - 1
+            number = int(self._number[k])
             direction, _, gaps = self._found[number]
             i = k - int(self._start[number])
             col = float(gaps.first[i] + gaps.last[i]) / 2
@@ -251,43 +264,33 @@ class Spaces:
 
     def measure(self, gaps: Int) -> None:
         """Measure the share that gaps have of the spaces on both sides."""
-        place = np.searchsorted(self._start, gaps, side="right") - 1
-        for number in np.unique(place).tolist():
+        numbers = self._number[gaps]
+        for number in sorted(set(numbers.tolist())):
             _, scan, listed = self._found[number]
-            chosen, start = gaps[place == number], int(self._start[number])
-            lines, met = kernels.measure_gaps(scan, listed, chosen - start, self.whole)
+            chosen, start = gaps[numbers == number], int(self._start[number])
+            asked = scan, listed, chosen - start, self.whole, DECIDING, WAVERING
+            lines, shares, wavers, met = kernels.measure_gaps(*asked)
             for k, space in met:
                 self._met_by[space].add(start + k)
-            length, width, passed, ends = np.split(lines, (1, 2, 4), axis=3)
-            through = width + passed.sum(axis=3, keepdims=True)
-            shares = (through / length)[..., 0].min(axis=2)
-            off = np.min([np.abs(shares - share) for share in (BOTH, NARROWER, 1 / WIDER)], axis=0)
+            if len(chosen) == len(listed.first):  # the rays of most later lines, at once
+                self._beyond(number, lines[..., 4:])
             # for others it makes no difference where in the last cells the walls begin
-            close = np.flatnonzero((off * length[..., 0].min(axis=2) <= WAVERING).any(axis=1))
+            close = np.flatnonzero(wavers)
             if len(close) and self._rays is not None:
-                self._measure_widths(number, chosen[close])
-                beside = np.where(passed[close] > 0, 0.5, self._beside[chosen[close], None, None])
-                parts = through[close, ..., 0] - 1 + beside.sum(axis=3)
-                beyond = self._beyond(number, ends[close]).sum(axis=3)
-                exact = parts / (length[close, ..., 0] - 1 + beyond)
+                some, own = lines[close], self._beside[chosen[close], None, None]
+                passed = some[..., 2:4]
+                # up to the wall at the gap's end, or as far as openings beyond it go
+                beside = np.where(passed > 0, np.maximum(passed + 0.5, own), own).sum(axis=3)
+                beyond = self._beyond(number, some[..., 4:]).sum(axis=3)
+                exact = (some[..., 1] - 1 + beside) / (some[..., 0] - 1 + beyond)
                 shares[close] = np.minimum(exact.min(axis=2), 1.0)
             self._shares[chosen] = shares
 
-    def _measure_widths(self, number: int, gaps: Int) -> None:
-        """Measure some gaps of a direction beyond their first and last cells."""
-        direction, scan, listed = self._found[number]
-        new = gaps[~self._is_measured[gaps]]
-        k = new - self._start[number]
-        rows, cols = (listed.top[k] + listed.bottom[k]) // 2, [listed.first[k], listed.last[k]]
-        cells = rows * scan.label.shape[1] + np.stack(cols, axis=1)
-        self._beside[new] = self._beyond(number, cells)
-        self._width[new] = (cols[1] - cols[0] + self._beside[new].sum(axis=1)) * direction.stretch
-        self._is_measured[new] = True
-
-    def _beyond(self, number: int, cells: Int) -> Float:
+    def _beyond(self, number: int, cells: Int, far: Float | None = None) -> Float:
         """How far the centres of lines' end `cells` are from walls beyond, shape (…, 2) [columns].
 
-        Half a column for -1, where the line ends at no wall.
+        Half a column for -1, where the line ends at no wall, and for walls that are too `far`,
+        shape (n,) for cells (n, 2).
         """
         direction, scan, _ = self._found[number]
         rest = np.full(cells.shape, 0.5)
@@ -295,7 +298,8 @@ class Spaces:
         if self._rays is not None and len(at[0]):
             row, col = np.divmod(cells[at], scan.label.shape[1])
             row, col = (col, row) if direction.swapped else (row, col)
-            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1)
+            limit = FAR if far is None else far[at[0]]
+            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1, limit)
         return rest
 
     def join(self, gap: int) -> list[int]:

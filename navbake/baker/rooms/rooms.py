@@ -263,14 +263,17 @@ def find_openings(
         cells = np.concatenate([links[on_level][:, [1, 3]], beside[is_step]])
         ends = np.sort(rooms.ravel()[cells].astype(np.int64), axis=1)
         meet = (ends[:, 0] > 0) & (ends[:, 0] != ends[:, 1])
-        key = ends[meet] @ (PAIR, 1)
-        order = np.argsort(key, kind="stable")
-        pairs, first = np.unique(key[order], return_index=True)
-        of_pairs = np.split(cells[meet][order], first[1:])
-        for pair, both in zip(pairs.tolist(), map(np.unique, of_pairs), strict=False):
-            part = connect(touching(both, rooms.shape[1]), len(both))
-            for k in range(int(part.max()) + 1):
-                openings.append(Opening(number, divmod(pair, PAIR), both[part == k]))
+        if not meet.any():
+            continue
+        pairs, pair = np.unique(ends[meet] @ (PAIR, 1), return_inverse=True)
+        # every two rooms on a lattice of their own, below that of the two before
+        own = (rooms.shape[0] + 1) * rooms.shape[1]
+        both = np.unique(pair[:, None] * own + cells[meet])
+        part = connect(touching(both, rooms.shape[1]), len(both))
+        order = np.argsort(part, kind="stable")
+        for one in np.split(both[order], np.flatnonzero(np.diff(part[order])) + 1):
+            between = divmod(int(pairs[one[0] // own]), PAIR)
+            openings.append(Opening(number, between, one % own))
     return openings
 
 

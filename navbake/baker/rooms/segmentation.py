@@ -109,24 +109,25 @@ def spread(label: Int32, open_cells: Bool) -> None:
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
     source = np.arange(len(labels))  # the cell with a label that each one's is from
+    steps = 1, width, -1, -width
     while len(waiting):
-        found = np.full(len(waiting), -1)
-        nearest, own, row, col = (np.zeros(len(waiting), dtype=np.int64) for _ in range(4))
-        for step in (1, width, -1, -width):
-            origin = source[waiting + step]
-            down, right = origin // width - waiting // width, origin % width - waiting % width
-            square, there = down**2 + right**2, labels[waiting + step]
+        reached = np.logical_or.reduce([labels[waiting + step] > 0 for step in steps])
+        if not reached.any():
+            break
+        wave, waiting = waiting[reached], waiting[~reached]
+        found = np.full(len(wave), -1)
+        nearest, own, row, col = (np.zeros(len(wave), dtype=np.int64) for _ in range(4))
+        for step in steps:
+            origin = source[wave + step]
+            down, right = origin // width - wave // width, origin % width - wave % width
+            square, there = down**2 + right**2, labels[wave + step]
             same = (there < own) | (there == own) & (col * down - row * right > 0)
             better = (found < 0) | (square < nearest) | (square == nearest) & same
             better &= there > 0
             new = origin, square, there, down, right
             for kept, array in zip((found, nearest, own, row, col), new, strict=True):
                 np.copyto(kept, array, where=better)
-        reached = found >= 0
-        if not reached.any():
-            break
-        source[waiting[reached]], labels[waiting[reached]] = found[reached], own[reached]
-        waiting = waiting[~reached]
+        source[wave], labels[wave] = found, own
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
@@ -164,18 +165,18 @@ class _Regions:
             saddle = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
             pairs.append(np.stack([a[meet], b[meet]]))
             widest.append(np.sqrt(saddle[meet]))
-        self._pairs, self._widest = np.concatenate(pairs, axis=1), np.concatenate(widest)
-
-    def _passes(self, region: int) -> dict[int, tuple[float, int]]:
-        """By neighbour, the distance at the widest place of the pass, and its edges of cells."""
-        one, other = self._pairs
-        own = np.flatnonzero((one == region) | (other == region))
-        others = one[own] + other[own] - region
-        to, place, length = np.unique(others, return_inverse=True, return_counts=True)
-        saddle = np.zeros(len(to))
-        np.maximum.at(saddle, place, self._widest[own])
-        measured = zip(saddle.tolist(), length.tolist(), strict=True)
-        return dict(zip(to.tolist(), measured, strict=True))
+        ends = np.sort(np.concatenate(pairs, axis=1), axis=0).astype(np.int64)
+        keys, place, length = np.unique(
+            ends[0] * len(cells) + ends[1], return_inverse=True, return_counts=True
+        )
+        saddle = np.zeros(len(keys))
+        np.maximum.at(saddle, place, np.concatenate(widest))
+        # by region and neighbour, the distance at the widest place of the pass, and its edges of
+        # cells
+        self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in cells]
+        for key, *met in zip(keys.tolist(), saddle.tolist(), length.tolist(), strict=True):
+            one, other = divmod(key, len(cells))
+            self._passes[one][other] = self._passes[other][one] = (met[0], met[1])
 
     def join_stairs(self, is_stair: Bool, height: Float) -> None:
         """Join stairs to the lowest region, by mean `height`, that they open to in full width."""
@@ -183,7 +184,7 @@ class _Regions:
             if self._whole[region] != region:
                 continue
             least = self._peak[region] - ROUGHNESS - ROUNDING
-            mouths = [to for to, (saddle, _) in self._passes(region).items() if saddle >= least]
+            mouths = [to for to, (saddle, _) in self._passes[region].items() if saddle >= least]
             if mouths:
                 self._join(min(mouths, key=lambda to: (height[to], to)), region)
 
@@ -204,7 +205,7 @@ class _Regions:
                 continue
             ranks = [
                 (min(at_edge[to], widest) if at_edge[small] else 0, *met, self._cells[to], -to)
-                for to, met in self._passes(small).items()
+                for to, met in self._passes[small].items()
             ]
             to = -max(ranks)[-1] if ranks else small
             if to == small or at_edge[small] > widest >= at_edge[to]:
@@ -220,9 +221,13 @@ class _Regions:
 
     def _join(self, to: int, gone: int) -> None:
         self._whole[self._whole == gone] = to
-        self._pairs[self._pairs == gone] = to
-        apart = self._pairs[0] != self._pairs[1]
-        self._pairs, self._widest = self._pairs[:, apart], self._widest[apart]
+        for other, (saddle, length) in self._passes[gone].items():
+            del self._passes[other][gone]
+            if other != to:
+                own = self._passes[to].get(other, (0.0, 0))
+                met = max(own[0], saddle), own[1] + length
+                self._passes[to][other] = self._passes[other][to] = met
+        self._passes[gone] = {}
         self._cells[to] += self._cells[gone]
         self._peak[to] = max(self._peak[to], self._peak[gone])
 

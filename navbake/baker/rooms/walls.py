@@ -6,8 +6,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
+from navbake.baker.columns import TiledShapes, cast_points, facets_of, tile_shapes
 from navbake.baker.connect import list_runs
+from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
@@ -33,10 +34,11 @@ OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
-# At which height over the floor walls are measured; and the cells of the lattice for rays [m]
-RAY_HEIGHT, RAY_TILE = 1.0, 0.1
-# Walls farther from the cells' ends are ignored [columns]
-FAR = 4.0
+RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
+CHUNK = 4096  # triangles that are looked at together
+# Walls farther from the centres of end cells are ignored: of lines [columns]; of doorways, whose
+# walls lean in the lattice where they are at an angle to it [m]
+FAR, FAR_OF_DOORWAY = 4.0, 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
 
@@ -189,53 +191,74 @@ class WallRays:
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
         self._lattice, self._height = lattice, floor + RAY_HEIGHT
         low, high = np.nanmin(self._height), np.nanmax(self._height)
-        # as three columns: a reduction along rows of three takes many times as long
-        one, two, three = np.ascontiguousarray(walls.triangles.corners[..., 2].T)
-        kept = np.minimum(np.minimum(one, two), three) <= high
-        kept &= np.maximum(np.maximum(one, two), three) >= low
-        triangles = Triangles._make(array[kept] for array in walls.triangles)
-        self._walls = replace(walls, triangles=triangles)
-        self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes | None]] = {}
+        corners, kept = walls.triangles.corners, np.empty(len(walls.triangles.geom), dtype=np.bool_)
 
-    def measure(self, direction: Direction, row: Int, col: Int, is_after: Bool) -> Float:
+        def choose(first: int, end: int) -> None:
+            for begin in range(first * CHUNK, end * CHUNK, CHUNK):  # which caches hold
+                some = slice(begin, begin + CHUNK)
+                one, two, three = np.ascontiguousarray(corners[some, :, 2].T)
+                kept[some] = np.minimum(np.minimum(one, two), three) <= high
+                kept[some] &= np.maximum(np.maximum(one, two), three) >= low
+
+        run_in_bands(choose, -(-len(kept) // CHUNK))
+        triangles = Triangles._make(array[kept] for array in walls.triangles)
+        # rays meet what is near to their cells alone, so that nothing is left as often as entered
+        triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
+        walls = replace(walls, triangles=triangles)
+        self._reach = max(FAR * lattice.cell_size, FAR_OF_DOORWAY)
+        # by tiles as seen from above, whatever the rays' direction
+        self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
+        self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
+
+    def measure(
+        self, direction: Direction, row: Int, col: Int, is_after: Bool, far: float | Float = FAR
+    ) -> Float:
         """How far walls are from cells' centres along a direction, or back, (n,) [columns].
 
-        Half a column where there is none within `FAR`.
+        Half a column where there is none within `far`, at most `FAR` or `FAR_OF_DOORWAY`.
         """
-        axes, tiled = self._turn(direction)
-        if tiled is None:
-            return np.full(len(row), 0.5)
-        height = self._height[row, col]
-        centers = np.column_stack([self._lattice.positions(row, col), height]) @ axes.T
+        axes, tiled, known = self._turn(direction)
+        cell = row * self._lattice.width + col
+        way = is_after.astype(np.int64)
+        new = np.flatnonzero(known[cell, way] == 0.0)
+        if len(new):
+            rays = axes, tiled, direction.stretch * self._lattice.cell_size
+            known[cell[new], way[new]] = self._cast(*rays, row[new], col[new], is_after[new])
+        columns = known[cell, way] - 1.0
+        return np.where(columns <= far, columns, 0.5)
+
+    def _cast(
+        self, axes: Float, tiled: TiledShapes, column: float, row: Int, col: Int, is_after: Bool
+    ) -> Float:
+        """How far walls are, plus a column, so that it isn't 0; see `measure`."""
+        centers = np.column_stack([self._lattice.positions(row, col), self._height[row, col]])
+        centers = centers @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
         points[:, 0] += np.tile(across, len(row))
-        rows, cols = tiled.lattice.rows_cols(points)
-        rows = np.clip(rows, 0, tiled.lattice.height - 1)
-        cols = np.clip(cols, 0, tiled.lattice.width - 1)
-        crossings = cast_points(tiled, rows * tiled.lattice.width + cols, points)
+        cells = np.repeat(row * self._lattice.width + col, len(across))
+        crossings = cast_points(tiled, cells, points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
         ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
-        columns = nearest / (direction.stretch * self._lattice.cell_size)
-        return np.where(columns <= FAR, columns, 0.5)
+        return nearest / column + 1.0
 
-    def _turn(self, direction: Direction) -> tuple[Float, TiledShapes | None]:
-        """The axes of a frame in which the direction is up, as rows, and the walls in it."""
+    def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
+        """A frame in which the direction is up, its axes as rows; the walls in it; what is known.
+
+        That is by cell and way what `_cast` returned, 0 for nothing yet.
+        """
         key = direction.swapped, direction.slope
         if key not in self._turned:
             way = np.array([1.0, -direction.slope]) / direction.stretch
             x, y = -way[::-1] if direction.swapped else way
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            walls = self._walls.turned(axes)
-            bounds = walls.bounds
-            tiled = None
-            if bounds is not None:
-                box = [*bounds[0, :2].tolist(), *bounds[1, :2].tolist()]
-                tiled = tile_shapes(walls, Lattice.cover(box, RAY_TILE), RAY_TILE)
-            self._turned[key] = axes, tiled
+            turned = self._tiled.shapes.turned(axes)
+            tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
+            known = np.zeros((self._lattice.width * self._lattice.height, 2))
+            self._turned[key] = axes, tiled, known
         return self._turned[key]
 
 

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
+from navbake.baker.rooms.gaps import DECIDING, GROWTH, WAVERING, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.walls import direction_of, find_directions, squared_distances
+from navbake.baker.rooms.walls import (
+    FAR,
+    WallRays,
+    direction_of,
+    find_directions,
+    squared_distances,
+)
 from offices import make_plan
+from offices_truth import bake_plan, overlaps
 
 CELL = 0.1
 ANGLES = (0.0, 7.0, 26.5, 44.0, -12.0, -38.0, 90.0, 61.0, 118.0)
@@ -240,8 +247,11 @@ def test_the_share_that_a_gap_has(angle):
             whole[whole == max(one, other)] = min(one, other)
         for _, scan, gaps in found:
             chosen = np.arange(len(gaps.first))
-            lines, met = kernels.measure_gaps(scan, gaps, chosen, whole)
-            shares = (lines[..., 1:4].sum(axis=-1) / lines[..., 0]).min(axis=-1)
+            asked = scan, gaps, chosen, whole, DECIDING, WAVERING
+            lines, shares, wavers, met = kernels.measure_gaps(*asked)
+            far = np.abs(shares[..., None] - DECIDING).min(axis=2) * lines[..., 0].min(axis=2)
+            is_apart = whole[gaps.above] != whole[gaps.below]
+            assert (wavers == (far <= WAVERING).any(axis=1))[is_apart].all()
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}
                 if whole[gaps.above[k]] == whole[gaps.below[k]]:
@@ -336,8 +346,58 @@ def test_directions_are_those_of_the_walls(turn):
 
 def test_rooms_at_any_angle_are_those_along_the_lattice(tmp_path):
     """A plan that came apart in single cells between the lines of its gaps."""
-    from offices_truth import bake_plan, overlaps
-
     plan = make_plan(5041)
     stages = bake_plan(plan, tmp_path, as_mesh=False)
     assert min(overlaps(stages.rooms.index[0], plan.truth(stages.lattice))) > 0.85
+
+
+@pytest.mark.parametrize("as_mesh", [False, True])
+def test_rays_to_walls(as_mesh, tmp_path):
+    """Level rays from cells meet the faces of a turned plan's boxes where plain ones do."""
+    plan = make_plan(1001)
+    plan.turn = 0.4
+    flags = bake_plan(plan, tmp_path, as_mesh=as_mesh).room_flags
+    lattice, is_open = flags.lattice, flags.levels[0].open
+    rays = WallRays(flags.walls, lattice, flags.levels[0].floor)
+    rng = np.random.default_rng(1)
+    row, col = rng.permutation(np.argwhere(is_open))[:400].T
+    upright = [box for box in plan.boxes if abs(box[1][2] - 1.0) < box[2][2]]
+    if not as_mesh:  # furniture and pillars are no walls
+        upright = [box for box in upright if box[0].startswith("wall")]
+    met = 0
+    for angle in (0.0, np.rad2deg(-plan.turn), 60.0):
+        direction = direction_of(angle, lattice.shape)
+        step = np.array([1.0, -direction.slope])
+        step = (-step[::-1] if direction.swapped else step) * lattice.cell_size
+        across = np.array([-step[1], step[0]]) / np.hypot(*step) * lattice.cell_size
+        for is_after in (False, True):
+            asked = direction, row, col, np.full(len(row), is_after)
+            found = rays.measure(*asked)
+            np.testing.assert_array_equal(found, rays.measure(*asked))
+            for k in range(len(row)):
+                here = lattice.positions(row[k], col[k])
+                way = step if is_after else -step
+                hits = [
+                    first_hit(plan, box, here + part * across, way)
+                    for box in upright
+                    for part in (-0.5, 0.0, 0.5)
+                ]
+                nearest = min(hits)
+                expected = nearest if nearest <= FAR else 0.5
+                assert found[k] == pytest.approx(expected, abs=1e-4)
+                met += nearest <= FAR
+    assert met > 100
+
+
+def first_hit(plan, box, point, way):
+    """How many ways from a point, seen from above, a box's outline is; inf if it is not ahead."""
+    _, center, half, turn = box
+    turn += plan.turn
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    offset, along = axes @ (point - plan.to_world(center[:2])), axes @ way
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.sort([(side * half[:2] - offset) / along for side in (-1, 1)], axis=0)
+    enter, leave = ends[0].max(), ends[1].min()
+    if not enter <= leave or leave < 0.0:
+        return np.inf
+    return enter if enter >= 0.0 else leave

@@ -203,7 +203,7 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, whole):
+def measure_gaps(scan, gaps, chosen, whole, deciding, wavering):
     """Measure lines behind some gaps, parallel to them, in the regions above and below.
 
     At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
@@ -215,10 +215,13 @@ def measure_gaps(scan, gaps, chosen, whole):
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
         such openings before and after it [columns]; and the cells at which it ends at a wall before
         and after, -1 for none. If both sides are one region, 1, 1, 0, 0, -1, -1.
+        By gap and side, the least share of a line that is the gap's width or such openings.
+        By gap, whether at most `wavering` cells keep a share from one of the `deciding` ones.
         Pairs of gaps and other regions that their lines met: only if one of these is joined, the
         lines change.
     """
     lines = np.full((len(chosen), 2, len(scan.depths), 6), -1, dtype=np.int64)
+    shares, wavers = np.ones((len(chosen), 2)), np.zeros(len(chosen), dtype=np.bool_)
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
@@ -233,6 +236,7 @@ def measure_gaps(scan, gaps, chosen, whole):
                 if not scan.is_open[row + way * (deep + 1), col]:
                     break
                 deep += 1
+            shortest = len(scan.shift)
             for depth in range(len(scan.depths)):
                 measured = lines[i, side, depth]
                 if above == below:
@@ -242,7 +246,12 @@ def measure_gaps(scan, gaps, chosen, whole):
                 if depth == 0 and deep < rows:
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
                 _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
-    return lines, met[1:]
+                share = (measured[1] + measured[2] + measured[3]) / measured[0]
+                shares[i, side] = share if depth == 0 else min(shares[i, side], share)
+                shortest = min(shortest, measured[0])
+            for share in deciding:
+                wavers[i] |= abs(shares[i, side] - share) * shortest <= wavering
+    return lines, shares, wavers, met[1:]
 
 
 @part
