@@ -117,6 +117,8 @@ _MODULES = (
 
 # first guesses
 _MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}
+_MEANT |= dict.fromkeys(("sample_episodes", "generate_episodes"), "episodes.make_episodes")
+_MEANT |= {"make_episodes": "episodes.make_episodes", "batch": "bake, or use `navbake batch`"}
 
 
 def __getattr__(name: str) -> Any:

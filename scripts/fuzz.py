@@ -65,7 +65,7 @@ from navbake.voxels.grid import VoxelGrid
 READ, REFUSED, FINDING = "read", "refused", "finding"
 SECONDS = 5  # that an input may take; kernels may have to be compiled
 GIB = 4  # of address space that a process may take beyond what it has when it starts
-PATIENCE = 60.0  # for each input of a process on top of its number times `SECONDS` / 100 [s]
+PATIENCE = 60.0  # for each input of a process on top of its number times `SECONDS` / 20 [s]
 LONGEST_MESSAGE = 1500
 FEW_VOXELS = 4_000_000
 
@@ -460,7 +460,7 @@ def run(name: str, count: int, seed: int, folder: Path) -> Counter[str]:
     why = ""
     try:
         done = subprocess.run(
-            [*command, "--folder", str(folder)], timeout=PATIENCE + count * SECONDS / 100
+            [*command, "--folder", str(folder)], timeout=PATIENCE + count * SECONDS / 20
         )
         why = f"the process ended with {done.returncode}" if done.returncode else ""
     except subprocess.TimeoutExpired:

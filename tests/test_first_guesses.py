@@ -6,6 +6,7 @@ import pytest
 
 import navbake
 from navbake import PathFinder, samples
+from navbake.episodes import make_episodes
 from navbake.errors import ConfigError, FormatError, QueryError
 from project_paths import GOLDEN
 
@@ -19,8 +20,23 @@ APARTMENT = str(samples.path("apartment"))
         (lambda: navbake.load_grid("a.json"), AttributeError, r"'load_grid': write navbake\.load"),
         (lambda: navbake.bake("a.grid.json"), ConfigError, r"a grid, not a scene: .*navbake\.load"),
         (lambda: navbake.load(APARTMENT), FormatError, r"`navbake bake \S*apartment.yaml` makes"),
+        (
+            lambda: navbake.load(APARTMENT),
+            FormatError,
+            r"`navbake convert \S*apartment.yaml apartment.grid",
+        ),
         (lambda: GRID.tensors(goals="room:kitchen"), QueryError, r"a list of goals.*\['room:kit"),
         (lambda: PathFinder(GRID).room_of("sopha"), QueryError, "did you mean 'sofa'"),
+        (lambda: navbake.make_episodes, AttributeError, r"write navbake\.episodes\.make_episodes"),
+        (lambda: PathFinder(GRID).snap_point, AttributeError, r"write `snap\(position\)`"),
+        (
+            lambda: PathFinder(GRID).fly_to,
+            AttributeError,
+            "'PathFinder' has no attribute 'fly_to'$",
+        ),
+        (lambda: PathFinder(GRID).find_path("room:hall", (0, 0)), QueryError, "are goals, not pl"),
+        (lambda: make_episodes(GRID, "objectnav"), ConfigError, "did you mean 'object'"),
+        (lambda: navbake.load(GOLDEN), FormatError, r"expected a file, got the folder \S*golden"),
         (lambda: navbake.loads, AttributeError, "no attribute 'loads'$"),
         *(
             (lambda given=given: navbake.bake(APARTMENT, **given), ConfigError, answer)

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from navbake.errors import QueryError
-from navbake.known_names import suggest
+from navbake.known_names import find_near, suggest
 from navbake.navgrid import agents
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import find_agent
@@ -30,7 +30,9 @@ Length = Annotated[float, msgspec.Meta(ge=0)]
 def check_word(value: str, known: Collection[str], name: str) -> None:
     """Raise a ValueError for anything but the known words."""
     if value not in known:
-        raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}")
+        near = find_near(value, known) or [one for one in known if str(value).startswith(one)]
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"expected one of {', '.join(known)} as {name}, got {value!r}{hint}")
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

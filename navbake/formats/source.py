@@ -74,6 +74,8 @@ def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
         if isinstance(source, str | os.PathLike):
             name = os.fsdecode(source)
             LOG.debug("reading %s", name)
+            if os.path.isdir(source):
+                raise FormatError(f"expected a file, got the folder {path_name(name)}")
             with open(source, "rb") as file:
                 yield file, name
         else:
@@ -140,7 +142,9 @@ def read_json_text(source: Source) -> tuple[bytes, int, JsonPath]:
     begins = (b"{", GZIP, BOM, b" ", b"\t", b"\r", b"\n")
     remedy, file = NAVGRID_REMEDY, str(source) if isinstance(source, str | os.PathLike) else ""
     if file.lower().endswith((".yaml", ".yml")):
-        remedy = f"`navbake bake {path_name(file)}` makes one of settings, navbake convert of a map"
+        made, shown_file = f"{Path(file).stem}.grid.json", path_name(file)
+        remedy = f"of settings, `navbake bake {shown_file}` makes one, of a map of nav2, "
+        remedy += f"`navbake convert {shown_file} {path_name(made)}`"
     text, name = read_bytes(source, begins=begins, expected=NAVGRID, remedy=remedy)
     num_bytes, top = len(text), JsonPath(name)
     text = unpack(text, name).removeprefix(BOM)

@@ -71,7 +71,7 @@ def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> 
         content, name = read_bytes(beside)
         try:
             grid.names = msgspec.json.decode(content, type=_Names).ids
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             message = f"expected a table of IDs, {path_name(name)} can't be read: {error}"
             raise FormatError(message) from error
     return grid

@@ -111,7 +111,9 @@ def check_positions(positions: ArrayLike, num_levels: int, level: int | None = N
     try:
         p = np.asarray(positions, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise QueryError(f"expected world positions x, y, z [m], got {positions!r}") from error
+        hint = "; names like room:NAME are goals, not places" if isinstance(positions, str) else ""
+        expected = "expected world positions x, y, z [m]"
+        raise QueryError(f"{expected}, got {positions!r}{hint}") from error
     if p.ndim == 0 or p.shape[-1] not in (2, 3):
         raise QueryError(f"expected world positions of shape (..., 3) [m], got {p.shape}")
     if p.shape[-1] == 2 and num_levels > 1 and level is None:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,18 @@ from navbake.runtime.passage import Passage, find_passage, why_not
 from navbake.runtime.paths import Goal, Path, find_field, find_path
 from navbake.runtime.search import Search
 from navbake.types import Float
+
+# what others call the same
+_MEANT = {
+    "distance": "distances(starts, goal)",
+    "geodesic_distance": "distances(starts, goal)",
+    "get_random_navigable_point": "random_point(rng)",
+    "random_navigable_point": "random_point(rng)",
+    "random_points": "random_point(rng, count)",
+    "is_free": "is_navigable(position)",
+    "shortest_path": "find_path(start, goal)",
+    "snap_point": "snap(position)",
+}
 
 
 class PathFinder(DrawQuestions):
@@ -86,6 +99,10 @@ class PathFinder(DrawQuestions):
     def agent(self) -> Agent | None:
         """Who plans; None for the grid's own agent."""
         return self._search.agent
+
+    def __getattr__(self, name: str) -> Any:
+        meant = f": write `{_MEANT[name]}`" if name in _MEANT else ""
+        raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{meant}")
 
     def __repr__(self) -> str:
         count, area = self.islands.count, self.navigable_area

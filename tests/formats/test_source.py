@@ -88,10 +88,18 @@ def read_names(table):
     return navbake.load_voxels(str(table).removesuffix(".names.json")).names
 
 
+def test_a_table_that_is_no_text(table):
+    table.write_bytes(b'{"ids":{"1":"\xff"}}')
+    with pytest.raises(FormatError, match=r"IDs, \S*a\.binvox\.names\.json can't be read"):
+        read_names(table)
+
+
 def test_a_table_that_is_a_folder_or_a_circle(table):
     assert read_names(table) == {}
     table.mkdir()
-    with pytest.raises(FormatError, match=r"cannot read .*a\.binvox\.names\.json: Is a directory"):
+    with pytest.raises(
+        FormatError, match=r"expected a file, got the folder .*a\.binvox\.names\.json"
+    ):
         read_names(table)
     table.rmdir()
     table.symlink_to(table)

@@ -19,11 +19,11 @@ from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
 from navbake.runtime.place import place_at
 from navbake.scores import Trajectory
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Json
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
 from navbake.views.links import bend, find_ways
 from navbake.views.viewer import meshes
-from navbake.views.viewer.meshes import Drawing, Pick, Surface
+from navbake.views.viewer.meshes import Batch, Drawing, Pick, Surface
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -297,9 +297,23 @@ class Exhibit:
 
     @kept("doors", "with_hidden", "with_scene", "cut")
     def scene_glb(self, chosen: Choices) -> bytes:
-        """What is drawn of the scene, as GLB; empty for nothing."""
+        """What is drawn of the scene but its batches, as GLB; empty for nothing."""
         surfaces, drawing = self.surfaces(chosen), self.drawing(chosen)
-        return meshes.draw_surfaces(surfaces, drawing.textures) if drawing and surfaces else b""
+        if drawing is None or not surfaces:
+            return b""
+        sent = [batch.geoms[batch.below(chosen.cut)] for batch in drawing.batches]
+        if sent:
+            once = np.concatenate(sent)
+            kept = [one.faces[~np.isin(one.owners, once)] for one in surfaces]
+            surfaces = tuple(one._replace(faces=f) for one, f in zip(surfaces, kept, strict=True))
+        return meshes.draw_surfaces(surfaces, drawing.textures)
+
+    def batches(self, chosen: Choices) -> list[tuple[Batch, Bool]]:
+        """The batches of the scene, and which of their geoms are below the cut."""
+        drawing = self.drawing(chosen) if chosen.with_scene else None
+        found = () if drawing is None else drawing.batches
+        pairs = [(batch, batch.below(chosen.cut)) for batch in found]
+        return [(batch, below) for batch, below in pairs if below.any()]
 
     def click(self, chosen: Choices, ray: tuple[ArrayLike, ArrayLike]) -> Choices:
         """The choices after a click along a ray: its origin and its direction."""

@@ -41,6 +41,10 @@ SHARP = 1.2  # an edge between faces at this angle is drawn as one [rad]
 CAP_SHADE = 0.35  # light of a cut face, by that of its geom
 FLUSH = 1e-6  # a triangle that lies in the plane of a cut stays: trimesh would drop it [m]
 MOST_FLAT = 400_000  # triangles with sharp edges; of more, edges are smooth, which takes less
+# A mesh that so many geoms of one colour show is sent once, and drawn coarser from far: from so
+# many metres on with so much of its triangles, from twice as far with what `MOST_DRAWN` allows
+LEAST_ALIKE, NEAR, NEAR_SHARE = 4, 6.0, 0.4
+MOST_SENT = 20_000  # triangles of such a mesh
 LIGHT = 0.2, 0.3, 0.16, 0.8  # from everywhere, and on what faces along x, y and z
 
 # mjtGeom: numbers of the file format, the same in all versions
@@ -83,15 +87,31 @@ class Surface(NamedTuple):
         return owners
 
 
+class Batch(NamedTuple):
+    """A mesh that several geoms show, in one colour."""
+
+    content: bytes  # the mesh in its own frame, lit as the first of the geoms lies: GLB
+    geoms: Int  # ids, shape (n,)
+    rotations: Float  # quaternions w, x, y, z of the geoms, shape (n, 4)
+    positions: Float  # of the geoms, world frame, shape (n, 3) [m]
+    tops: Float  # up to where each geom reaches, world z, shape (n,) [m]
+    lod: tuple[tuple[float, float], ...]  # from which distance [m], with which share of triangles
+
+    def below(self, height: float | None) -> Bool:
+        """Which of the geoms are wholly below a height [m], all for None: shape (n,)."""
+        return np.full(len(self.tops), True) if height is None else self.tops <= height
+
+
 class Drawing(NamedTuple):
     """A scene as triangles."""
 
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[Surface, ...]  # of all geoms, those of the batches included
     textures: dict[int, NDArray[np.uint8]]  # by MuJoCo's id, shape (height, width, 3 or 4)
     bounds: Float  # lower and upper corner of all, world frame, shape (2, 3) [m]
     names: tuple[str, ...]  # of each geom as grids name it, by geom id
     solid: Bool  # whether a geom is one convex piece, so that a cut through it can be closed
     has_hidden: bool  # some geoms are drawn only with hidden ones
+    batches: tuple[Batch, ...] = ()
 
 
 def draw_scene(
@@ -138,7 +158,48 @@ def draw_scene(
         model.body(root).name or f"body {root}" if root else model.geom(geom).name or f"geom {geom}"
         for geom, root in enumerate(model.body_rootid[model.geom_bodyid].tolist())
     ]
-    return Drawing(tuple(surfaces), textures, _bounds_of(pieces), tuple(names), solid, has_hidden)
+    batches = tuple(_find_batches(scene, data, drawn & (texture < 0), plain))
+    bounds = _bounds_of(pieces)
+    return Drawing(tuple(surfaces), textures, bounds, tuple(names), solid, has_hidden, batches)
+
+
+def _find_batches(
+    scene: Scene, data: Any, drawn: Bool, colors: NDArray[np.float32]
+) -> Iterator[Batch]:
+    """Opaque meshes that several geoms show; those that are tilted alike share their light."""
+    model = scene.model
+    can = drawn & (model.geom_type == MESH) & (model.geom_dataid >= 0) & (colors[:, 3] == 1)
+    geoms = np.array([geom for geom in np.flatnonzero(can) if geom not in scene.parts], np.int64)
+    if not len(geoms):
+        return
+    share = MOST_DRAWN / int(model.mesh_facenum[model.geom_dataid[geoms]].sum())
+    tilts = np.round(data.geom_xmat[geoms, 6:], 2) + 0.0
+    keys = np.column_stack([model.geom_dataid[geoms], colors[geoms], tilts])
+    _, number = np.unique(keys, axis=0, return_inverse=True)
+    for one in range(int(number.max()) + 1):
+        own = geoms[number.ravel() == one]
+        if len(own) < LEAST_ALIKE:
+            continue
+        mesh, rotations = model.mesh(int(model.geom_dataid[own[0]])), data.geom_xmat[own]
+        first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(np.float64)
+        faces = model.mesh_face[start : start + int(mesh.facenum[0])]
+        if len(faces) > MOST_SENT:
+            vertices, faces = coarsen(vertices, faces, MOST_SENT)
+        tops = (rotations.reshape(-1, 3, 3)[:, 2] @ vertices.T).max(axis=1)
+        positions = data.geom_xpos[own].copy()
+        made = trimesh.Trimesh(vertices, faces, process=False)
+        is_fine = share < 1  # else few triangles, each with edges of its own
+        if is_fine:
+            made = graph.smooth_shade(made, SHARP, facet_minarea=None)
+        look = np.tile(colors[own[0]], (len(made.vertices), 1))
+        corners, sides = made.vertices.astype(np.float32), made.faces.astype(np.uint32)
+        surface = Surface(corners, sides, colors=look, is_round=is_fine)
+        content = draw_surfaces([surface], {}, rotations[0].reshape(3, 3))
+        turns = trimesh.transformations.quaternion_from_matrix
+        quaternions = np.array([turns(turn) for turn in rotations.reshape(-1, 3, 3)])
+        lod = ((NEAR, max(NEAR_SHARE, share)), (2 * NEAR, share)) if is_fine else ()
+        yield Batch(content, own, quaternions, positions, positions[:, 2] + tops, lod)
 
 
 def _draw_solids(model: Any, data: Any, drawn: Bool, clear: Bool) -> Iterator[Surface]:
@@ -168,7 +229,7 @@ def _unit_of(kind: int, corners: int) -> Any:
         return graph.smooth_shade(creation.cylinder(1, 2, corners), SHARP, facet_minarea=None)
     if kind != CAPSULE:
         return creation.uv_sphere(count=[corners // 2, corners])
-    unit = creation.capsule(2, 1, count=[corners, corners])
+    unit = creation.capsule(2, 1, count=[corners // 2, corners])
     unit.vertices[:, 2] -= np.sign(unit.vertices[:, 2]) * (1 - 1e-9)  # the sign stays
     return unit
 
@@ -397,12 +458,18 @@ def draw_overlay(carpet: Surface, rgb: NDArray[np.uint8], opacity: float = 1.0) 
     return make_glb([carpet._replace(opacity=opacity)], {0: np.asarray(picture)})
 
 
-def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np.uint8]]) -> bytes:
+def draw_surfaces(
+    surfaces: Sequence[Surface],
+    textures: Mapping[int, NDArray[np.uint8]],
+    rotation: ArrayLike | None = None,
+) -> bytes:
     """Surfaces of a scene and the textures that they use as one GLB, with light and shade.
 
     The light, see `LIGHT`, is in the colours, which a browser draws smoothly without a graphics
-    card, too; both sides of a triangle are alike.
+    card, too; both sides of a triangle are alike. `rotation`, (3, 3), leads from the frame of the
+    vertices to the world's axes.
     """
+    turn = np.eye(3) if rotation is None else np.asarray(rotation)
     lit = []
     for one in surfaces:
         assert one.colors is not None
@@ -415,7 +482,7 @@ def draw_surfaces(surfaces: Sequence[Surface], textures: Mapping[int, NDArray[np
                 uv=None if one.uv is None else one.uv[corners],
             )
         mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
-        share = (LIGHT[0] + np.abs(mesh.vertex_normals) @ LIGHT[1:])[:, None]
+        share = (LIGHT[0] + np.abs(mesh.vertex_normals @ turn.T) @ LIGHT[1:])[:, None]
         colors = one.colors * np.where([True, True, True, False], share, 1.0)
         lit.append(one._replace(colors=colors))
     return make_glb(lit, textures)

@@ -28,7 +28,7 @@ from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Json
 from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
 from navbake.views.viewer.exhibit import (
     GOAL,
@@ -42,6 +42,7 @@ from navbake.views.viewer.exhibit import (
     keep_choices,
     list_runs,
 )
+from navbake.views.viewer.meshes import Batch
 from navbake.views.viewer.server import HOST, PORT, PageServer
 
 if TYPE_CHECKING:
@@ -214,6 +215,7 @@ class Viewer:
             self._controls.say("Drawing the scene…")
             self._server.flush()
             self._put_glb("/scene", exhibit.scene_glb(chosen))
+            self._put("/batches", scene, lambda: map(self._add_batch, exhibit.batches(chosen)))
             self._drawn = scene
             self._controls.say("")
         return chosen
@@ -271,6 +273,14 @@ class Viewer:
         else:
             add = self._scene.add_glb
             self._put(name, content, lambda: [add(name, content, **PLAIN)] if content else [])
+
+    def _add_batch(self, batch_below: tuple[Batch, Bool]) -> Any:
+        """A mesh that several geoms show, at those of its places that are below the cut."""
+        batch, below = batch_below
+        where = batch.rotations[below], batch.positions[below]
+        style: Any = {"lod": batch.lod or "off", **PLAIN}
+        name = f"/batches/{batch.geoms[0]}"
+        return self._scene.add_batched_glb(name, batch.content, *where, **style)
 
     def _write_name(self, name: Name) -> Any:
         """A name as high as fits its room, hidden by what stands before it."""

@@ -1,5 +1,7 @@
 """A drawing has the volumes and places of the model's geoms; cut, what a plain clipper leaves."""
 
+import io
+from dataclasses import replace
 from itertools import pairwise
 
 import mujoco
@@ -10,6 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from navbake.views.viewer import meshes
+from navbake.views.viewer.exhibit import Exhibit, first_choices
 from navbake.views.viewer.meshes import Drawing, Surface, coarsen, cut_drawing, draw_scene
 from viewer_scenes import room_exhibit
 
@@ -61,6 +65,43 @@ def test_a_mesh_is_where_mujoco_has_it():
     wedge = '<mesh name="w" vertex="0 0 0 1 0 0 0 2 0 0 0 3"/>'
     mesh = as_mesh(draw('<geom type="mesh" mesh="w" pos="5 0 0" euler="0 0 90"/>', wedge))
     np.testing.assert_allclose(mesh.bounds, [[3, 0, 0], [5, 1, 3]], atol=1e-6)
+
+
+def test_meshes_that_look_alike_are_sent_once_where_mujoco_has_them(monkeypatch):
+    """Those across the cut, of another colour, tilted or few are sent as triangles."""
+    monkeypatch.setattr(meshes, "MOST_DRAWN", 20)  # some have to be drawn coarser
+    asset = '<mesh name="w" vertex="0 0 0 1 0 0 0 2 0 0 0 3"/>'
+    geom = '<geom type="mesh" mesh="w" pos="{} 0 {}" euler="{} 0 {}" rgba="{} 0 0 1"/>'.format
+    alike = [geom(3 * n, 0.1 * n, 0, 40 * n, 1) for n in range(6)]
+    others = [geom(20, 0, 30, 0, 1), *[geom(30, 0, 0, 0, 0.5)] * 3]
+    geoms = "".join([*alike, *others])
+    scene = Loaded(f"<mujoco><asset>{asset}</asset><worldbody>{geoms}</worldbody></mujoco>")
+    drawing = draw_scene(scene)
+    (batch,) = drawing.batches
+    assert batch.geoms.tolist() == [*range(6)] and [share for _, share in batch.lod] == [0.5, 0.5]
+    sent = trimesh.load(io.BytesIO(batch.content), file_type="glb", force="mesh", process=False)
+    exact = np.concatenate([one.vertices[one.faces].reshape(-1, 3) for one in drawing.surfaces])
+    owners = np.concatenate([np.repeat(one.owners, 3) for one in drawing.surfaces])
+    for geom, turn, place in zip(batch.geoms, batch.rotations, batch.positions, strict=True):
+        placed = sent.vertices @ trimesh.transformations.quaternion_matrix(turn)[:3, :3].T + place
+        np.testing.assert_allclose(
+            np.unique(placed.round(4), axis=0), np.unique(exact[owners == geom].round(4), axis=0),
+            atol=2e-4,
+        )  # fmt: skip
+    lowest = [exact[owners == geom, 2].max() for geom in batch.geoms]
+    np.testing.assert_allclose(batch.tops, lowest, atol=1e-5)
+    # the cut parts them: each geom is sent in one way
+    exhibit = Exhibit(room_exhibit().grid, scene)
+    chosen = replace(first_choices(exhibit.grid), cut=(lowest[2] + lowest[3]) / 2)
+    ((_, below),) = exhibit.batches(chosen)
+    assert below.tolist() == [True] * 3 + [False] * 3
+    rest = trimesh.load(io.BytesIO(exhibit.scene_glb(chosen)), file_type="glb", process=False)
+    whole = replace(chosen, cut=None)
+    uncut = trimesh.load(io.BytesIO(exhibit.scene_glb(whole)), file_type="glb", process=False)
+    assert exhibit.batches(whole)[0][1].all() and not exhibit.batches(replace(whole, cut=1.0))
+    assert rest.bounds[0, 0] == pytest.approx(exact[owners == 3, 0].min(), abs=1e-4)
+    assert uncut.bounds[0, 0] == pytest.approx(20, abs=1e-4)
+    assert not exhibit.batches(replace(whole, with_scene=False))
 
 
 def test_a_height_field_is_as_high_as_it_says():
