@@ -117,7 +117,7 @@ def _messages(
             for place in found.positions
         ]
         yield f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses}
-    if len(chosen) == len(grid.levels) and len(grid.step_array):
+    if len(chosen) == len(grid.levels) and grid.steps:
         marker = {"header": FRAME, "ns": "links", "type": LINE_LIST, "scale": {"x": LINE}}
         marker |= {"pose": {"orientation": UPRIGHT}, "color": COLOR}
         marker["points"] = [_point(place) for place in _ends_of_steps(grid)]

@@ -90,7 +90,7 @@ def test_maps_paths_and_links_of_the_house(tmp_path, read):
     assert (kind, marker.type, marker.ns) == ("visualization_msgs/msg/MarkerArray", 5, "links")
     assert marker.scale.x > 0 and marker.color.a == 1 and marker.pose.orientation.w == 1
     expected = []
-    for link in grid.links:
+    for link in grid.steps:
         for number, cell in ((link.level, link.cell), (link.other_level, link.other_cell)):
             level = grid.levels[number]
             row, col = divmod(cell, level.width)
