@@ -53,13 +53,18 @@ def make_table(
     return Table(headings, cells, frozenset(numbers), gap)
 
 
+def unit_of(setting: str) -> str:
+    """The unit of an agent's size or slope, as it stands behind its name."""
+    return "[deg]" if "slope" in setting else "[m]"
+
+
 def summarize(facts: Json) -> list[tuple[str, str]]:
     """Facts about a whole grid, from `navbake.views.describe.describe`."""
-    inflated = "{radius}, clearance {clearance} ({mode})"
+    inflated, agent = "{radius}, clearance {clearance} ({mode})", facts["agent"].items()
     return [
         ("scene", facts["scene_id"] or "not named"),
         ("cell size [m]", f"{facts['cell_size']:g}"),
-        *((f"agent {name.replace('_', ' ')}", str(v)) for name, v in facts["agent"].items()),
+        *((f"agent {name.replace('_', ' ')} {unit_of(name)}", str(v)) for name, v in agent),
         *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
         ("islands", str(facts["num_islands"])),
         ("steps", str(facts["num_steps"])),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.episodes.episode import Episode, EpisodeSet, scene_of
+from navbake.episodes.episode import Episode, EpisodeSet, Goal, scene_of
 from navbake.errors import QueryError
 from navbake.navgrid import colors
 from navbake.navgrid.grid import NavGrid
@@ -337,6 +337,19 @@ class Exhibit:
         except QueryError as error:
             return str(error)
 
+    @kept("doors", "inflation", "episode")
+    def way(self, chosen: Choices) -> Float:
+        """The path of the episode, shape (n, 3); where it states none, one in the shown grid."""
+        episode, _ = self.runs.get(chosen.episode, (None, None))
+        if episode is None or episode.path or episode.task == "sequence":
+            return np.array(episode.path if episode else ()).reshape(-1, 3)
+        places = [place for goal in episode.goals if (place := goal_place(goal)) is not None]
+        try:
+            found = self.finder(chosen).find_path(episode.start, np.array(places).reshape(-1, 3))
+        except QueryError:  # a start or a goal that isn't on the grid
+            found = None
+        return np.empty((0, 3)) if found is None else found.positions
+
     def tell(self, chosen: Choices) -> Json | None:
         """What `describe_cell` says of the inspected cell, None for none, and more.
 
@@ -370,6 +383,11 @@ class Exhibit:
 
         self.report = verify_scene(self.grid, self.scene, self.config, sample=SAMPLE)
         self.kept.clear()
+
+
+def goal_place(goal: Goal) -> tuple[float, float, float] | None:
+    """Where a goal is drawn: at its position, or its first view point."""
+    return goal.position or (goal.view_points[0].position if goal.view_points else None)
 
 
 def _overlap(one: Name, other: Name) -> bool:

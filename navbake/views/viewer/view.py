@@ -39,6 +39,7 @@ from navbake.views.viewer.exhibit import (
     Exhibit,
     Name,
     first_choices,
+    goal_place,
     keep_choices,
     list_runs,
 )
@@ -54,6 +55,7 @@ PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
 MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
 MARK_RADII = 0.06, 0.5  # least and greatest [m]
+POLE = np.array([[0, 0, 0], [0, 0, 1.3]])  # over the clicked cell [m]
 GROWN = 0.006  # by which what is lit is larger than it is, so that it is seen [m]
 ELEVATION = math.radians(58)  # of the first camera over the horizon
 FIELD_OF_VIEW = math.radians(45)
@@ -155,13 +157,17 @@ class Viewer:
         camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
         camera.look_at, camera.position = bounds.mean(axis=0), place
 
-        def fit(client: viser.ClientHandle) -> None:
-            """Move the first camera of a page that is narrower than usual."""
-            if client.camera.aspect < USUAL_ASPECT:
-                client.camera.position = find_camera(bounds, client.camera.aspect)
-                client.camera.look_at = bounds.mean(axis=0)
+        def fit(camera: viser.CameraHandle) -> None:
+            """Move the first camera of a page that is narrower than usual, or becomes so."""
+            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, place, atol=0.01):
+                camera.position = find_camera(bounds, camera.aspect)
+                camera.look_at = bounds.mean(axis=0)
 
-        self._server.on_client_connect(fit)
+        def follow(client: viser.ClientHandle) -> None:
+            fit(client.camera)
+            client.camera.on_update(fit)
+
+        self._server.on_client_connect(follow)
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         ray = event.ray_origin, event.ray_direction
@@ -243,18 +249,20 @@ class Viewer:
         ends, ways = [], []
         if episode is not None:
             ends = [(episode.start, START)]
-            for goal in episode.goals:
-                if goal.position or goal.view_points:
-                    ends.append((goal.position or goal.view_points[0].position, GOAL))
-            ways = [(np.array(episode.path).reshape(-1, 3), GOAL)]
+            places = map(goal_place, episode.goals)
+            ends += [(place, GOAL) for place in places if place is not None]
+            ways = [(exhibit.way(chosen), GOAL)]
         if trajectory is not None:
             ways.append((np.array(trajectory.positions).reshape(-1, 3), TRAJECTORY))
         run = "/run", ends, ways, radius
-        self._put("/run", (id(exhibit), chosen.episode), lambda: self._draw_ways(*run))
+        key = id(exhibit), chosen.episode, exhibit.way(chosen).tobytes()
+        self._put("/run", key, lambda: self._draw_ways(*run))
         told = told or {"lit": np.empty((0, 3)), "outline": np.empty((0, 3))}
         lit, cell = told["lit"].reshape(-1, 3), told["outline"]
         self._put("/lit", lit.tobytes(), lambda: self._light(lit))
-        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], [(cell, LIT)], 0))
+        # the pole is seen where furniture hides the cell
+        mark = [(cell, LIT), (cell[:4].mean(axis=0) + POLE, LIT)] if len(cell) else []
+        self._put("/cell", cell.tobytes(), lambda: self._draw_ways("/cell", [], mark, 0))
 
     def _put(self, name: str, key: Any, make: Callable[[], Iterable[Any]]) -> None:
         """Put other nodes under a name, where the key is another than before."""

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import combinations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -139,6 +140,23 @@ def test_episodes_and_trajectories_of_the_scene_are_listed():
     assert runs[own.id] == (own, ran)
     assert list_runs(grid, None, [other]) == {"another": (None, other)}
     assert f"{own.distance:.2f}".replace(".", "\\.") in texts.say_episode(own)
+
+
+def test_an_episode_without_a_path_has_a_shortest_one():
+    grid = navbake.load(GOLDEN / "apartment.grid.json.gz")
+    (bare,) = make_episodes(grid, "point", count=1).episodes
+    stored = msgspec.structs.replace(bare, id="stored", path=((0, 0, 0), (1, 0, 0)))
+    lost = msgspec.structs.replace(bare, id="lost", start=(99.0, 99.0, 0.0))
+    runs = {each.id: (each, None) for each in (bare, stored, lost)} | {"driven": (None, None)}
+    exhibit = Exhibit(grid, runs=runs)
+    chosen = first_choices(grid)
+    way = exhibit.way(replace(chosen, episode=bare.id))
+    goal = [bare.goals[0].position]
+    path = navbake.PathFinder(grid).find_path(bare.start, goal)
+    np.testing.assert_array_equal(way, path.positions)
+    assert exhibit.way(replace(chosen, episode="stored")).tolist() == [[0, 0, 0], [1, 0, 0]]
+    ways = [exhibit.way(replace(chosen, episode=one)) for one in ("lost", "driven", "")]
+    assert [len(one) for one in ways] == [0, 0, 0]
 
 
 def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
