@@ -422,8 +422,12 @@ def _links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
                 why = "leads the other way only"
             if why:
                 return f"the link {link.name!r} ({link.kind}) {why}"
-        if (area := _barring_area(search, cell)) is not None:
-            return f"the {' '.join(area)}"
+        # a diagonal step also needs the two cells beside it
+        before = int(found.cells[at - 1]) if at and not found.by_link[at] else cell
+        across = flat.cell(cell).col - flat.cell(before).col
+        for needed in (before + across, cell - across, cell):
+            if (area := _barring_area(search, needed)) is not None:
+                return f"the {' '.join(area)}"
     return None
 
 
