@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,12 +31,15 @@ DOWN, RIGHT = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
 """Where the cells of an array stand that have one below, or to the right; and where these stand."""
 
 
-def number_islands(masks: list[Bool], floors: list[Float], limit: float, links: Int) -> list[Int32]:
+def number_islands(
+    masks: list[Bool], floors: list[Float], limit: float, links: Int, ways: Int | None = None
+) -> list[Int32]:
     """Number the connected parts of all levels' marked cells from 1, the largest first; 0 for none.
 
     Neighbours by an edge hang together unless their floors lie more than a limit [m] apart, and so
-    do the ends of a link (level, cell, level, cell), shape (n, 4). It shares no code with a bake.
-    Of parts of one size, that with the lowest cell comes first.
+    do the ends of a link (level, cell, level, cell), shape (n, 4), and what `ways`, of the same
+    shape, join in both directions. It shares no code with a bake. Of parts of one size, that with
+    the lowest cell comes first.
     """
     parts, count = list[Int32](), 1
     for mask, floor in zip(masks, floors, strict=True):
@@ -52,13 +56,16 @@ def number_islands(masks: list[Bool], floors: list[Float], limit: float, links: 
         part[mask] += count - 1
         parts.append(part)
         count += num
-    ends = np.zeros((2, len(links)), dtype=np.int64)
+    both_ways = np.concatenate([links, links[:, [2, 3, 0, 1]], links[:0] if ways is None else ways])
+    ends = np.zeros((2, len(both_ways)), dtype=np.int64)
     for number, part in enumerate(parts):
-        for end, (level, cell) in zip(ends, (links[:, :2].T, links[:, 2:].T), strict=True):
+        for end, (level, cell) in zip(ends, (both_ways[:, :2].T, both_ways[:, 2:].T), strict=True):
             end[level == number] = part.ravel()[cell[level == number]]
     ends = ends[:, (ends > 0).all(axis=0)]  # a blocked end joins nothing
     pairs = coo_array((np.ones(ends.shape[1]), tuple(ends)), shape=(count, count))
-    num, group = connected_components(pairs, directed=False)  # numbered by their first parts
+    num, group = connected_components(pairs, connection="strong")
+    first = np.unique(group, return_index=True)[1]
+    group = np.argsort(np.argsort(first))[group]  # numbered by their first parts
     size = np.sum([np.bincount(group[part.ravel()], minlength=num) for part in parts], axis=0)
     numbers = np.zeros(num, dtype=np.int32)  # 0 stays the one of no part
     numbers[1 + np.argsort(-size[1:], kind="stable")] = np.arange(1, num)
@@ -139,6 +146,19 @@ class Facts:
             self.rooms = self.grid.rooms
         with suppress(FormatError):
             self.links = self.grid.step_array
+        self.ways: Int = np.empty((0, 4), dtype=np.int64)  # over open links, from stop to stop
+        with suppress(FormatError):
+            passages = [
+                (one.level, one.cell, other.level, other.cell)
+                for link in self.grid.links
+                if link.state == "open" and (link.width or np.inf) + SLACK >= 2 * self.grid.radius
+                for one, other in permutations(link.stops, 2)
+                if not link.one_way or link.stops.index(one) < link.stops.index(other)
+            ]
+            self.ways = np.array(passages, dtype=np.int64).reshape(-1, 4)
+        self.barred: list[int] = []  # numbers of areas where nobody goes
+        with suppress(FormatError):
+            self.barred = [k for k, area in enumerate(self.grid.areas, 1) if area.bars(None)]
 
     @cached_property
     def step_limit(self) -> float:
@@ -170,12 +190,23 @@ class Facts:
     @cached_property
     def islands(self) -> list[Int32]:
         """The connected parts of the free cells, numbered from 1, the largest first; 0 for none."""
-        return number_islands(self.free, self.floors, self.step_limit, self.links)
+        return self._number(self.free)
 
     @cached_property
     def open_islands(self) -> list[Int32]:
         """The same, if no door blocked anything."""
-        return number_islands(self.passable, self.floors, self.step_limit, self.links)
+        return self._number(self.passable)
+
+    @cached_property
+    def walks(self) -> list[Int32]:
+        """The islands if there were no named links."""
+        return number_islands(self.free, self.floors, self.step_limit, self.links)
+
+    def _number(self, masks: list[Bool]) -> list[Int32]:
+        if self.barred:
+            pairs = zip(masks, self.levels, strict=True)
+            masks = [mask & ~np.isin(level.area_index, self.barred) for mask, level in pairs]
+        return number_islands(masks, self.floors, self.step_limit, self.links, self.ways)
 
     def place(self, number: int, row: int, col: int) -> Vector3:
         """World x, y and z of a cell; its level's ground where its floor is at no height [m]."""

@@ -14,7 +14,7 @@ from navbake.auditor.report import ERROR, REMARK, Found, count_of
 def check_named_links(facts: Facts) -> Iterator[Found]:
     """A link's stop is blocked, a lift's stops are on one level, or one leads to a dead spot."""
     links, agents = facts.grid.links, facts.grid.agents
-    islands = facts.islands if links else []
+    islands = facts.walks if links else []
     count = np.bincount(np.concatenate([[0], *(part.ravel() for part in islands)]))
     area = count * facts.levels[0].lattice.cell_size ** 2
     for link in links:

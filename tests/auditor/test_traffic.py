@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, REMARK
+from navbake.navgrid.islands import find_islands
 from navbake.testing import assert_sound
 from project_paths import GOLDEN
 
@@ -91,3 +93,10 @@ def test_each_fault_is_named(tower: Any, plant: Any, severity: str, text: str) -
     grid = grid.with_levels(grid.levels)
     told = [remark for remark in navbake.audit(grid).remarks if re.search(text, remark.text)]
     assert [remark.severity for remark in told][:1] == [severity]
+
+
+@pytest.mark.parametrize("states", [{}, {"lift_a": "closed"}, {"drop 1": "closed"}])
+def test_the_audit_numbers_islands_as_the_grid_does(tower: Any, states: dict[str, str]) -> None:
+    grid = tower.with_links(states)
+    for mine, own in zip(Facts(grid).islands, find_islands(grid), strict=True):
+        np.testing.assert_array_equal(mine, own)
