@@ -26,6 +26,7 @@ MODEL_PATHS = (
     *("GAZEBO_RESOURCE_PATH", "SDF_PATH"),
 )
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
+MATERIAL = ".material"  # ending of a script of Ogre's, of looks
 MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
 SDF_NAME = re.compile(rb"<sdf[^>]*>\s*([\w.-]+)\s*</sdf>")  # in a model.config
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
@@ -138,10 +139,19 @@ def find_inputs(
             seen.add(file)
             content = COMMENT.sub(b"", read(file))
             if suffix in USD_SUFFIXES:
-                named = [[file.parent / name] for name in _layers_of(file)] if content else []
+                names = _layers_of(file) if content else []
+                named = [
+                    [file.parent / name]
+                    for name in names
+                    if looks or suffix_of(name) in STAGE_SUFFIXES
+                ]
             else:
                 uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
-                named = [_model_places(sdf_places(uri, file, folders)) for uri in uris]
+                named = [
+                    _model_places(sdf_places(uri, file, folders))
+                    for uri in uris
+                    if looks or not uri.endswith(MATERIAL)
+                ]
                 if file.name == MODEL_CONFIG:
                     named = [[file.parent / name.decode()] for name in SDF_NAME.findall(content)]
             for places in named:
@@ -207,7 +217,10 @@ def _model_places(places: Iterable[Path]) -> list[Path]:
 
 
 def _layers_of(layer: Path) -> list[str]:
-    """The files that a layer of USD names, without those in stores; none without usd-core."""
+    """The layers and textures that a layer of USD names, without those in stores.
+
+    None without usd-core.
+    """
     with suppress(ImportError):
         from pxr import Tf, UsdUtils  # of the extra [usd]
 
