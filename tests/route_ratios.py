@@ -80,5 +80,5 @@ def with_toll(grid, box, cost):
     return grid.with_levels(levels, {**grid.metadata, "navbake": {**grid.navbake, **own}})
 
 
-def worst_ratio(grid, graph, pairs, seed=0):
-    return ratios(grid, graph, pairs, seed).max()
+def worst_ratio(grid, graph, pairs, seed=0, least=9.0):
+    return ratios(grid, graph, pairs, seed, least).max()
