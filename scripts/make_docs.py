@@ -93,8 +93,13 @@ def _anchor_of(path: str) -> str:
 
 def _list_names() -> str:
     """The page of public names, whose docstrings mkdocstrings fills in."""
-    # what each public name stands for; of modules, all that they have
-    places = [(f"navbake.{name}", where.replace(":", ".")) for name, where in navbake._LAZY.items()]
+    # where each public name is made; of modules, all that they have
+    named = {name: getattr(navbake, name) for name in navbake.__all__ if name != "__version__"}
+    places = [
+        (f"navbake.{name}", f"{made.__module__}.{made.__qualname__}")
+        for name, made in named.items()
+        if hasattr(made, "__qualname__") and made.__module__ != "navbake.errors"
+    ]
     places += [(f"navbake.{name}", f"navbake.{name}") for name in MODULES]
     parts = ["# Reference\n\nAll public names, from their docstrings.\n"]
     for name, where in sorted(places):
