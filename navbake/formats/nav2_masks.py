@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, json_object, number
 from navbake.formats.convert import level_paths
@@ -31,7 +31,7 @@ from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_m
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.source import Files, check_path, read_bytes
+from navbake.formats.source import Files, check_path, read_yaml
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.areas import MAX_AREAS, Area
 from navbake.navgrid.grid import NavGrid
@@ -40,7 +40,6 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
-from navbake.yaml_text import parse_yaml
 
 LOG = logging.getLogger(__name__)
 KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
@@ -344,11 +343,7 @@ def _read_info(path: Path) -> Scale:
     info = _info_path(path)
     if not info.exists():
         return Scale(PERCENT)
-    data, name = read_bytes(info)
-    try:
-        content = parse_yaml(data.decode("utf-8-sig"), name)
-    except (UnicodeDecodeError, ConfigError) as error:
-        raise FormatError(f"expected the parameters of a filter in {name}: {error}") from error
+    content, name = read_yaml(info, expected="the parameters of a filter")
     place = JsonPath(name)
     for node, entry in json_object(content, place).items():
         own = json_object(json_object(entry, place).get("ros__parameters"), place[str(node)])

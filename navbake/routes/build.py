@@ -22,10 +22,10 @@ import numpy as np
 from navbake.lazy import lazy
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.links import SLACK, Link
+from navbake.navgrid.links import Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.agents import find_agent, fit_grid
-from navbake.runtime.cuts import group_steps
+from navbake.runtime.cuts import find_leaf, group_steps
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -89,7 +89,7 @@ class _Builder:
             for number, level in enumerate(self.grid.levels)
         ])  # fmt: skip
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
-        self.leaves = {cell: own.id for own in grid.doors for cell in self._leaf(own).tolist()}
+        self.leaves = {cell: own.id for own in grid.doors for cell in find_leaf(own, flat).tolist()}
         self.places: list[_Place] = []
         self.points = np.empty((0, 3))
         self.lanes: list[Lane] = []
@@ -152,12 +152,10 @@ class _Builder:
 
     def _links(self) -> list[Link]:
         """The named links that are open, for the agent, and wide enough."""
-        least = 2.0 * self.radius * (1.0 - SLACK)
         return [
             link
             for link in self.grid.links
-            if link.refuses(self.search.agent) is None
-            and (link.width is None or link.width >= least)
+            if link.refuses(self.search.agent) is None and link.fits(self.radius)
         ]
 
     def _middle(self, ends: Int) -> tuple[int, int] | None:
@@ -171,15 +169,9 @@ class _Builder:
         low, high = ends[np.lexsort((off, -room))[0]].tolist()
         return low, high
 
-    def _leaf(self, door: Any) -> Int:
-        """The flat ids of the cells that a door's leaf takes when closed."""
-        cells = door.solid_in if door.solid else door.cells_in
-        pairs = zip(self.flat.layout.start, cells("closed", self.flat.num_levels), strict=False)
-        return np.concatenate([start + ids for start, ids in pairs])
-
     def _doors(self) -> Iterator[_Place]:
         for door in self.grid.doors:
-            cells = self._leaf(door)
+            cells = find_leaf(door, self.flat)
             cells = cells[self.inside[cells]]
             if len(cells):
                 cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
