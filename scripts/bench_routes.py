@@ -1,11 +1,12 @@
-"""Measures graphs of routes: how much longer routes are than paths, and that lanes are free.
+"""Measures graphs of routes: how much more routes cost than paths, and that lanes are free.
 
     python scripts/bench_routes.py [--pairs 500] [--rooms 100] [GRID …]
 
-Without grids it takes a house of many rooms, and the samples. For each it prints nodes and lanes,
-the processor time that making them takes, the ratio of routes to paths of more than 9 m between
-random places (see `route_ratios` in the tests), islands of more than 4 m² without a node, and lanes
-on which the agent's disc meets an occupied square, by exact distances.
+Without grids it takes a house of many rooms, the samples, and the tower with a box in its lobby
+whose cells cost ten times as much. For each it prints nodes and lanes,
+the processor time that making them takes, the ratio of the costs of routes to those of paths of
+more than 9 m between random places (see `route_ratios` in the tests), islands of more than 4 m²
+without a node, and lanes on which the agent's disc meets an occupied square, by exact distances.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import navbake
 from benchmarks.scenes import AGENT, CELL, RADIUS, ROOMS, SAMPLES, Scenes
 from navbake.routes.build import make_routes
 from project_paths import GOLDEN
-from route_ratios import ratios
+from route_ratios import TOLL, ratios, with_toll
 
 ASKED = 1.15
 
@@ -43,7 +44,9 @@ def main() -> None:
             agent = {"radius": RADIUS, "height": AGENT}
             settings = {"scene": {"path": str(scene)}, "grid": {"cell_size": CELL}, "agent": agent}
             grids = {f"house-{args.rooms}": navbake.bake(settings)}
-        grids |= {name: navbake.load(GOLDEN / f"{name}.grid.json.gz") for name in SAMPLES}
+        names = (*SAMPLES, "tower")
+        grids |= {name: navbake.load(GOLDEN / f"{name}.grid.json.gz") for name in names}
+        grids["tower, toll"] = with_toll(grids["tower"], TOLL, 10.0)
     head = f"{'grid':12} nodes lanes  time [s]  ratio: mean   99 %    max  over {ASKED}"
     print(f"{head}  islands  lanes not free")
     for name, grid in grids.items():

@@ -165,14 +165,14 @@ class LinkSettings(Settings):
 def _check_names(
     entries: Sequence[AreaSettings | LinkSettings], info: ValidationInfo
 ) -> Sequence[AreaSettings | LinkSettings]:
-    """Refuse names that stand twice, and agents that `agents` doesn't have."""
-    known, taken = info.data.get("agents", {}), set[str]()
+    """Refuse names that stand twice, and agents that `agents`, if it is valid, doesn't have."""
+    known, taken = info.data.get("agents"), set[str]()
     for number, entry in enumerate(entries):
         if entry.name in taken:
             raise refusal("no name twice", got=f'"{entry.name}"', at=f"[{number}].name")
         taken |= {entry.name} if entry.name else set()
         for name in entry.agents or ():
-            if name not in known:
+            if known is not None and name not in known:
                 text = f"a name of `agents` ({suggest(name, known)})"
                 raise refusal(text, got=f'"{name}"', at=f"[{number}].agents")
     return entries

@@ -79,12 +79,20 @@ def encode_routes(graph: RouteGraph) -> bytes:
 def read_routes(path: str | PathLike[str]) -> RouteGraph:
     """Read a LIF; of several types of vehicles, the first one's speed counts.
 
+    Nodes have the names that it states, or their ids, if it states a name twice.
+
     Raises:
         FormatError: it is none.
     """
     content, name = read_object(path, expected="a LIF (JSON)")
     place, rows, names = JsonPath(name), Rows(), []
     top = json_object(content, place)
+    stated = [
+        str(node.get("nodeName") or node.get("nodeId"))
+        for level, layout in enumerate(_objects(top, "layouts", place))
+        for node in _objects(layout, "nodes", place["layouts"][level])
+    ]
+    key = "nodeName" if len({*stated}) == len(stated) else "nodeId"
     for level, layout in enumerate(_objects(top, "layouts", place)):
         at = place["layouts"][level]
         names.append(str(layout.get("layoutName") or f"level {level}"))
@@ -94,7 +102,7 @@ def read_routes(path: str | PathLike[str]) -> RouteGraph:
             own = optional_object(node, "navbake", here)
             z = own.get("position", [0.0, 0.0, 0.0])
             at_xyz = [spot.get("x"), spot.get("y"), *(z[2:] if isinstance(z, list) else [])]
-            named = {"name": node.get("nodeName") or node.get("nodeId"), "level": level}
+            named = {"name": node.get(key) or node.get("nodeId"), "level": level}
             rows.add_node(node.get("nodeId", MISSING), at_xyz, {**named, **own}, here)
     for level, layout in enumerate(_objects(top, "layouts", place)):
         for number, edge in enumerate(_objects(layout, "edges", place["layouts"][level])):

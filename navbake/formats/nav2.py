@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import FormatError
 from navbake.files import check_regular, readable_stem
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
@@ -45,12 +45,11 @@ from navbake.formats.occupancy import (
     level_from_values,
     values_of,
 )
-from navbake.formats.source import Files, check_named, check_path, path_name, read_bytes
+from navbake.formats.source import Files, check_named, check_path, read_yaml
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.runtime.inflation import SCALING
 from navbake.types import Json
-from navbake.yaml_text import parse_yaml
 
 MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")
@@ -217,15 +216,7 @@ def list_images(path: str | PathLike[str]) -> list[Path]:
 def read_rules(path: str | PathLike[str]) -> MapRules:
     """Read a map's YAML; raises a FormatError if nav2's keys are missing."""
     place = JsonPath(check_path(path))
-    data, name = read_bytes(path)
-    try:
-        entries = parse_yaml(data.decode("utf-8-sig"), name)
-    except UnicodeDecodeError as error:
-        raise FormatError(
-            f"{path_name(name)} is no YAML: byte {error.start} is not UTF-8"
-        ) from error
-    except ConfigError as error:
-        raise FormatError(f"expected the YAML of a map: {error}") from error
+    entries, _ = read_yaml(path, expected="the YAML of a map")
     if not isinstance(entries, dict):
         place.fail("expected a map's keys (image, resolution, origin, …), got none")
     image = entries.get("image", MISSING)

@@ -12,6 +12,7 @@ of both.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -22,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from navbake.errors import ConfigError, FormatError
+from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, json_object, number
 from navbake.formats.convert import level_paths
@@ -30,16 +31,17 @@ from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_m
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.source import Files, check_path, read_bytes
+from navbake.formats.source import Files, check_path, read_yaml
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.areas import MAX_AREAS, Area
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
-from navbake.yaml_text import parse_yaml
 
+LOG = logging.getLogger(__name__)
 KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
 KINDS = ("keepout", "speed")
 MAX_LISTED = 20  # names that an error lists
@@ -74,7 +76,8 @@ def encode_mask(
     """Encode the masks of the keepout filter, or of the speed filter, one for each level.
 
     Without zones they are those of the grid's areas: in a keepout mask, those that bar the agent;
-    in a speed mask, those with a speed. Limits are rounded down.
+    in a speed mask, those with a speed. Limits are rounded down. Finite costs of areas are left out
+    of keepout masks, with a warning.
 
     Args:
         path, level, image: as of `encode_nav2`; in mode ``raw``.
@@ -88,8 +91,8 @@ def encode_mask(
         absolute: limits of areas in m/s, not in percent.
 
     Raises:
-        FormatError: a name is unknown, a limit invalid, a polygon holds no cell's centre of its
-            level, or nothing is to be marked.
+        FormatError: a name is unknown, a limit invalid, or rounded down to 0, a polygon holds no
+            cell's centre of its level, or nothing is to be marked.
         QueryError: the grid names no such agent.
     """
     image = image or "pgm"
@@ -126,10 +129,18 @@ def _mark_areas(
         if not has_limits:
             table[place] = OCCUPIED if area.bars(agent) else FREE
         elif area.speed is not None:
-            table[place] = min(max(math.floor(area.speed / unit * (1.0 + SLACK)), 1), 100)
+            table[place] = min(math.floor(area.speed / unit * (1.0 + SLACK)), 100)
+            if not table[place]:
+                raise FormatError(
+                    f"expected a speed of {unit:g} m/s or more, which a value of 1 stands for, got "
+                    f"{area.speed:g} m/s in area {area.name!r}"
+                )
     if not table.any():
         what = "has a speed" if has_limits else "bars this agent" if agent else "bars all agents"
         raise FormatError(f"a mask needs zones or areas: no area of the grid {what}")
+    priced = [area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)]
+    if priced and not has_limits:
+        LOG.warning("a keepout mask has no costs of areas: left out of %s", ", ".join(priced))
     return [table[level.area_index] for level in grid.levels], scale
 
 
@@ -310,6 +321,7 @@ def read_mask(
             attributes=attributes, metadata={**own.metadata, "navbake": navbake}
         )
     done: NavGrid = grid.with_levels(levels, metadata)
+    renew_islands(done)
     return done
 
 
@@ -331,11 +343,7 @@ def _read_info(path: Path) -> Scale:
     info = _info_path(path)
     if not info.exists():
         return Scale(PERCENT)
-    data, name = read_bytes(info)
-    try:
-        content = parse_yaml(data.decode("utf-8-sig"), name)
-    except (UnicodeDecodeError, ConfigError) as error:
-        raise FormatError(f"expected the parameters of a filter in {name}: {error}") from error
+    content, name = read_yaml(info, expected="the parameters of a filter")
     place = JsonPath(name)
     for node, entry in json_object(content, place).items():
         own = json_object(json_object(entry, place).get("ros__parameters"), place[str(node)])

@@ -15,13 +15,11 @@ from typing import Any
 
 import yaml
 
-from navbake.errors import ConfigError, FormatError
 from navbake.formats.allowance import JsonPath, json_object, optional_object
 from navbake.formats.route_rows import Rows, make_graph
-from navbake.formats.source import path_name, read_bytes
+from navbake.formats.source import read_yaml
 from navbake.routes.graph import RouteGraph, directed, entry_of
 from navbake.types import Json
-from navbake.yaml_text import parse_yaml
 
 LIFT = "lift"
 
@@ -63,13 +61,7 @@ def encode_routes(graph: RouteGraph) -> bytes:
 
 def read_routes(path: str | PathLike[str]) -> RouteGraph:
     """Read a navigation graph; raises a FormatError."""
-    data, name = read_bytes(path)
-    try:
-        content = parse_yaml(data.decode("utf-8-sig"), name)
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path_name(name)} is no YAML: it is not UTF-8") from error
-    except ConfigError as error:
-        raise FormatError(f"expected a navigation graph: {error}") from error
+    content, name = read_yaml(path, expected="a navigation graph")
     place, rows = JsonPath(name), Rows()
     top = json_object(content, place)
     levels = json_object(top.get("levels"), place["levels"])

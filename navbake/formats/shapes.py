@@ -281,7 +281,11 @@ def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
             where = f"feature {k} of {path}"
             geometry: Any = feature.get("geometry")
             kind = geometry.get("type") if isinstance(geometry, dict) else None
-            feature = dict(feature.get("properties") or {})
+            properties = feature.get("properties")
+            if properties is not None and not isinstance(properties, dict):
+                got = f"got {_shown(properties)} in {where}"
+                raise FormatError(f"expected an object at `properties`, {got}")
+            feature = dict(properties or {})
             if section == "links" and kind in ("LineString", "MultiPoint"):
                 feature["stops"] = geometry.get("coordinates")
             elif section == "links" and geometry is not None:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 import orjson
 
-from navbake.errors import FormatError, MissingDependencyError
+from navbake.errors import ConfigError, FormatError, MissingDependencyError
 from navbake.files import write_together, write_whole
 from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
 
@@ -173,6 +173,17 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
     except orjson.JSONDecodeError as error:
         message = f"expected {expected}, {path_name(name)} can't be read: {error}"
         raise FormatError(message) from error
+
+
+def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
+    """Read a YAML file; also returns its name for messages, which name `expected`."""
+    from navbake.yaml_text import decode_yaml  # PyYAML loads slowly
+
+    content, name = read_bytes(path)
+    try:
+        return decode_yaml(content, path_name(name)), name
+    except ConfigError as error:
+        raise FormatError(f"expected {expected}: {error}") from error
 
 
 def check_named(path: Path) -> None:

@@ -13,7 +13,7 @@ from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.grid import GridBase
-from navbake.navgrid.islands import add_layers
+from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Json
@@ -85,11 +85,11 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
         {**entry, "state": states[entry["name"]]}
         if isinstance(entry, dict) and entry["name"] in states
         else entry
-        for entry in grid.navbake.get("links", [])
+        for entry in grid.navbake.get("links") or []
     ]
     metadata = {**grid.metadata, "navbake": {**grid.navbake, "links": table}}
     changed = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
-    add_layers(changed, {name for level in grid.levels for name in level.attributes} & {"island"})
+    renew_islands(changed)
     return changed
 
 

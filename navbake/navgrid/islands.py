@@ -187,6 +187,11 @@ def step_limit(grid: GridBase) -> float:
     return grid.max_step / grid.unit + STEP_SLACK / grid.unit + rounding
 
 
+def renew_islands(grid: GridBase) -> None:
+    """Store the islands anew where the levels have a layer of them."""
+    add_layers(grid, {name for level in grid.levels for name in level.attributes} & {"island"})
+
+
 def add_layers(grid: GridBase, names: Iterable[str]) -> None:
     """Compute and store, or replace, the layers among `names` that are known.
 

@@ -80,6 +80,10 @@ class Link:
             return f"bars {agent.name!r}"
         return None
 
+    def fits(self, radius: float) -> bool:
+        """Whether an agent of a radius [m] fits through."""
+        return self.width is None or self.width >= 2.0 * radius * (1.0 - SLACK)
+
     def length(self, begin: int, end: int) -> float:
         """Length from a stop to another over those in between, by their numbers [m]."""
         low, high = sorted((begin, end))

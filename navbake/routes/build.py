@@ -3,9 +3,9 @@
 Nodes are doors, rooms' middles, the stops of links and stairs, and junctions of the medial axis of
 the free cells; where a free cell is farther than `REACH` from all of these, waypoints are added.
 Lanes are straight lines that `Search.can_pass` allows an agent inflated to its radius, so that its
-disc meets nothing on them. They are a greedy spanner: by length, those that are shorter than
-the way over the others by more than a tenth. Where regions of nodes touch that are joined by no
-such way, the corners of the path between them become nodes.
+disc meets nothing on them. They are a greedy spanner: a lane is left out where the way over shorter
+ones costs at most 5 % more. Where regions of nodes are near that are joined by no such way, the
+corners of the path between them become nodes.
 
 Source: Althöfer et al. 1993 for the spanner; Zhang and Suen 1984 for thinning.
 """
@@ -22,10 +22,10 @@ import numpy as np
 from navbake.lazy import lazy
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.links import SLACK, Link
+from navbake.navgrid.links import Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.agents import find_agent, fit_grid
-from navbake.runtime.cuts import group_steps
+from navbake.runtime.cuts import find_leaf, group_steps
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -34,12 +34,12 @@ ndimage = lazy("scipy.ndimage")
 sparse = lazy("scipy.sparse")
 spatial = lazy("scipy.spatial")
 
-LEAST_AREA = 4.0  # m²: smaller islands have no nodes
+LEAST_AREA = 4.0  # m²: smaller islands have no nodes but stops of links
 REACH = 1.8  # metres from any cell to a node
 APART = 1.0  # metres between nodes that see each other
 SNAP = 0.4  # metres from a corner of a path to a node that takes its place
 HOPS = 3  # regions from one node's to another's, between which a way has to be short
-STRETCH = 1.05  # of a way over other lanes, against a straight one
+STRETCH = 1.05  # of the cost of a way over other lanes, against a straight one
 LONGEST = 20.0  # metres of a lane
 DIGITS = 6  # of positions and lengths, after the point: micrometres
 
@@ -81,6 +81,7 @@ class _Builder:
         self.flat = flat = self.search.flat
         areas = self.search.islands.areas
         self.inside: Bool = flat.free & (areas >= LEAST_AREA)[self.search.islands.number]
+        self.least = float(flat.weight[flat.free].min(initial=1.0))  # price of a cell
         self.clearance = np.concatenate([
             ndimage.distance_transform_edt(
                 np.pad(flat.free[flat.cells_of(number)].reshape(level.shape), 1)
@@ -88,7 +89,7 @@ class _Builder:
             for number, level in enumerate(self.grid.levels)
         ])  # fmt: skip
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
-        self.leaves = {cell: own.id for own in grid.doors for cell in self._leaf(own).tolist()}
+        self.leaves = {cell: own.id for own in grid.doors for cell in find_leaf(own, flat).tolist()}
         self.places: list[_Place] = []
         self.points = np.empty((0, 3))
         self.lanes: list[Lane] = []
@@ -109,9 +110,13 @@ class _Builder:
     # ---------------------------------------------------------------- nodes
 
     def _add(self, place: _Place) -> int:
-        """Add a node; returns the index of it, or of the one that its cell has already."""
+        """Add a node; returns the index of it, or of the one that its cell has already.
+
+        Links that stop on one cell have a node each, because a node names one link.
+        """
         for number, other in enumerate(self.places):
-            if other.cell == place.cell:
+            is_of_other = place.link and other.link and place.link != other.link
+            if other.cell == place.cell and not is_of_other:
                 if other.kind in ("junction", "waypoint") and place.kind != "waypoint":
                     self.places[number] = place
                 return number
@@ -147,12 +152,10 @@ class _Builder:
 
     def _links(self) -> list[Link]:
         """The named links that are open, for the agent, and wide enough."""
-        least = 2.0 * self.radius * (1.0 - SLACK)
         return [
             link
             for link in self.grid.links
-            if link.refuses(self.search.agent) is None
-            and (link.width is None or link.width >= least)
+            if link.refuses(self.search.agent) is None and link.fits(self.radius)
         ]
 
     def _middle(self, ends: Int) -> tuple[int, int] | None:
@@ -166,15 +169,9 @@ class _Builder:
         low, high = ends[np.lexsort((off, -room))[0]].tolist()
         return low, high
 
-    def _leaf(self, door: Any) -> Int:
-        """The flat ids of the cells that a door's leaf takes when closed."""
-        cells = door.solid_in if door.solid else door.cells_in
-        pairs = zip(self.flat.layout.start, cells("closed", self.flat.num_levels), strict=False)
-        return np.concatenate([start + ids for start, ids in pairs])
-
     def _doors(self) -> Iterator[_Place]:
         for door in self.grid.doors:
-            cells = self._leaf(door)
+            cells = find_leaf(door, self.flat)
             cells = cells[self.inside[cells]]
             if len(cells):
                 cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
@@ -257,10 +254,28 @@ class _Builder:
         """How far nodes are apart, seen from above, as paths' lengths are [m]."""
         return np.hypot(*(self.points[one] - self.points[other])[..., :2].T)
 
+    def _cost(self, one: int, other: int) -> float:
+        """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
+        levels = self.flat.level_of(np.array([self.places[k].cell for k in (one, other)]))
+        if levels[0] != levels[1]:
+            return float(self._apart(one, other))
+        return self._cost_of(self.points[[one, other], :2], int(levels[0]))
+
+    def _cost_of(self, line: Float, level: int) -> float:
+        """The cost of a line on a level, shape (n, 2) [m]."""
+        return sum(
+            float(np.hypot(*(b - a))) * self._price(a, b, level)
+            for a, b in itertools.pairwise(line)
+        )
+
+    def _price(self, a: Float, b: Float, level: int) -> float:
+        """The mean weight of the cells on a straight line."""
+        return float(self.flat.weight[self._cells_on(a, b, level)].mean())
+
     def _join(self, one: int, other: int, **fields: Any) -> None:
         """Add a lane between two nodes, and what it shortens."""
         length = self._apart(one, other)
-        fields = {"length": length, "cost": length, **fields}
+        fields = {"length": length, "cost": self._cost(one, other), **fields}
         self.lanes.append(Lane(one, other, "", **fields))
         ways = [(one, other)] + [(other, one)] * fields.get("two_way", True)
         for a, b in ways:
@@ -269,9 +284,11 @@ class _Builder:
 
     def _link(self) -> None:
         """Add the lanes over links and stairs."""
-        index = {place.cell: k for k, place in enumerate(self.places)}
         start = self.flat.layout.start
         for link in self._links():
+            index = {
+                own.cell: k for k, own in enumerate(self.places) if own.link in (None, link.name)
+            }
             cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
             for i, j in zip(*np.triu_indices(len(cells), 1), strict=True):
                 if {cells[i], cells[j]} <= index.keys() and cells[i] != cells[j]:
@@ -282,6 +299,7 @@ class _Builder:
                         two_way=not link.one_way, kind=link.kind, link=link.name,
                         seconds=cost / self.speed if link.seconds is None else link.seconds,
                     )  # fmt: skip
+        index = {place.cell: k for k, place in enumerate(self.places)}
         for group in group_steps(self.search):
             ends = self._middle(group.ends)
             if ends is not None:
@@ -325,7 +343,11 @@ class _Builder:
         ways = zip(one[order].tolist(), other[order].tolist(), length[order].tolist(), strict=True)
         for a, b, straight in ways:
             doors = {None, self.places[a].door, self.places[b].door}
-            if self.distance[a, b] > STRETCH * straight and self._is_free(a, b, doors):
+            if (
+                self.distance[a, b] > STRETCH * straight * self.least
+                and self.distance[a, b] > STRETCH * self._cost(a, b)
+                and self._is_free(a, b, doors)
+            ):
                 self._join(a, b)
 
     def _join_regions(self) -> None:
@@ -346,7 +368,7 @@ class _Builder:
         order = np.lexsort((other, one, straight))
         pairs = np.stack([one, other], axis=1)[order].tolist()
         for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
-            if self.distance[a, b] > STRETCH * least:
+            if self.distance[a, b] > STRETCH * least * self.least:
                 self._join_path(a, b, {None, self.places[a].door, self.places[b].door})
         for a, b in self._touching().tolist():  # through doors that stand side by side
             if not math.isfinite(self.distance[a, b]):
@@ -383,7 +405,7 @@ class _Builder:
         )
         if found is None or found.links or (found.levels != level).any():
             return
-        if self.distance[one, other] <= STRETCH * found.length:
+        if self.distance[one, other] <= STRETCH * self._cost_of(found.positions[:, :2], level):
             return
         cells = self.flat.cells_at(found.positions[1:-1, :2], level)
         centers = self.flat.positions(cells)[:, :2]
@@ -391,20 +413,29 @@ class _Builder:
         # corners of the path, without the points where only the floor bends
         left, corners = [*cells[turns].tolist(), self.places[other].cell], [one]
         while left:
+            here = corners[-1]
+            line = np.concatenate(
+                [self.points[[here], :2], self.flat.positions(np.array(left))[:, :2]]
+            )
             seen = [
-                k for k, cell in enumerate(left) if self._sees(self.places[corners[-1]].cell, cell)
+                k
+                for k, cell in enumerate(left)
+                if self._sees(self.places[here].cell, cell)
+                and self._cost_of(line[[0, k + 1]], level)
+                <= STRETCH * self._cost_of(line[: k + 2], level)
             ]
             last = max(seen, default=0)
             ahead = left[last + 1 : last + 2]
+            price = self._price(line[0], line[last + 1], level)
             near = np.hypot(*(self.points - self.flat.positions(left[last]))[:, :2].T)
             known = [
                 k
                 for k in np.flatnonzero(near < SNAP).tolist()
                 if self.flat.level_of(self.places[k].cell) == level
                 and all(
-                    self._sees(self.places[k].cell, end)
-                    for end in (self.places[corners[-1]].cell, *ahead)
+                    self._sees(self.places[k].cell, end) for end in (self.places[here].cell, *ahead)
                 )
+                and self._cost(here, k) <= STRETCH * price * self._apart(here, k)
             ]
             known.sort(key=near.__getitem__)
             corners.append(
@@ -412,7 +443,7 @@ class _Builder:
             )
             left = left[last + 1 :]
         for a, b in itertools.pairwise(corners):
-            if a != b and self.distance[a, b] > self._apart(a, b) and self._is_free(a, b, doors):
+            if a != b and self.distance[a, b] > self._cost(a, b) and self._is_free(a, b, doors):
                 self._join(a, b)
 
     # ---------------------------------------------------------------- the graph
@@ -446,7 +477,6 @@ class _Builder:
             begin, end = self.points[[lane.start, lane.end], :2]
             cells = self._cells_on(begin, end, one.level)
             table = self.grid.areas
-            fields["cost"] = lane.length * float(self.flat.weight[cells].mean())
             speeds = [table[k - 1].speed for k in np.unique(self.areas[cells]).tolist() if k]
             fields["speed"] = min((v for v in speeds if v is not None), default=None)
         for key in ("length", "cost", "seconds"):

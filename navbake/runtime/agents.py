@@ -11,6 +11,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.agents import Agent
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.islands import renew_islands
 from navbake.runtime.blocks import block
 from navbake.runtime.inflation import check_radius, ledges_of
 
@@ -86,4 +87,6 @@ def _with_step(grid: NavGrid, step: float) -> NavGrid:
     if len(lower) < len(rows):
         links = [*lower, *(link.to_json() for link in grid.links)]
         metadata["navbake"] = {**grid.navbake, "links": links}
-    return grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    changed = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
+    renew_islands(changed)
+    return changed

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.lazy import lazy
-from navbake.navgrid.links import SLACK
+from navbake.navgrid.doors import Door
+from navbake.runtime.flat_grid import FlatGrid
 from navbake.runtime.search import Search
 from navbake.types import Bool, Int
 
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
 
-RISE = 0.05  # metres: steps between levels that rise by more are called stairs
+RISE = 0.05  # metres: ways that rise by more are called stairs
 LEAST_AREA = 0.5  # m² on both levels: what steps that stay free have to lead to
 
 
@@ -94,8 +95,7 @@ def _closed_links(before: Search, after: Search) -> list[Cut]:
         start = before.flat.layout.start
         cells = np.array([start[stop.level] + stop.cell for stop in link.stops])
         was_open, is_open = (
-            search.flat.free[cells].sum() > 1
-            and (link.width is None or link.width >= 2.0 * search.radius * (1.0 - SLACK))
+            search.flat.free[cells].sum() > 1 and link.fits(search.radius)
             for search in (before, after)
         )
         if was_open and not is_open:
@@ -103,11 +103,17 @@ def _closed_links(before: Search, after: Search) -> list[Cut]:
     return found
 
 
+def find_leaf(door: Door, flat: FlatGrid) -> Int:
+    """The flat ids of the cells that a door's leaf takes when closed."""
+    cells = door.solid_in if door.solid else door.cells_in
+    pairs = zip(flat.layout.start, cells("closed", flat.num_levels), strict=False)
+    return np.concatenate([start + ids for start, ids in pairs])
+
+
 def _closed_doors(before: Search, after: Search) -> list[Cut]:
-    found, start = [], before.flat.layout.start.tolist()
+    found = []
     for door in before.grid.doors:
-        by_level = (door.solid_in if door.solid else door.cells_in)("closed", len(start) - 1)
-        cells = np.concatenate([own + first for first, own in zip(start, by_level, strict=False)])
+        cells = find_leaf(door, before.flat)
         cells = cells[before.flat.free[cells]]
         if len(cells) and not after.flat.free[cells].any():
             found.append(Cut(f"door {door.id!r}", cells))

@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
-from navbake.navgrid.links import SLACK
 from navbake.runtime import inflation
-from navbake.runtime.cuts import find_cuts
+from navbake.runtime.cuts import RISE, find_cuts
 from navbake.runtime.flat_grid import doors_on, map_islands, text_of
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
@@ -31,7 +30,6 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 NARROW = 1000.0  # weight of a cell that is blocked for a larger agent: a way avoids it if it can
 SHUT = 10_000.0  # weight of a cell that a door blocks: a way of 10 km costs as much as 1 m of it
 MAX_NAMES = 4  # of obstacles, listed in a sentence
-RISE = 0.05  # metres: where the floor rises by more, the way is called stairs
 BESIDE = 3  # cells along a route before and after its block, for its rise
 
 
@@ -413,10 +411,9 @@ def _links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
     for at, cell in enumerate(found.cells.tolist()):
         if at in numbers:
             link = by_name[numbers[at]]
-            width = math.inf if link.width is None else link.width
             why = link.refuses(search.agent)
-            if why is None and width < 2.0 * radius * (1.0 - SLACK):
-                why = f"is {width:g} m wide, narrower than the agent's {2.0 * radius:g} m"
+            if why is None and not link.fits(radius):
+                why = f"is {link.width:g} m wide, narrower than the agent's {2.0 * radius:g} m"
             ends = [found.cells[at - 1], cell]
             if why is None and not (flat.arcs.ends == ends).all(axis=1).any():
                 why = "leads the other way only"

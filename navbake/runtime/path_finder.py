@@ -151,7 +151,8 @@ class PathFinder(DrawQuestions):
 
         If `weighted`, as in `find_path`; else the length of the shortest path [m], on which links
         count what they cost; by ``time``, the seconds of the quickest. One array a level, shape
-        (height, width), float64, inf where no path leads to the goal; read-only.
+        (height, width), float64, inf where no path leads to the goal; read-only. Raises a
+        QueryError for lengths by ``time``.
         """
         field = find_field(self.search, goal, level, weighted=weighted, by=by)
         flat = self._search.flat

@@ -233,7 +233,9 @@ def find_field(
 ) -> Float:
     """The costs of `PathFinder.distance_field`, by flat id; read-only."""
     check_word(by, BY, "by")
-    by = by if weighted or by == "time" else "length"
+    if not weighted and by == "time":
+        raise QueryError("expected by='cost' for lengths (weighted=False), got by='time'")
+    by = by if weighted else "length"
     # goals of the same cells share a field
     goals = find_target(search, goal, level).free_cells(search.flat)
 

@@ -26,24 +26,41 @@ STEP = 0.02  # between the positions of a car that are looked at [m]
 
 def check_links(
     grid: GridBase, scene: Scene, probes: Probes, lines: Lines, agent: Agent, tolerance: float
-) -> list[Finding]:
+) -> tuple[list[Finding], list[str]]:
     """Check the links of a grid: drops and jumps for the agent, lifts that the bake found.
 
     The agent's column has to touch nothing over each cell between the stops of a drop or a jump,
     over the higher of both floors, and down to the landing; whose floor has to be a surface. The
-    car of a lift has to touch nothing on its way between the ends of its joint's range.
+    car of a lift has to touch nothing on its way between the ends of its joint's range. Returns
+    notes of the lifts whose car isn't found, too.
     """
     try:
         links = grid.links
     except FormatError:  # what an audit reports
-        return []
-    findings = list[Finding]()
+        return [], []
+    findings, notes = list[Finding](), list[str]()
     for link in links:
         if link.kind in CROSSED and len(link.stops) == 2:
             findings += _check_crossing(link, grid, probes, lines, agent, tolerance)
         elif link.kind == "lift" and link.auto:
-            findings += _check_shaft(link, grid, scene, probes, tolerance)
-    return findings
+            body = _find_car(link, scene)
+            if body is None:
+                notes.append(f"lift {link.name!r} was not checked: no body of its name slides")
+            else:
+                findings += _check_shaft(link, body, grid, scene, probes, tolerance)
+    return findings, notes
+
+
+def _find_car(link: Link, scene: Scene) -> int | None:
+    """The body of a lift's car: that of its name, or of the one that the bake numbered."""
+    model = scene.model
+    names = [body_name(model, body) for body in range(model.nbody)]
+    for name in (link.name, link.name.rpartition("#")[0]):
+        body = names.index(name) if name in names else 0
+        joint = int(model.body_jntadr[body])
+        if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+            return body
+    return None
 
 
 def _check_crossing(
@@ -97,15 +114,11 @@ def _check_crossing(
 
 
 def _check_shaft(
-    link: Link, grid: GridBase, scene: Scene, probes: Probes, tolerance: float
+    link: Link, body: int, grid: GridBase, scene: Scene, probes: Probes, tolerance: float
 ) -> Iterator[Finding]:
     """Move the car over its range, and ask FCL what it meets on the way."""
     model, obstacles, up = scene.model, probes.obstacles, np.array([0.0, 0.0, 1.0])
-    bodies = [body for body in range(1, model.nbody) if body_name(model, body) == link.name]
-    body = bodies[0] if bodies else 0
     joint = int(model.body_jntadr[body])
-    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
-        return
     own = geoms_of_bodies(model, body, int(find_subtree_ends(model)[body])).tolist()
     axis = float(scene.data.xaxis[joint, 2])
     now = float(scene.data.qpos[model.jnt_qposadr[joint]])

@@ -153,7 +153,9 @@ def verify_scene(
         findings += check.check_free(own, counts, volume_over(own, agent, around, cylinder))
         findings += check.check_blocked(own, counts, volume_over(own, agent, around), excused)
         findings += [] if floors is None else floors.run(own, counts)
-    findings += check_links(grid, scene, probes, lines, agent, tolerance)
+    of_links, unchecked = check_links(grid, scene, probes, lines, agent, tolerance)
+    findings += of_links
+    notes += unchecked
     if floors is None:
         notes.append(
             "the grid states no floors of cells, so cells are judged over their level's ground: "

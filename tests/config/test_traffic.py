@@ -54,6 +54,13 @@ def test_errors_name_the_culprit(settings, text):
         parse(**settings)
 
 
+def test_agents_that_are_broken_are_no_reason_to_refuse_their_names():
+    links = [{"name": "A", "stops": STOPS, "agents": ["robot"]}]
+    with pytest.raises(ConfigError, match=r"agents.robot.radius") as caught:
+        parse(agents={"robot": {"radius": -1}}, links=links)
+    assert "links" not in str(caught.value)
+
+
 def test_they_read_back_from_a_template():
     config = parse(
         agents=ROBOT,

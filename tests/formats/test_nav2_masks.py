@@ -18,6 +18,7 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.convert import read_as
 from navbake.formats.nav2_masks import read_keepout, read_speed
 from navbake.navgrid.areas import Area
+from navbake.navgrid.islands import add_layers
 
 
 def mask(path):
@@ -211,6 +212,34 @@ def test_odd_speeds_are_rounded_down(tmp_path):
     assert read_speed(tmp_path / "m.yaml").areas[0].speed == pytest.approx(1.2345)
     level.convert(tmp_path / "m.yaml", "nav2-speed")
     assert mask(tmp_path / "m.yaml").max() == 100  # of 1 m/s
+
+
+def test_a_limit_that_is_rounded_down_to_nothing_is_refused(tmp_path):
+    level = small()
+    level.attributes["area"] = np.ones(level.shape, np.uint8)
+    areas = [{"name": "fast", "speed": 2.0}, {"name": "creep", "speed": 0.005}]
+    level.metadata["navbake"] = {"areas": areas}
+    for options, least in (({"absolute": True}, "0.02"), ({}, "0.01")):
+        text = f"of {least} m/s or more, .*, got 0.005 m/s in area 'creep'"
+        with pytest.raises(FormatError, match=text):
+            level.convert(tmp_path / "m.yaml", "nav2-speed", **options)
+
+
+def test_costs_that_a_keepout_mask_lacks_are_named(tmp_path, caplog):
+    with_areas().convert(tmp_path / "m.yaml", "nav2-keepout")
+    (record,) = caplog.records
+    assert record.getMessage() == "a keepout mask has no costs of areas: left out of carpet"
+    with_areas().convert(tmp_path / "m.yaml", "nav2-speed")
+    assert len(caplog.records) == 1
+
+
+def test_the_layer_of_islands_follows_a_mask(tmp_path):
+    level = level_from("." * 9)
+    add_layers(level, {"island"})
+    path = polygons(tmp_path / "z.json", (("desk", 0.41, -0.09, 0.49, -0.01), {}))
+    level.convert(tmp_path / "m.yaml", "nav2-keepout", zones=path)
+    back = read_keepout(tmp_path / "m.yaml", grid=level)
+    assert back.attributes["island"].tolist() == [[1] * 4 + [0] + [2] * 4]
 
 
 def test_a_mask_is_laid_on_a_grid(tmp_path):

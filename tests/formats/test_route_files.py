@@ -167,7 +167,10 @@ def test_graphs_of_other_programs(tmp_path):
     (tmp_path / "a.geojson").write_text(json.dumps(content))
     graph = read_routes(tmp_path / "a.geojson")
     assert graph.nodes == (Node("7", (0, 1, 0)), Node("3", (3, 5, 0)))
-    assert graph.lanes == (Lane(0, 1, "8", 5.0, 5.0, False), Lane(1, 0, "9", 5.0, 2.5, False))
+    assert graph.lanes == (
+        Lane(0, 1, "8", 5.0, 5.0, False, speed=0.5),  # 50 % of 1 m/s
+        Lane(1, 0, "9", 5.0, 2.5, False),
+    )
     levels = {
         "L1": {
             "vertices": [[0, 0, {"name": "a"}], [4, 3, {"lift": "E"}]],
@@ -188,6 +191,26 @@ def test_graphs_of_other_programs(tmp_path):
     networkx.write_graphml(other, tmp_path / "a.graphml")
     graph = read_routes(tmp_path / "a.graphml")
     assert graph.lanes == (Lane(0, 1, "p - q", 5.0, 5.0),)
+
+
+def test_nodes_of_one_name_have_their_ids(tmp_path):
+    nodes = [
+        {"nodeId": key, "nodeName": name, "nodePosition": {"x": x, "y": 0}}
+        for x, (key, name) in enumerate([("a", "Dock"), ("b", "Dock"), ("c", "Hall")])
+    ]
+    for count, names in ((3, ["a", "b", "c"]), (-2, ["Dock", "Hall"])):
+        content = {"layouts": [{"nodes": nodes[:count] if count > 0 else nodes[count:]}]}
+        (tmp_path / "a.json").write_text(json.dumps(content))
+        assert [node.name for node in read_routes(tmp_path / "a.json").nodes] == names
+
+
+def test_nav2_is_warned_of_levels(tmp_path, caplog):
+    write_routes(SMALL.on_level(0), tmp_path / "a.geojson")
+    assert not caplog.records
+    write_routes(SMALL, tmp_path / "a.geojson")
+    (record,) = caplog.records
+    assert "nav2 knows no levels: the nodes of all 2 are in one" in record.getMessage()
+    assert "--level" in record.getMessage()
 
 
 def changed(graph, **changes):

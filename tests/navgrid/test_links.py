@@ -131,6 +131,12 @@ def test_links_are_switched_without_copies_of_arrays():
     assert [link.state for link in grid.levels[1].with_links({"gap": "closed"}).links] == ["closed"]
 
 
+def test_a_table_that_is_null_has_no_links():
+    grid = house([])
+    grid.metadata["navbake"]["links"] = None
+    assert grid.with_links({}).links == ()
+
+
 @pytest.mark.parametrize(
     ("states", "message"),
     [

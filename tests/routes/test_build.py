@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
+import yaml
 from scipy.ndimage import label
 
 import navbake
@@ -15,7 +16,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.agents import Agent
 from navbake.routes.build import _thin, make_routes
 from project_paths import GOLDEN
-from route_ratios import worst_ratio
+from route_ratios import TOLL, with_toll, worst_ratio
 
 SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")
 
@@ -147,6 +148,28 @@ def test_links_are_lanes_for_those_who_may_use_them():
     assert [r.check for r in down.audit(two_rooms()).remarks].count("parts") == 1
     with pytest.raises(QueryError, match=r"no agent 'robt' in 'house'.*robot"):
         make_routes(two_rooms(agents=agents), "robt")
+
+
+def test_routes_go_round_what_costs_more():
+    grid = with_toll(sample("tower"), TOLL, 10.0)
+    assert worst_ratio(grid, make_routes(grid), pairs=100, least=4.0) <= 1.15
+
+
+def test_lifts_that_stop_on_one_cell_have_a_node_each(tmp_path):
+    graph = make_routes(two_rooms(links=[lift("A"), lift("B")]))
+    stops = [node for node in graph.nodes if node.kind == "stop"]
+    assert [(n.name, n.link, n.level) for n in stops] == [
+        ("A 0", "A", 0), ("A 1", "A", 1), ("B 0", "B", 0), ("B 1", "B", 1),
+    ]  # fmt: skip
+    for lane in (lane for lane in graph.lanes if lane.link):
+        assert {graph.nodes[end].link for end in (lane.start, lane.end)} == {lane.link}
+    assert np.isfinite(graph.distances()).all()
+    assert graph.distances()[graph.index_of("A 0"), graph.index_of("B 0")] == 0.0
+    graph.save(tmp_path / "a.nav.yaml")
+    levels = yaml.safe_load((tmp_path / "a.nav.yaml").read_text())["levels"]
+    for own in levels.values():
+        assert [v[2]["lift"] for v in own["vertices"] if "lift" in v[2]] == ["A", "B"]
+    assert graph.audit(two_rooms()).errors == []
 
 
 def test_areas_bar_slow_and_price_lanes():

@@ -12,7 +12,7 @@ from grid_maps import house_from, level_from
 from link_towers import DROP, LIFT, at, link, tower
 from navbake import Agent, PathFinder, tensors
 from navbake.errors import QueryError
-from navbake.navgrid.islands import find_islands
+from navbake.navgrid.islands import add_layers, find_islands
 from oracles.plans import check_plans
 
 
@@ -168,7 +168,18 @@ def test_a_lower_step_takes_less():
     )
     ends = (0.05, -0.05, 0.0), (0.65, -0.05, 0.2)
     assert PathFinder(up).find_path(*ends) is not None
-    assert PathFinder(up, agent=Agent("wheels", step=0.1)).find_path(*ends) is None
+    finder = PathFinder(up, agent=Agent("wheels", step=0.1))
+    assert finder.find_path(*ends) is None
+    add_layers(up, {"island"})
+    stored = PathFinder(up, agent=Agent("wheels", step=0.1)).grid
+    np.testing.assert_equal([v.attributes["island"] for v in stored.levels], find_islands(stored))
+    assert stored.levels[1].attributes["island"].max() == 2
+
+
+def test_lengths_by_time_are_refused():
+    finder = PathFinder(tower())
+    with pytest.raises(QueryError, match=r"by='cost' for lengths .*, got by='time'"):
+        finder.distance_field(at(0, 2), weighted=False, by="time")
 
 
 def test_blocks_reach_the_finders_of_agents_of_other_sizes():

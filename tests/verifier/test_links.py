@@ -53,6 +53,21 @@ def test_what_stands_in_the_way_is_named(tower, planted, text):
         assert one.kind == kinds.LINK_TOUCHES and text in one.text and one.geom == "planted"
 
 
+def test_a_lift_is_found_by_the_name_of_its_body_or_not_checked(tower):
+    xml = with_box(1.0, 3.6, 5.0, "0.3 0.05 0.01")
+    for name, is_found in (("lift_a#2", True), ("other", False)):
+        grid, metadata = copy.copy(tower), copy.deepcopy(tower.metadata)
+        grid.metadata = metadata
+        entries = metadata["navbake"]["links"]
+        (own,) = [e for e in entries if isinstance(e, dict) and e["name"] == "lift_a"]
+        own["name"] = name
+        model = mujoco.MjModel.from_xml_string(xml)
+        report = navbake.verify(grid, model, sample=1, force=True)
+        assert any(repr(name) in found.text for found in report.findings) == is_found
+        note = f"lift {name!r} was not checked: no body of its name slides"
+        assert (note in report.notes) != is_found
+
+
 def test_a_landing_without_floor_is_named(tower):
     wrong = copy.deepcopy(tower)
     level, row, col = tower.cell_at((6.3, -1.2, -0.9))  # where it lands

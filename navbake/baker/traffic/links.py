@@ -36,7 +36,8 @@ class Links(NamedTuple):
 def find_links(ground: Ground, settings: list[LinkSettings]) -> Links:
     """Put the given links on cells, and find those that rules ask for; given ones first.
 
-    A stop without a free cell nearby is left out, and so is a link of fewer than two stops.
+    A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
+    of fewer than two stops.
     """
     links, warnings = list[MadeLink](), list[str]()
     for given in settings:
@@ -67,10 +68,13 @@ def _stated(settings: LinkSettings) -> dict[str, object]:
 
 def _place_link(given: LinkSettings, ground: Ground) -> tuple[MadeLink, list[str]]:
     """The link with each stop on the nearest free cell; and what is wrong with its stops."""
-    stops, wrong = list[Stop](), list[str]()
+    stops, wrong, taken = list[Stop](), list[str](), set[tuple[int, int]]()
     for number, (x, y, z) in enumerate(given.stops, 1):
         found = _find_stop(x, y, z, ground)
+        if isinstance(found, Stop) and (found.level, found.cell) in taken:
+            found = "is on the cell of another stop"
         if isinstance(found, Stop):
+            taken.add((found.level, found.cell))
             stops.append(found)
         else:
             wrong.append(f"stop {number}, ({x:.2f}, {y:.2f}, {z:.2f}), {found}")

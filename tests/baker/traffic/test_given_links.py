@@ -11,7 +11,7 @@ import pytest
 
 import navbake
 from box_worlds import box, world
-from navbake.errors import BakeWarning
+from navbake.errors import BakeWarning, ConfigError
 
 SLAB = (
     box("ground floor", 0.02, 0.02, -0.2, 5.98, 3.98, 0)
@@ -71,6 +71,24 @@ def test_a_stop_without_a_place_is_named(stop, text):
         assert len(bake(links=three).links[0].stops) == 2
     with pytest.warns(BakeWarning, match=f"link 'A': stop 2, {place}, {text}; it is left out"):
         assert bake(links=[{"name": "A", "stops": [STOPS[0], stop]}]).links == ()
+
+
+def test_a_stop_on_the_cell_of_another_is_named():
+    stops = [STOPS[0], [1.04, 1.04, 0.0], STOPS[1]]
+    text = "stop 2, .1.04, 1.04, 0.00., is on the cell of another stop; it has 2 stops left"
+    with pytest.warns(BakeWarning, match=text):
+        (link,) = bake(links=[{"name": "A", "stops": stops}]).links
+    assert [stop.level for stop in link.stops] == [0, 1]
+    with pytest.warns(BakeWarning, match="is on the cell of another stop; it is left out"):
+        assert bake(links=[{"name": "A", "stops": stops[:2]}]).links == ()
+
+
+def test_properties_that_are_no_object_are_named(tmp_path):
+    feature = {"type": "Feature", "properties": 5, "geometry": None}
+    (tmp_path / "a.geojson").write_text(json.dumps(feature))
+    for section in ("links", "areas"):
+        with pytest.raises(ConfigError, match="object at `properties`, got 5 in feature 0 of"):
+            bake(**{section: str(tmp_path / "a.geojson")})
 
 
 def test_files_say_the_same(tmp_path):
