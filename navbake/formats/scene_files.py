@@ -27,7 +27,8 @@ MODEL_PATHS = (
 )
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
 MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
-SDF_NAME = re.compile(rb"<sdf[^>]*>\s*([\w.-]+)\s*</sdf>")  # in a model.config
+# in a model.config, the version of SDF of a file, and its name
+SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
 LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
 # attributes of a compiler that name folders; of looks as well
@@ -138,12 +139,14 @@ def find_inputs(
             seen.add(file)
             content = COMMENT.sub(b"", read(file))
             if suffix in USD_SUFFIXES:
-                named = [[file.parent / name] for name in _layers_of(file)] if content else []
+                named = (
+                    [[file.parent / name] for name in _layers_of(file, looks)] if content else []
+                )
             else:
                 uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
                 named = [_model_places(sdf_places(uri, file, folders)) for uri in uris]
                 if file.name == MODEL_CONFIG:
-                    named = [[file.parent / name.decode()] for name in SDF_NAME.findall(content)]
+                    named = [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
             for places in named:
                 choose(places)
                 left += [place for place in places if has(place)]
@@ -188,13 +191,17 @@ def sdf_places(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[P
 
 
 def model_file(place: Path) -> Path:
-    """The SDF file of a model's folder, by its model.config; a file itself."""
+    """The SDF file of a model's folder, the latest in its model.config; a file itself."""
     if not place.is_dir():
         return place
     config = place / MODEL_CONFIG
     content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
-    named = SDF_NAME.findall(content)  # one a version of SDF, the latest one last
-    return place / (named[-1].decode() if named else MODEL_SDF)
+
+    def version(named: tuple[bytes, bytes]) -> list[int]:
+        return [int(word) for word in named[0].split(b".") if word]
+
+    named = SDF_NAME.findall(content)
+    return place / (max(named, key=version)[1].decode() if named else MODEL_SDF)
 
 
 def _model_places(places: Iterable[Path]) -> list[Path]:
@@ -206,15 +213,19 @@ def _model_places(places: Iterable[Path]) -> list[Path]:
     ]
 
 
-def _layers_of(layer: Path) -> list[str]:
-    """The files that a layer of USD names, without those in stores; none without usd-core."""
+def _layers_of(layer: Path, looks: bool) -> list[str]:
+    """The layers that a layer of USD names, and its textures with `looks`.
+
+    Those in stores are left out; without usd-core, there are none.
+    """
     with suppress(ImportError):
-        from pxr import Tf, UsdUtils  # of the extra [usd]
+        from pxr import Sdf, Tf, UsdUtils  # of the extra [usd]
 
         quiet = UsdUtils.CoalescingDiagnosticDelegate()
         with suppress(Tf.ErrorException):  # whoever reads the layer says what is wrong
             named = UsdUtils.ExtractExternalReferences(str(layer))
-            return [name for names in named for name in names if "://" not in name]
+            paths = [name for names in named for name in names if "://" not in name]
+            return [name for name in paths if looks or Sdf.FileFormat.FindByExtension(name)]
         quiet.TakeUncoalescedDiagnostics()
     return []
 
