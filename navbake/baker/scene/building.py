@@ -136,6 +136,11 @@ class _Building:
                 if len(outline) >= 3:
                     with reading(f"{name} of {self.path}"):
                         mesh = make_slab(outline, holes, z)
+                    if not len(mesh.faces):
+                        self.found.warnings.append(
+                            f"{name} of {self.path} left out: it has no area"
+                        )
+                        continue
                     self.found.pieces.append(Piece(name, name, "mesh", (), np.eye(4), mesh))
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
                 name = f"{level}/wall_{number}"

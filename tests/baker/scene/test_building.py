@@ -178,8 +178,6 @@ def test_fiducials_lay_levels_over_each_other_in_any_pose(lab, write, baked):
             lambda lab: lab["levels"]["L1"]["walls"].append([0, 0, {}, []]),
             None,  # a pillar
         ),
-        (lambda lab: lab["levels"]["L1"]["floors"].append({"vertices": [0, 0, 0]}), None),
-        (lambda lab: lab["levels"]["L1"]["floors"].append({"vertices": [0, 1, 0]}), None),
         (
             lambda lab: lab["levels"]["L1"]["doors"][1].__setitem__(1, 5),
             "door 'store' .* vertices coincide",
@@ -205,6 +203,15 @@ def test_what_is_wrong_is_named(lab, write, change, named):
 @pytest.mark.parametrize(
     ("change", "warned"),
     [
+        *(
+            (
+                lambda lab, corners=corners: lab["levels"]["L1"]["floors"].append(
+                    {"vertices": corners}
+                ),
+                "L1/floor_2 .* no area",
+            )
+            for corners in ([0, 0, 0], [0, 1, 0])
+        ),
         (lambda lab: lab["levels"]["L2"].update(fiducials=[]), "shares 0 fiducials"),
         (lambda lab: lab["levels"]["L1"]["doors"][1][2].update(type=[1, "iris"]), "'iris'"),
         (
