@@ -3,6 +3,7 @@
     pip install -e ".[docs]"
     python scripts/make_docs.py                  # as CI does: a broken link is an error
     python scripts/make_docs.py --publish v0.3.0 # commits it to the branch gh-pages, as 0.3
+    python scripts/make_docs.py --publish v0.3.0 --push
 
 zensical takes pages of one folder, so docs/ is copied to build/docs beside the README and its like,
 the examples, and the reference, which mkdocstrings makes of docstrings. The README is the landing
@@ -13,6 +14,7 @@ the project's root, and links of docs/ lead out to them; both become links from 
 from __future__ import annotations
 
 import argparse
+import os
 import posixpath
 import re
 import shutil
@@ -36,6 +38,10 @@ OUTSIDE = {
 FILES = ("CITATION.cff", "CODE_OF_CONDUCT.md")  # that pages link to, and that are no pages
 EXAMPLES = "examples.md"
 LINK = re.compile(r"\]\((?!\w+:|#)([^)#\s]+)(#[^)\s]*)?\)")
+BOT = {
+    "GIT_COMMITTER_NAME": "github-actions[bot]",
+    "GIT_COMMITTER_EMAIL": "41898282+github-actions[bot]@users.noreply.github.com",
+}
 MODULES = ("episodes", "errors", "samples", "scores", "tensors", "testing")
 
 
@@ -93,8 +99,13 @@ def _anchor_of(path: str) -> str:
 
 def _list_names() -> str:
     """The page of public names, whose docstrings mkdocstrings fills in."""
-    # what each public name stands for; of modules, all that they have
-    places = [(f"navbake.{name}", where.replace(":", ".")) for name, where in navbake._LAZY.items()]
+    # where each public name is made; of modules, all that they have
+    named = {name: getattr(navbake, name) for name in navbake.__all__ if name != "__version__"}
+    places = [
+        (f"navbake.{name}", f"{made.__module__}.{made.__qualname__}")
+        for name, made in named.items()
+        if hasattr(made, "__qualname__") and made.__module__ != "navbake.errors"
+    ]
     places += [(f"navbake.{name}", f"navbake.{name}") for name in MODULES]
     parts = ["# Reference\n\nAll public names, from their docstrings.\n"]
     for name, where in sorted(places):
@@ -115,10 +126,20 @@ def build_site(root: Path, folder: Path) -> None:
         shutil.copytree(root / settings["site_dir"], folder, dirs_exist_ok=True)
 
 
-def publish(tag: str) -> None:
-    """Commit the site to the branch gh-pages: a tag as its version and `latest`, main as `dev`."""
+def publish(tag: str, push: bool) -> None:
+    """Commit the site to the branch gh-pages: a tag as its version and `latest`, main as `dev`.
+
+    The commit follows the published branch, and is pushed if `push`. It is of the bot of GitHub's
+    actions where git knows no committer.
+    """
     from mike import commands  # only who publishes needs it
 
+    def git(*words: str, check: bool = False) -> int:
+        return subprocess.run(["git", *words], cwd=ROOT, check=check).returncode
+
+    git("fetch", "--quiet", "origin", "gh-pages:gh-pages")  # not there before the first version
+    if git("config", "--get", "user.email"):
+        os.environ |= BOT
     found = re.fullmatch(r"v(\d+\.\d+)\.\d+", tag)
     version, aliases = (found[1], ["latest"]) if found else ("dev", [])
     site = ROOT / "build" / "site"
@@ -126,16 +147,21 @@ def publish(tag: str) -> None:
         build_site(ROOT, site)
     if found:
         commands.set_default("latest", allow_empty=True)
-    print(f"gh-pages has {version}: git push origin gh-pages publishes it")
+    if push:
+        git("push", "--quiet", "origin", "gh-pages", check=True)
+    print(f"gh-pages has {version}{'' if push else ': git push origin gh-pages publishes it'}")
 
 
 def main() -> None:
     """Read the arguments."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--publish", metavar="TAG", help="a tag (v0.3.0), or main")
+    parser.add_argument("--push", action="store_true", help="push the branch that has it")
     arguments = parser.parse_args()
+    if arguments.push and not arguments.publish:
+        parser.error("expected --publish TAG with --push")
     if arguments.publish:
-        publish(arguments.publish)
+        publish(arguments.publish, arguments.push)
     else:
         build_site(ROOT, ROOT / "build" / "site")
         print(ROOT / "build" / "site" / "index.html")

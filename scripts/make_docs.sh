@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes the documentation's site in build/site; `--publish v0.3.0` commits it to the branch gh-pages.
+# Makes the documentation's site in build/site; `--publish v0.3.0` commits it to the branch gh-pages,
+# after what is published there; `--push` publishes that.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/venv.sh"
 use_venv docs

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 
 import pytest
 
+import make_docs
 from browser import needs_browser, open_browser
 from make_docs import CONFIG, FILES, OUTSIDE, build_site
 from project_paths import ROOT
@@ -119,3 +121,35 @@ def test_code_fits_the_page_of_a_small_screen(site):
         for page in ("index", "learning", "run_time", "episodes", "live", "viewer"):
             driver.get((site / f"{page}.html").as_uri())
             assert max(driver.execute_script(wider)) <= 1, page
+
+
+def test_versions_are_published_after_each_other(tmp_path, monkeypatch):
+    """Each from a checkout that doesn't have the branch, as a workflow's."""
+    pytest.importorskip("mike", reason="mike is not installed")
+
+    def git(*words):
+        return subprocess.run(["git", *words], check=True, capture_output=True, text=True).stdout
+
+    def build(root, folder):
+        folder.mkdir(parents=True)
+        (folder / "index.html").write_text("a page")
+
+    for name in ("HOME", "XDG_CONFIG_HOME"):  # no settings of git that name a committer
+        monkeypatch.setenv(name, str(tmp_path))
+    for name in make_docs.BOT:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(make_docs, "build_site", build)
+    bare, author = str(tmp_path / "origin.git"), ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    git("init", "--bare", "-q", bare)
+    for number, tag in enumerate(("v0.2.1", "v0.3.0", "main")):
+        root = tmp_path / str(number)
+        git("clone", "-q", bare, str(root))
+        monkeypatch.chdir(root)
+        monkeypatch.setattr(make_docs, "ROOT", root)
+        git(*author, "commit", "-q", "--allow-empty", "-m", "a commit")
+        make_docs.publish(tag, push=True)
+    versions = json.loads(git("-C", bare, "show", "gh-pages:versions.json"))
+    found = {each["version"]: each["aliases"] for each in versions}
+    assert found == {"dev": [], "0.3": ["latest"], "0.2": []}
+    assert "latest/" in git("-C", bare, "show", "gh-pages:index.html")
+    assert git("-C", bare, "log", "-1", "--format=%cn", "gh-pages") == "github-actions[bot]\n"

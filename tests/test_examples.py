@@ -14,7 +14,10 @@ PRINTED = {
     "doors": ["door: joint hinge, modelled", "door 'door' (closed) is in the way", "open: 4.00 m"],
     "follow_a_path": ["arrived after 1", " m from the person, contacts: 0"],
     "gymnasium_env": ["50 episodes, four at a time: ", "a step ahead is worth "],
-    "larger_robot": ["radius 0.30 m: 16.2 m2 free, path of", "is 0.70 m wide, the agent 0.80 m"],
+    "larger_robot": [
+        "radius 0.30 m: 16.2 m2 free, path of",
+        "door 'door_bedroom' is closed for a radius of 0.4 m, and 0.35 m passes",
+    ],
     "spawn_and_plan": ["start at ", " m to room 1:1 through", "(50.00, 0.00, 0.00) lies beside"],
     "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
 }

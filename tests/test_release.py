@@ -47,6 +47,16 @@ def test_actions_are_pinned_and_workflows_call_scripts():
             assert (ROOT / script).is_file(), script
 
 
+def test_only_pushes_may_write_the_site():
+    for path in WORKFLOWS:
+        for name, job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].items():
+            if job.get("permissions", {}).get("contents") == "write":
+                assert (path.stem, name, job["if"]) == (
+                    *("docs", "publish"),
+                    "github.event_name == 'push'",
+                )
+
+
 def test_only_publishing_may_sign():
     for path in WORKFLOWS:
         assert ("id-token: write" in path.read_text(encoding="utf-8")) == (path.stem == "publish")

@@ -139,8 +139,8 @@ def write_index(
         write_file(folder, part.file, b"".join(map(line_of, own.values())))
         return
     parts = find_parts(folder)
-    for name in (*parts, NAME):
-        own |= {id: row for id, row in read_index(folder, name).items() if id not in own}
+    others = merge_rows(folder, (*parts, NAME))
+    own |= {id: row for id, row in others.items() if id not in own}
     write_file(folder, NAME, b"".join(map(line_of, own.values())))
     if has_table:
         write_file(folder, TABLE, encode_rows(own.values()))
@@ -174,6 +174,21 @@ def read_index(folder: Folder, name: str = NAME) -> dict[str, Json]:
         if isinstance(row, dict) and isinstance(row.get("id"), str):
             rows[row["id"]] = row
     return rows
+
+
+def merge_rows(folder: Folder, names: Iterable[str]) -> dict[str, Json]:
+    """The rows of an index and parts of it, by id: of each scene, the one that ended last."""
+    rows: dict[str, Json] = {}
+    for name in names:
+        for id, row in read_index(folder, name).items():
+            if id not in rows or _ended(row) > _ended(rows[id]):
+                rows[id] = row
+    return rows
+
+
+def _ended(row: Json) -> str:
+    """When a scene ended, as ISO 8601; empty if it is ``left``."""
+    return str(row.get("ended", ""))
 
 
 def line_of(row: Json) -> bytes:

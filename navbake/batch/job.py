@@ -20,6 +20,7 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch.products import (
     GRID,
@@ -56,7 +57,7 @@ from navbake.config.settings import (
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import read_navgrid, write_navgrid
-from navbake.formats.scene_files import find_inputs
+from navbake.formats.scene_files import find_inputs, suffix_of
 from navbake.navgrid.grid import NavGrid
 from navbake.processes import lacked_memory
 from navbake.types import Json
@@ -104,7 +105,8 @@ class Scene(NamedTuple):
     #: Size and digest of each input file, by its path from the output folder, or its URL.
     inputs: dict[str, Json]
     key: str  #: Changes when the grid or a product may change; see `open_scene`.
-    #: The key without the scene's name and products: scenes with the same have the same cells.
+    #: The key without products, id and, but of mesh scenes, the file's name: scenes with the same
+    #: have the same cells.
     content: str
     settings: str  #: Digest of the settings.
 
@@ -162,7 +164,8 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
     }
     unnamed = {
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
-        "scene": config.inputs[0].suffix,
+        # parts of a mesh scene may be named after its file
+        "scene": name if suffix_of(name) in MESH_SUFFIXES else suffix_of(name),
         "version": __version__,
         "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
     }

@@ -31,7 +31,7 @@ from navbake.views.layers import LAYERS
 GRID = "grid.json.gz"  # of every scene, written last
 PICTURE, REPORT = "picture.png", "report.html"
 THUMBNAIL = "thumbnail.png"  # no product, as it can be made of the grid later
-RECORD = ".navbake-made"  # of a scene's folder: its files and key, see `job.py`
+RECORD = ".navbake-made"  # of a scene's folder: its files and key, see `job.py`; of all: shards
 PICTURE_LAYERS = ("rooms", "floor")
 # all names that a product has ever had
 OWN = re.compile(

@@ -18,8 +18,8 @@ from navbake.batch.index import (
     LineFile,
     Slice,
     find_parts,
+    merge_rows,
     only_batch,
-    read_index,
     write_index,
 )
 from navbake.batch.job import (
@@ -226,9 +226,7 @@ def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, st
 
 def read_parts(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows that slices wrote of scenes that they baked, or that failed there, by id."""
-    rows: dict[str, Json] = {}
-    for name in find_parts(plan.folder):
-        rows |= read_index(plan.folder, name)
+    rows = merge_rows(plan.folder, find_parts(plan.folder))
     own = {job.id for job in jobs}
     return {id: row for id, row in rows.items() if id in own and row.get("status") in (OK, FAILED)}
 

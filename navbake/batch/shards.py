@@ -9,14 +9,14 @@ bytes: members have no time, no owner and one mode.
 
 from __future__ import annotations
 
-import os
 import re
 import tarfile
 from collections.abc import Iterator, Sequence
 
 from navbake.batch.index import line_of
-from navbake.batch.job import OK
-from navbake.batch.store import Folder, join, read_file, remove_files, sizes_below, write_file
+from navbake.batch.job import OK, read_record, write_record
+from navbake.batch.products import RECORD
+from navbake.batch.store import Folder, join, read_file, remove_files, write_file
 from navbake.types import Json
 
 SHARD = re.compile(r"shard-\d{6,}\.tar")
@@ -26,17 +26,24 @@ TIMES = ("seconds", "stages", "ended")  # keys of a row that differ each time
 def write_shards(folder: Folder, rows: Sequence[Json], count: int | None) -> None:
     """Write ``shard-000000.tar`` and on, `count` of them, or one a scene if there are fewer scenes.
 
-    `rows` are those of the index; scenes that aren't ``ok`` are left out. Outdated shards are
-    removed, all of them if `count` is None.
+    `rows` are those of the index; scenes that aren't ``ok`` are left out. Shards are recorded as
+    the files of a scene are. Outdated ones are removed, all of them if `count` is None; other files
+    of such a name are left alone.
     """
     packed = [row for row in rows if row["status"] == OK] if count else []
     number = min(count or 0, len(packed))
     names = [f"shard-{k:06}.tar" for k in range(number)]
+    before = {*filter(SHARD.fullmatch, read_record(folder).get("files", ()))}
+    if names:
+        write_record(folder, {"files": dict.fromkeys(sorted({*before, *names}))})
     for k, name in enumerate(names):
         some = packed[len(packed) * k // number : len(packed) * (k + 1) // number]
         write_file(folder, name, _encode(folder, some))
-    there = sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
-    remove_files(folder, filter(SHARD.fullmatch, {*there} - {*names}))
+    remove_files(folder, sorted(before - {*names}))
+    if names:
+        write_record(folder, {"files": dict.fromkeys(names)})
+    elif before:
+        remove_files(folder, [RECORD])
 
 
 def _encode(folder: Folder, rows: Sequence[Json]) -> Iterator[bytes]:

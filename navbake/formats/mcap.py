@@ -2,7 +2,8 @@
 
 Topics: ``/map``, or ``/map_0`` and on of several levels, with a ``nav_msgs/OccupancyGrid`` at the
 level's height; ``/path_0`` and on with a ``nav_msgs/Path`` each; and ``/links`` with a
-``visualization_msgs/MarkerArray`` of the steps between levels. Frames are ``map``, times are 0.
+``visualization_msgs/MarkerArray`` of the steps between levels and, from stop to stop, of the named
+links. Frames are ``map``, times are 0.
 
 Source: the definitions of messages of ROS 2 Humble; ``mcap_ros2`` encodes them.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -117,11 +119,21 @@ def _messages(
             for place in found.positions
         ]
         yield f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses}
-    if len(chosen) == len(grid.levels) and grid.steps:
-        marker = {"header": FRAME, "ns": "links", "type": LINE_LIST, "scale": {"x": LINE}}
-        marker |= {"pose": {"orientation": UPRIGHT}, "color": COLOR}
-        marker["points"] = [_point(place) for place in _ends_of_steps(grid)]
-        yield "/links", "visualization_msgs/MarkerArray", {"markers": [marker]}
+    markers = [*_markers(grid)] if len(chosen) == len(grid.levels) else []
+    if markers:
+        yield "/links", "visualization_msgs/MarkerArray", {"markers": markers}
+
+
+def _markers(grid: NavGrid) -> Iterator[Json]:
+    """Lines of the steps, in the namespace ``links``, then of each named link, in its own."""
+    lines = [("links", [*_ends_of_steps(grid)])] if grid.steps else []
+    for link in grid.links:
+        places = [stop.position for stop in link.stops]
+        lines.append((link.name, [*chain.from_iterable(pairwise(places))]))
+    for number, (name, ends) in enumerate(lines):
+        marker = {"header": FRAME, "ns": name, "id": number, "type": LINE_LIST}
+        marker |= {"pose": {"orientation": UPRIGHT}, "scale": {"x": LINE}, "color": COLOR}
+        yield marker | {"points": [_point(place) for place in ends]}
 
 
 def _ends_of_steps(grid: NavGrid) -> Float:

@@ -2,7 +2,8 @@
 
 A level has its floor as polygons with holes, walls along the outlines of what is wall, doors with
 their way of moving, the lanes of a graph of routes, and the building the lifts whose cars are
-known. Stairs, furniture, rooms and other links have no place in the format and are left out.
+known. A level is flat, at the height of most of its floor; what is up to 1 m off is laid flat, too.
+Stairs, furniture, rooms and other links have no place in the format and are left out.
 
 Source: open-rmf/rmf_traffic_editor, ``rmf_building_map_tools/building_map``. Its scenes are read by
 `navbake.baker.scene.building`.
@@ -37,6 +38,7 @@ WALL = 0.1  # thickness that simulators give walls [m]
 GAP = 0.1  # of a lift's shaft round its car, in which there are no walls [m]
 DECIMALS = 4
 TEXT, WHOLE, REAL, TRUE = 1, 2, 3, 4  # types of values in the format
+FLAT = 1.0  # how far a floor that is laid flat may be off the elevation [m]
 SLIDES = 0.25  # share of a door's width that an open leaf may stand off its line if it slides
 
 
@@ -66,10 +68,12 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     """
     import_extra("shapely")
     names = list(grid.level_names)
-    levels = [_Level(level.ground) for level in grid.levels]
+    if len({*names}) < len(names):
+        names = [f"level {number}" for number in range(len(names))]
+    levels = [_Level(_elevation(level)) for level in grid.levels]
     lifts = [link for link in grid.links if link.kind == "lift"]
     for number, (level, own) in enumerate(zip(grid.levels, levels, strict=True)):
-        _add_floor(own, level, grid.max_step)
+        _add_floor(own, level)
         _add_walls(own, grid, number, lifts)
         doors = {door.id: door for door in grid.doors}
         for line in _join_leaves(find_door_lines(grid, number)):
@@ -87,11 +91,19 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     return {path: text.encode()}
 
 
-def _add_floor(own: _Level, level: SceneGrid2D, step: float) -> None:
-    """Add the floor near the ground of a level, as polygons along the edges of cells."""
-    floor = level.floor
+def _elevation(level: SceneGrid2D) -> float:
+    """The height of most of a level's free floor, to a centimetre; else its ground [m]."""
+    floor = level.floor[level.free & ~np.isnan(level.floor)]
+    if not len(floor):
+        return level.ground
+    heights, count = np.unique(np.round(floor, 2), return_counts=True)
+    return float(heights[count.argmax()])
+
+
+def _add_floor(own: _Level, level: SceneGrid2D) -> None:
+    """Add the floor of a level, as polygons along the edges of cells."""
     with np.errstate(invalid="ignore"):
-        is_floor = np.abs(floor - level.ground) <= step
+        is_floor = np.abs(level.floor - own.content["elevation"]) <= FLAT
     for rings in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
         for number, ring in enumerate(rings):
             vertices = [own.vertex(x, y) for x, y in ring.tolist()]

@@ -26,6 +26,7 @@ MODEL_PATHS = (
     *("GAZEBO_RESOURCE_PATH", "SDF_PATH"),
 )
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
+MATERIAL = ".material"  # ending of a script of Ogre's, of looks
 MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
 # in a model.config, the version of SDF of a file, and its name
 SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
@@ -139,12 +140,19 @@ def find_inputs(
             seen.add(file)
             content = COMMENT.sub(b"", read(file))
             if suffix in USD_SUFFIXES:
-                named = (
-                    [[file.parent / name] for name in _layers_of(file, looks)] if content else []
-                )
+                names = _layers_of(file) if content else []
+                named = [
+                    [file.parent / name]
+                    for name in names
+                    if looks or suffix_of(name) in STAGE_SUFFIXES
+                ]
             else:
                 uris = [uri.decode(errors="replace") for uri in URI.findall(content)]
-                named = [_model_places(sdf_places(uri, file, folders)) for uri in uris]
+                named = [
+                    _model_places(sdf_places(uri, file, folders))
+                    for uri in uris
+                    if looks or not uri.endswith(MATERIAL)
+                ]
                 if file.name == MODEL_CONFIG:
                     named = [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
             for places in named:
@@ -213,19 +221,18 @@ def _model_places(places: Iterable[Path]) -> list[Path]:
     ]
 
 
-def _layers_of(layer: Path, looks: bool) -> list[str]:
-    """The layers that a layer of USD names, and its textures with `looks`.
+def _layers_of(layer: Path) -> list[str]:
+    """The layers and textures that a layer of USD names, without those in stores.
 
-    Those in stores are left out; without usd-core, there are none.
+    None without usd-core.
     """
     with suppress(ImportError):
-        from pxr import Sdf, Tf, UsdUtils  # of the extra [usd]
+        from pxr import Tf, UsdUtils  # of the extra [usd]
 
         quiet = UsdUtils.CoalescingDiagnosticDelegate()
         with suppress(Tf.ErrorException):  # whoever reads the layer says what is wrong
             named = UsdUtils.ExtractExternalReferences(str(layer))
-            paths = [name for names in named for name in names if "://" not in name]
-            return [name for name in paths if looks or Sdf.FileFormat.FindByExtension(name)]
+            return [name for names in named for name in names if "://" not in name]
         quiet.TakeUncoalescedDiagnostics()
     return []
 

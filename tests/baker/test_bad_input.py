@@ -107,11 +107,11 @@ def test_a_device(fails, folder):
     assert "got a device at pipe.xml" in fails("pipe.xml", scene={"path": "pipe.xml"})
 
 
-@pytest.mark.parametrize("name", ["room.txt", "room", "room.usd"])
+@pytest.mark.parametrize("name", ["room.txt", "room", "room.blend"])
 def test_an_unknown_format(fails, folder, name):
     write(name, ROOM)
     err = fails(name, scene={"path": name})
-    assert f"cannot tell what {name} is: expected one of .dae, .glb" in err
+    assert f"cannot tell what {name} is: expected one of .building.yaml, " in err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read anything")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
+import trimesh
 
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import draw_room
@@ -26,6 +27,7 @@ from navbake.batch.job import CACHE, prepare
 from navbake.batch.products import RECORD
 from navbake.batch.scenes import list_jobs
 from navbake.errors import ConfigError, NavbakeError
+from project_paths import ROOT
 
 SETTINGS = {"grid": {"cell_size": 0.2}}
 TIMES = ("seconds", "stages", "ended")
@@ -108,6 +110,22 @@ def test_what_slices_leave_is_done_by_the_next_run():
     assert (result.count("ok"), result.skipped) == (6, merged.count("ok"))
 
 
+@pytest.mark.parametrize("totals", [(8, 4), (4, 8)])
+def test_of_slices_of_other_numbers_the_row_that_ended_last_counts(totals, scenes):
+    text = (scenes / "a.xml").read_text()
+    (scenes / "a.xml").write_text("<mujoco>")
+    run(out="out", part=Slice(1, totals[0]))
+    assert read_index(Path("out"), Slice(1, totals[0]).file)["a"]["status"] == "failed"
+    (scenes / "a.xml").write_text(text)
+    run(out="out", part=Slice(1, totals[1]))
+    shutil.copytree("out", "other")
+    _, merged = run(out="out", only_merge=True)
+    assert merged.rows[0]["status"] == read_index(Path("out"))["a"]["status"] == "ok"
+    run_sources("scenes/f.xml", out="other", settings=SETTINGS)  # whose index takes in the parts
+    assert read_index(Path("other"))["a"] == merged.rows[0]
+    assert not [*Path("other").glob("index-*")]
+
+
 def test_slices_write_into_a_store():
     fsspec = pytest.importorskip("fsspec")
     store = fsspec.filesystem("memory")
@@ -117,7 +135,8 @@ def test_slices_write_into_a_store():
     _, merged = run(out="memory://sliced", only_merge=True, shards=1)
     assert (merged.count("ok"), merged.count("failed"), merged.count("left")) == (6, 1, 0)
     names = {Path(name).name for name in store.ls("/sliced", detail=False)}
-    assert names == {"a", "b.v2", "c", "d", "e", "f", "index.jsonl", "shard-000000.tar"}
+    own = {"a", "b.v2", "c", "d", "e", "f", "index.jsonl", "shard-000000.tar"}
+    assert names == own | {RECORD}
     _, one = run(out="one", shards=1)
     for row in one.rows:
         if row["status"] == "ok":
@@ -163,6 +182,18 @@ def test_equal_scenes_are_baked_once_and_have_the_bytes_of_their_own_bake(count_
     Path("scenes/y.xml").write_text(draw_room(1))
     run_sources("scenes/w.yaml", *sources, out="out", **options)
     assert count_bakes[4:] == ["y"]
+
+
+def test_copies_of_a_mesh_have_the_names_of_their_own_bake(count_bakes):
+    floor = trimesh.creation.box((4, 4, 0.2))
+    for name in ("aa", "bb"):
+        floor.export(f"scenes/{name}.stl")
+    run_sources("scenes/aa.stl", "scenes/bb.stl", out="out", settings=SETTINGS)
+    run_sources("scenes/bb.stl", out="own", settings=SETTINGS)
+    assert count_bakes == ["aa", "bb", "bb"]
+    grid = gzip.decompress(Path("out/bb/grid.json.gz").read_bytes())
+    assert grid == gzip.decompress(Path("own/bb/grid.json.gz").read_bytes())
+    assert b'"bb"' in grid and b'"aa"' not in grid
 
 
 def test_a_twin_whose_other_has_a_warning_of_a_file_is_baked_itself(count_bakes):
@@ -217,6 +248,38 @@ def test_a_plan_says_what_would_be_baked_and_why_and_writes_nothing(capsys, scen
     assert {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")} == before
 
 
+def test_scenes_of_other_programs_are_planned_baked_and_known_by_their_files(capsys, scenes):
+    pytest.importorskip("pxr")
+    head = '#usda 1.0\n(defaultPrim = "W"\nupAxis = "Z"\nmetersPerUnit = 1)\ndef Xform "W" '
+    (scenes / "room.usda").write_text(head + "(references = @./floor.usda@)\n{\n}\n")
+    (scenes / "floor.usda").write_text(head + '{\ndef Cube "floor"\n{\ndouble size = 4\n}\n}\n')
+    world = '<world name="w"><include><uri>model://floor</uri></include></world>'
+    (scenes / "world.sdf").write_text(f'<sdf version="1.9">{world}</sdf>')
+    box = "<collision name='c'><geometry><box><size>4 4 1</size></box></geometry></collision>"
+    model = f"<model name='floor'><static>1</static><link name='l'>{box}</link></model>"
+    (scenes / "floor").mkdir()
+    (scenes / "floor" / "model.sdf").write_text(f'<sdf version="1.9">{model}</sdf>')
+    shutil.copy(ROOT / "tests" / "buildings" / "lab.building.yaml", scenes)
+    names = {"room": "floor.usda", "world": "model.sdf", "lab.building": "lab.building.yaml"}
+    sources = ("scenes/room.usda", "scenes/world.sdf", "scenes/*.building.yaml")
+    words = ("batch", *sources, "-o", "out", "--set", "grid.cell_size=0.2")
+
+    def plan():
+        lines = run_command(capsys, *words, "--plan", "--json")[1].splitlines()
+        return {scene["id"]: scene["why"] for scene in map(json.loads, lines)}
+
+    assert plan() == dict.fromkeys(names, "new")
+    assert run_command(capsys, *words)[0] == 0
+    assert plan() == dict.fromkeys(names, "done")
+    for name, file in names.items():
+        (row,) = (row for row in read_index(Path("out")).values() if row["id"] == name)
+        assert row["cells"] > 100 and file in {Path(path).name for path in row["inputs"]}
+    for path in ("floor.usda", "floor/model.sdf", "lab.building.yaml"):
+        with (scenes / path).open("a") as scene:
+            scene.write("\n")
+    assert plan() == {name: f"files: {file}" for name, file in names.items()}
+
+
 def test_the_cost_of_scenes_by_hand():
     rows = [
         {"status": "ok", "seconds": float(n), "files": {"a": {"size": 10 * n}, "b": {"size": n}}}
@@ -257,8 +320,12 @@ def test_shards_as_webdataset_reads_them(capsys):
     row = json.loads(sample["json"])
     assert row["id"] == "b.v2" and not {*TIMES} & {*row}
     assert row == timeless([read_index(Path("out"))["b.v2"]])[0]
-    run_command(capsys, *words[:-2])
-    assert [*Path("out").glob("*.tar")] == []  # not asked for any more
+    Path("out/shard-000007.tar").write_bytes(b"a user's own")
+    run_command(capsys, *words[:-1], "2")
+    assert {path.name for path in Path("out").glob("*.tar")} == {*names[:2], "shard-000007.tar"}
+    run_command(capsys, *words[:-2])  # not asked for any more
+    assert [path.name for path in Path("out").glob("*.tar")] == ["shard-000007.tar"]
+    assert not Path("out", RECORD).exists()
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "a/4", "1/0"])

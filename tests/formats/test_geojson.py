@@ -94,7 +94,7 @@ def test_refuses(tmp_path, content, culprit):
 def test_refuses_what_is_not_there(tmp_path):
     with pytest.raises(FormatError, match=r"no such file: .*none\.geojson"):
         read_room_outlines(tmp_path / "none.geojson")
-    with pytest.raises(FormatError, match="cannot read"):
+    with pytest.raises(FormatError, match="expected a file, got the folder"):
         read_room_outlines(tmp_path)
 
 

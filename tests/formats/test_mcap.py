@@ -1,6 +1,7 @@
 """MCAP: what `mcap` and `rosbags`, which know ROS' messages by themselves, read in it."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,26 @@ def test_maps_paths_and_links_of_the_house(tmp_path, read):
             expected.append([*level.lattice.positions(row, col), level.floor[row, col]])
     assert len(expected) > 2
     np.testing.assert_allclose(positions(marker.points), expected)
+
+
+@READERS
+def test_links_are_lines_from_stop_to_stop(tmp_path, read):
+    grid = sample("tower")
+    grid.convert(tmp_path / "tower.mcap")
+    steps, *named = read(tmp_path / "tower.mcap")["/links"][2].markers
+    assert steps.ns == "links" and len(steps.points) == 2 * len(grid.steps)
+    assert [marker.ns for marker in named] == [link.name for link in grid.links]
+    assert [marker.id for marker in (steps, *named)] == [*range(len(named) + 1)]
+    assert max(len(link.stops) for link in grid.links) > 2
+    for marker, link in zip(named, grid.links, strict=True):
+        places = [list(stop.position) for stop in link.stops]
+        expected = [end for pair in pairwise(places) for end in pair]
+        assert positions(marker.points) == expected and marker.type == steps.type
+    navbake_ = {**grid.metadata["navbake"], "links": [link.to_json() for link in grid.links]}
+    without_steps = grid.with_levels(grid.levels, {**grid.metadata, "navbake": navbake_})
+    without_steps.convert(tmp_path / "links.mcap")
+    markers = read(tmp_path / "links.mcap")["/links"][2].markers
+    assert [marker.ns for marker in markers] == [link.name for link in grid.links]
 
 
 @READERS

@@ -523,7 +523,7 @@ def test_wrong_content_is_refused_with_its_place(name, tmp_path):
 def test_paths_that_are_no_files_are_refused(tmp_path):
     assert "No such file" in _message(tmp_path / "absent.json")
     assert "absent.json" in _message(str(tmp_path / "absent.json"))
-    assert "directory" in _message(tmp_path)
+    assert "expected a file, got the folder" in _message(tmp_path)
     assert "null byte" in _message("a\0b")
     assert "binary mode" in _message(io.StringIO("{}"))
 

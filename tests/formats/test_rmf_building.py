@@ -97,3 +97,21 @@ def test_what_is_lost_is_said(tmp_path, caplog):
     assert len(content["levels"]) == 2
     assert content["lifts"] == {}
     assert all(level["walls"] and level["floors"] for level in content["levels"].values())
+
+
+def test_a_level_is_laid_flat_at_most_of_its_floor(tmp_path):
+    grid = navbake.load(GOLDEN / "tower.grid.json.gz")  # its lobby lies 0.9 m over the yard
+    grid.convert(tmp_path / "tower.building.yaml")
+    content = yaml.safe_load((tmp_path / "tower.building.yaml").read_text(encoding="utf-8"))
+    first = next(iter(content["levels"].values()))
+    shapely = pytest.importorskip("shapely")
+    outlines, holes = (
+        [
+            shapely.Polygon([first["vertices"][v][:2] for v in part["vertices"]])
+            for part in first[key]
+        ]
+        for key in ("floors", "holes")
+    )
+    floor = shapely.union_all(outlines).difference(shapely.union_all(holes))
+    assert floor.contains(shapely.Point(0.0, -0.5))
+    assert floor.contains(shapely.Point(7.0, -3.0))

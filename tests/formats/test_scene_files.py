@@ -204,6 +204,32 @@ def test_of_urdf_they_are_meshes_found_as_the_bake_finds_them(folder):
     assert names(folder, "robot/arm.urdf") == ["robot/arm.urdf", "robot/meshes/arm.dae"]
 
 
+def test_of_sdf_they_are_models_and_meshes_but_no_scripts_of_looks(folder):
+    uris = ("file://mesh/a.obj", "file://looks.material", "model://chair")
+    uris_ = "".join(f"<uri>{uri}</uri>" for uri in uris)
+    (folder / "scene.sdf").write_text(f'<sdf version="1.9">{uris_}</sdf>')
+    (folder / "looks.material").write_text("material wood {}")
+    (folder / "chair").mkdir()
+    (folder / "chair" / "model.sdf").write_text("<sdf><uri>mesh/b.stl</uri></sdf>")
+    # a name is looked for beside the file that has it, then in folders above
+    own = ["scene.sdf", "chair/model.sdf", "mesh/a.obj", "mesh/b.stl"]
+    assert names(folder, "scene.sdf") == own
+    looks = find_inputs(folder / "scene.sdf", looks=True)
+    assert {path.name for path in looks} - {Path(name).name for name in own} == {"looks.material"}
+
+
+def test_of_usd_they_are_layers_but_no_textures(folder):
+    pytest.importorskip("pxr")
+    (folder / "scene.usda").write_text(
+        "#usda 1.0\n(subLayers = [@./sub.usda@])\n"
+        'def "a" (references = @./asset.usda@)\n{\nasset image = @./wood.png@\n}\n'
+    )
+    for name in ("sub.usda", "asset.usda"):
+        (folder / name).write_text("#usda 1.0\n")
+    assert names(folder, "scene.usda") == ["scene.usda", "asset.usda", "sub.usda"]
+    assert folder / "wood.png" in find_inputs(folder / "scene.usda", looks=True)
+
+
 def test_a_mesh_that_a_urdf_lacks_hides_no_other(folder):
     meshes = '<mesh filename="no.obj"/><mesh filename="mesh/a.obj"/>'
     (folder / "arm.urdf").write_text(f'<robot name="arm">{meshes}</robot>')

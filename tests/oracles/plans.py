@@ -106,7 +106,8 @@ def _check_reason(finder, graph, ends, name, counts):
     found = SENTENCE.search(reason)
     if not to_goal[start]:
         counts["reasons: no link or area"] += 1
-        return [f"{what}: {reason}, but no way is there"] if found else []
+        by_radius = " for a radius of " in reason  # a smaller agent has a way, this one has none
+        return [f"{what}: {reason}, but no way is there"] if found and not by_radius else []
     if not found:
         return [f"{what}: {reason}"]
     kind, called, why = found.groups()

@@ -188,7 +188,19 @@ def test_a_path_is_blue_over_white_and_on_its_level(house):
     def route(level):
         ends = np.array([[-0.5, 0.3, 0.0], [1.5, 1.8, 0.0]])
         cells = np.array([[level, 16, 5], [level, 1, 24]])
-        return Route(ends, np.full(2, level), cells, 2.5, 2.5, [], [])
+        return Route(
+            ends,
+            np.full(2, level),
+            cells,
+            2.5,
+            2.5,
+            [],
+            [],
+            [],
+            2.5,
+            "cost",
+            np.empty((0, 2), np.int64),
+        )
 
     for level in (0, 1):
         image = pixels(render_picture(house, layers=["occupancy"], route=route(level)))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from ctypes.util import find_library
 from importlib.metadata import PackageNotFoundError, requires, version
+from itertools import chain
 from pathlib import Path
 
 from navbake import samples
@@ -35,9 +36,8 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
 
     Example: navbake doctor
     """
-    for name, text in [*_describe_versions(), *_describe_machine(), *_describe_cache()]:
-        print(f"{name:<12} {text}")
-    for name, text in _describe_extras():
+    parts = (_describe_versions(), _describe_machine(), _describe_cache(), _describe_extras())
+    for name, text in chain.from_iterable(parts):
         print(f"{name:<12} {text}")
     if not no_bake:
         print(f"{'bake':<12} {_time_bake()}")

@@ -145,7 +145,7 @@ def test_names_from_files_do_not_run():
     facts = dict.fromkeys(("floor", "weight", "island", "level", "cell", "row", "col"), 0)
     facts |= {"free": False, "occupied": True, "center": (0.0, 0.0), "room": NASTY[0]}
     facts |= {"blockers": list(NASTY), "objects": list(NASTY), "walls": [], "doors": []}
-    facts |= {"clicked": NASTY[0]}
+    facts |= {"clicked": NASTY[0], "area": NASTY[1], "links": list(NASTY)}
     server = PageServer(port=0)
     try:
         server.viser.gui.add_markdown(say_cell(facts, None))
