@@ -38,8 +38,9 @@ from hypothesis import strategies as st
 import navbake
 from navbake.arena import map_descriptor
 from navbake.baker.scene.mesh_scene import read_mesh_parts
+from navbake.baker.scene.scene import load_scene
 from navbake.batch.scenes import list_jobs
-from navbake.config.settings import load_config
+from navbake.config.settings import SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox
@@ -121,6 +122,58 @@ MJCF = (
 )
 
 
+SDF = (
+    b'<sdf version="1.6"><world name="w"><model name="m"><pose>1 0 0 0 0 1</pose><link name="a">'
+    b'<collision name="c"><geometry><box><size>1 2 3</size></box></geometry></collision></link>'
+    b'<link name="b"><pose relative_to="f">0 0 1 0 0 0</pose><visual name="v"><geometry><plane>'
+    b'<normal>0 0 1</normal><size>1 1</size></plane></geometry></visual></link><frame name="f" '
+    b'attached_to="a"/><joint name="j" type="revolute"><parent>a</parent><child>b</child><axis>'
+    b"<xyz>0 0 1</xyz><limit><lower>0</lower><upper>1</upper></limit></axis></joint></model>"
+    b"</world></sdf>"
+)
+USDA = b"""#usda 1.0
+(
+    metersPerUnit = 0.01
+    upAxis = "Y"
+)
+def Cylinder "A" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])
+{
+    uniform token axis = "X"
+    double height = 2
+    double3 xformOp:translate = (1, 2, 3)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+def PhysicsRevoluteJoint "J"
+{
+    rel physics:body1 = </A>
+    uniform token physics:axis = "Y"
+    float physics:upperLimit = 90
+}
+def Mesh "M"
+{
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+}
+def PointInstancer "P"
+{
+    rel prototypes = </M>
+    int[] protoIndices = [0, 0]
+    point3f[] positions = [(0, 0, 1), (0, 0, 2)]
+}
+"""
+BUILDING = {
+    "coordinate_system": "cartesian_meters",
+    "levels": {"L1": {
+        "elevation": 0.0, "vertices": [[0, 0, 0, ""], [4, 0, 0, ""], [4, 3, 0, ""], [0, 3, 0, ""]],
+        "floors": [{"vertices": [0, 1, 2, 3], "parameters": {}}], "walls": [[0, 1, {}]],
+        "doors": [[1, 2, {"name": [1, "d"], "type": [1, "double_hinged"],
+                          "motion_degrees": [3, 90], "right_left_ratio": [3, 1.0]}]]},
+        "L2": {"elevation": 3.0, "vertices": []}},
+    "lifts": {"A": {"x": 2, "y": 1, "yaw": 0, "width": 1, "depth": 1, "reference_floor_name": "L1",
+                    "level_doors": {"L1": ["d"], "L2": ["d"]},
+                    "doors": {"d": {"x": 0, "y": 0.5, "width": 0.8}}}},
+}  # fmt: skip
 EPISODES = (
     b'{"format":"navbake-episodes","version":1,"agent":{"radius":0.2,"height":1.2,"speed":null},'
     b'"grids":[{"scene":"a","digest":"00","file":null}],"sampler":{"task":{}},"seed":1,'
@@ -247,6 +300,11 @@ def use_mesh(path: Path) -> None:
         assert 0 <= faces.min() <= faces.max() < len(part.vertices), "a triangle has no corner"
 
 
+def use_scene(path: Path) -> None:
+    """Load a scene of pieces."""
+    load_scene(SceneSettings(path=path))
+
+
 def use_descriptor(path: Path) -> None:
     """Decode a descriptor, encode it again and draw it."""
     part1, _, part2 = path.read_text(encoding="utf-8", errors="replace").partition("/")
@@ -301,6 +359,9 @@ READERS = {
                          lambda: ["/".join(map_descriptor.encode(GOOD, GOOD)).encode()], ".txt"),
     **{kind: Reader(use_mesh, lambda kind=kind: _meshes(kind), f".{kind}")  # type: ignore[misc]
        for kind in ("ply", "stl", "obj", "glb", "dae")},
+    "sdf": Reader(use_scene, lambda: [SDF], ".sdf"),
+    "usda": Reader(use_scene, lambda: [USDA], ".usda"),
+    "building": Reader(use_scene, lambda: [BUILDING], ".building.yaml"),
     "geojson": Reader(read_room_outlines, lambda: [OUTLINES], ".geojson"),
     **{form: Reader(lambda p, form=form: read_routes(p, form),  # type: ignore[misc]
                     lambda form=form: [resolve(f"{find_module('', form)}:encode_routes")(ROUTES)],

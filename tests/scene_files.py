@@ -1,9 +1,13 @@
 """Scene files that several tests write."""
 
+from pathlib import Path
+
 import collada
 import numpy as np
 import trimesh
 from collada.scene import GeometryNode, MatrixTransform, Node, Scene
+
+import navbake
 
 # asymmetric, so that a turn or a mirror shows
 WEDGE = trimesh.Trimesh(
@@ -31,3 +35,11 @@ def write_dae(path, mesh, unit=1.0, up=None, matrices=None):
     document.scene = document.scenes[0]
     document.write(str(path))
     return path
+
+
+def leads_through(scene: Path) -> None:
+    """Assert that a scene's one door, at the origin, frees its doorway when it is open."""
+    for state in ("closed", "open"):
+        grid = navbake.bake(scene, doors={"state": state, "patterns": ["*[dD]oor"]})
+        path = navbake.PathFinder(grid).find_path((-2.0, 0.0), (2.0, 0.0))
+        assert (path is not None) == (state == "open"), state

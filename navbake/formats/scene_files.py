@@ -28,7 +28,8 @@ MODEL_PATHS = (
 URI = re.compile(rb"<uri>\s*([^<>]+?)\s*</uri>")
 MATERIAL = ".material"  # ending of a script of Ogre's, of looks
 MODEL_CONFIG, MODEL_SDF = "model.config", "model.sdf"  # in a folder of a model of Gazebo
-SDF_NAME = re.compile(rb"<sdf[^>]*>\s*([\w.-]+)\s*</sdf>")  # in a model.config
+# in a model.config, the version of SDF of a file, and its name
+SDF_NAME = re.compile(rb"<sdf(?:\s+version\s*=\s*[\"']([\d.]*)[\"'])?[^>]*>\s*([\w.-]+)\s*</sdf>")
 MODELS = ("include", "model", "attach")  # elements whose file is XML, whatever its name
 LOOKS = ("texture", "skin")  # elements that change a scene's looks, but no cell
 # attributes of a compiler that name folders; of looks as well
@@ -153,7 +154,7 @@ def find_inputs(
                     if looks or not uri.endswith(MATERIAL)
                 ]
                 if file.name == MODEL_CONFIG:
-                    named = [[file.parent / name.decode()] for name in SDF_NAME.findall(content)]
+                    named = [[file.parent / name.decode()] for _, name in SDF_NAME.findall(content)]
             for places in named:
                 choose(places)
                 left += [place for place in places if has(place)]
@@ -198,13 +199,17 @@ def sdf_places(uri: str, file: Path, folders: Sequence[Path] = ()) -> Iterator[P
 
 
 def model_file(place: Path) -> Path:
-    """The SDF file of a model's folder, by its model.config; a file itself."""
+    """The SDF file of a model's folder, the latest in its model.config; a file itself."""
     if not place.is_dir():
         return place
     config = place / MODEL_CONFIG
     content = COMMENT.sub(b"", config.read_bytes()) if config.is_file() else b""
-    named = SDF_NAME.findall(content)  # one a version of SDF, the latest one last
-    return place / (named[-1].decode() if named else MODEL_SDF)
+
+    def version(named: tuple[bytes, bytes]) -> list[int]:
+        return [int(word) for word in named[0].split(b".") if word]
+
+    named = SDF_NAME.findall(content)
+    return place / (max(named, key=version)[1].decode() if named else MODEL_SDF)
 
 
 def _model_places(places: Iterable[Path]) -> list[Path]:

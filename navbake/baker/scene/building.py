@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from navbake.baker.scene.pieces import Body, Gathered, Joint, Mesh, Piece
+from navbake.baker.scene.pieces import Body, Gathered, Joint, Mesh, Piece, reading
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.source import import_extra
@@ -52,11 +52,8 @@ def read_building(path: Path, settings: SceneSettings) -> Gathered:
     if not isinstance(content, dict) or not isinstance(content.get("levels"), dict):
         raise SceneError(f"no building in {path}: expected `levels`, as traffic-editor writes them")
     import_extra("shapely")
-    try:
+    with np.errstate(divide="raise", invalid="raise"):  # by points that coincide
         return _Building(content, path).gather()
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        reason = f"{type(error).__name__} {error}" if str(error) else type(error).__name__
-        raise SceneError(f"cannot read the building {path}: {reason}") from error
 
 
 class _Building:
@@ -135,15 +132,26 @@ class _Building:
             for number, floor in enumerate(content.get("floors") or [], 1):
                 holes = [xy[hole["vertices"]] for hole in content.get("holes") or []] + served
                 outline = xy[[int(v) for v in floor.get("vertices") or []]]
+                name = f"{level}/floor_{number}"
                 if len(outline) >= 3:
-                    name, mesh = f"{level}/floor_{number}", make_slab(outline, holes, z)
+                    with reading(f"{name} of {self.path}"):
+                        mesh = make_slab(outline, holes, z)
+                    if not len(mesh.faces):
+                        self.found.warnings.append(
+                            f"{name} of {self.path} left out: it has no area"
+                        )
+                        continue
                     self.found.pieces.append(Piece(name, name, "mesh", (), np.eye(4), mesh))
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
-                self._add_wall(f"{level}/wall_{number}", xy[[one, other]], z)
-            for one, other, values in content.get("doors") or []:
-                self._add_door(xy[[one, other]], z, {k: v[1] for k, v in values.items()})
+                name = f"{level}/wall_{number}"
+                with reading(f"{name} of {self.path}"):
+                    self._add_wall(name, xy[[one, other]], z)
+            for number, (one, other, values) in enumerate(content.get("doors") or [], 1):
+                with reading(f"door {number} of level {level!r} in {self.path}"):
+                    self._add_door(xy[[one, other]], z, {k: v[1] for k, v in values.items()})
         for name, lift in lifts.items():
-            self._add_lift(str(name), lift)
+            with reading(f"lift {name!r} of {self.path}"):
+                self._add_lift(str(name), lift)
         return self.found
 
     def _add_box(self, name: str, size: tuple[float, ...], pose: Float, body: str = "") -> None:
@@ -169,6 +177,10 @@ class _Building:
             ends = ends[::-1]
         back = ends[0] - ends[1]  # x of the door's frame leads from its end to its start
         length, yaw = math.hypot(*back), math.atan2(back[1], back[0])
+        if length == 0:
+            raise SceneError(
+                f"door {name!r} of {self.path} has no width: its two vertices coincide"
+            )
         ratio = float(values.get("right_left_ratio", 1.0))
         first = length * ratio / (1 + ratio) if kind.startswith("double") else length
         # leaves at the start and at the end of the door: name, sign of x, length
@@ -272,12 +284,14 @@ def pose_of(at: Any, yaw: float = 0.0) -> Float:
 
 
 def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
-    """A polygon without its holes as a closed slab below a height."""
+    """A polygon without its holes as a closed slab below a height; empty for one without area."""
     area = shapely.make_valid(shapely.polygons(outline))
     for hole in holes:
         area = area.difference(shapely.make_valid(shapely.polygons(hole)))
     tops = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
     corners = np.array([shapely.get_coordinates(t.normalize())[2::-1] for t in tops])
+    if not len(tops):
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
     flat, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
     faces = index.reshape(-1, 3).astype(np.int32)
     a, b, c = (flat[faces[:, k]] for k in range(3))

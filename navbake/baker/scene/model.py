@@ -1,4 +1,6 @@
-"""The compiled MuJoCo model of any scene: MJCF, URDF, MJB, a mesh, or one in memory."""
+"""The compiled MuJoCo model of any scene: MJCF, URDF, MJB, a mesh, a scene of pieces (USD, SDF or a
+building of Open-RMF), or one in memory.
+"""
 
 import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
@@ -17,7 +19,7 @@ from navbake.baker.scene.mesh_scene import (
     take_mesh_parts,
 )
 from navbake.baker.scene.names import name_at, unique_name
-from navbake.baker.scene.pieces import build_model
+from navbake.baker.scene.pieces import build_model, reading
 from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.specs import (
     catch_warnings,
@@ -109,7 +111,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             check_inputs(path)
             model = _load_xml(settings, warnings)
         elif suffix in READERS:
-            pieces = resolve(READERS[suffix])(path, settings)
+            with reading(str(path)):
+                pieces = resolve(READERS[suffix])(path, settings)
             model, parts = build_model(pieces, path, ground, warnings)
         elif suffix in REFUSED:
             raise SceneError(f"cannot read {path}: {REFUSED[suffix]}")

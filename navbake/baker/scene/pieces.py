@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,10 +31,11 @@ from navbake.baker.scene.specs import (
     compile_model,
     fill_mesh,
 )
-from navbake.errors import SceneError
+from navbake.errors import NavbakeError, SceneError
 from navbake.types import Float, Int32
 
 MOST_PIECES, FEW_PIECES = 10_000, 3000
+MAX_PIECES = 2_000_000  # of a scene, instances counted each
 SIDES = 32  # of a round solid that is drawn by triangles
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
 GEOM = mujoco.mjtGeom
@@ -107,6 +109,27 @@ class Gathered:
     decimals: int | None = None  # to which coordinates are rounded [m]
 
 
+def check_count(count: int, path: Path) -> None:
+    """Refuse more pieces than a few lines of instances in instances should make."""
+    if count > MAX_PIECES:
+        raise SceneError(
+            f"{path} has more than {MAX_PIECES:,} pieces and models, each instance counted, the "
+            "most that navbake reads: bake a part of it"
+        )
+
+
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Make a SceneError, which names the file or a part of it, of all that a reader can't take."""
+    try:
+        yield
+    except (NavbakeError, OSError, MemoryError):
+        raise
+    except Exception as error:  # a value of the wrong type, a solver that fails, …
+        reason = " ".join(f"{type(error).__name__} {error}".split())[:300]
+        raise SceneError(f"cannot read {what}: {reason}") from error
+
+
 class Ties:
     """Joints between bodies, as a tree: a body hangs on the first one that it is tied to.
 
@@ -162,6 +185,9 @@ def build_model(
     pieces = list[Piece]()
     for piece in merge_pieces(found, path, warnings):
         piece = piece._replace(name=unique_name(piece.name, taken))
+        if piece.kind == "plane" and any(piece.size) and piece.body in found.bodies:
+            # MuJoCo has planes on static bodies only
+            piece = piece._replace(kind="mesh", size=(), mesh=tessellate("plane", piece.size))
         if piece.mesh is not None:
             # a mesh that moves is in the frame of its body
             body = found.bodies.get(piece.body)
@@ -320,6 +346,10 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
 
     Sizes are MuJoCo's; a cone's are the radius of its base and half its height, its tip is up.
     """
+    if kind == "plane":
+        corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        halves = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+        return Mesh(corners * (*size[:2], 1.0), halves)
     if kind == "box":
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
         hull = hull_faces(corners.astype(np.float64))

@@ -2,8 +2,8 @@
 
 Collisions collide and aren't drawn, visuals are drawn and don't collide. Lights, plugins, sensors
 and populations are passed by. Meshes count by their triangles, as Gazebo collides them. A static
-model is one body by its name; of others, the first link has the model's name, and further ones are
-called ``model::link``.
+model is one body by its name; of others, the canonical link has the model's name, and further ones
+are called ``model::link``.
 
 Source: SDFormat specification 1.12, sdformat.org, and its chapter on the semantics of poses.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import mujoco
 import numpy as np
 
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts, stated_up
-from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, tessellate
+from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, check_count, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
 from navbake.formats.images import read_pixels
@@ -31,6 +32,7 @@ FLAT = 1e-6  # the least height of one [m]
 ENDLESS = 1e10  # of a joint's limits, which SDF states as 1e16 [m or rad]
 HINGES = ("revolute", "continuous")
 MOST_NESTED = 50  # models in models
+LAST_IN_MODEL = 1, 4  # the last version of SDF whose axes are in the frame of the model
 # Models that come with Gazebo itself, where they aren't found
 SUN, GROUND = "sun", "ground_plane"
 Element = ElementTree.Element
@@ -51,54 +53,133 @@ def read_world(path: Path, settings: SceneSettings) -> Gathered:
 class _Scope:
     """A world or a model: the frames that have a name in it, and where they are.
 
+    Poses are found when they are needed, so that an element may name a later one.
+
     Attributes:
         name: with those of the models round it, as ``house::door``; empty for a world.
+        own: the same without them.
         file: in which it stands.
-        pose: (4, 4), to the world [m].
+        is_merged: whether it is part of the model round it, by ``<include merge="true">``.
     """
 
-    def __init__(self, name: str, element: Element, file: Path, above: _Scope | None) -> None:
-        self.name, self.element, self.file, self.above = name, element, file, above
-        self.pose = np.eye(4)
-        self.is_static: bool = above is not None and above.is_static
-        self.inner: dict[str, _Scope] = {}
-        self._open: list[str] = []
+    def __init__(
+        self, reader: _Reader, element: Element, placing: Element, file: Path, above: _Scope | None
+    ) -> None:
+        self._reader, self.element, self._placing = reader, element, placing
+        self.file, self.above = file, above
         self._frames = {
             str(each.get("name")): each
             for each in element
             if each.tag in ("link", "joint", "frame") and each.get("name")
         }
+        self._poses: dict[str, Float] = {} if above is not None else {"": np.eye(4)}
+        self._open: list[str] = []
+        self.name = self.own = ""
+        self.depth, self.is_static, self.is_merged = 0, False, False
+        if above is None:
+            return
+        # a model's name, pose and static are those of an include, where it has them
+        self.own = str(element.get("name", "model"))
+        if placing is not element:
+            self.own = _text(placing, "name") or self.own
+            self.is_merged = above.above is not None and _is_true(placing.get("merge", ""))
+        self.name = f"{above.name}::{self.own}" if above.name else self.own
+        self.depth, self.is_static = above.depth + 1, above.is_static
+        if self.is_merged:
+            self.name = above.name
+            return
+        stated = [each for each in (placing, element) if each.find("static") is not None]
+        self.is_static |= bool(stated) and _is_true(_text(stated[0], "static"))
 
-    def find(self, name: str) -> Element | None:
-        """A link, joint or frame of this scope."""
-        return self._frames.get(name)
+    @cached_property
+    def models(self) -> list[_Scope]:
+        """The models in it, those of includes too."""
+        return self._reader.find_models(self)
+
+    @cached_property
+    def inner(self) -> dict[str, _Scope]:
+        """The models in it that go by their own name."""
+        return {model.own: model for model in self.models if not model.is_merged}
+
+    def full(self, name: str) -> str:
+        """A name with those of the models round it."""
+        return f"{self.name}::{name}" if self.name else name
+
+    def find(self, name: str) -> tuple[_Scope, Element] | None:
+        """A link, joint or frame of this scope, or of a model that is merged with it."""
+        if name in self._frames:
+            return self, self._frames[name]
+        merged = (model.find(name) for model in self.models if model.is_merged)
+        return next((found for found in merged if found is not None), None)
+
+    def lead(self, name: str) -> tuple[_Scope, str] | None:
+        """The scope that a name leads into, and the rest of the name; None where it is no model."""
+        first, _, rest = name.partition("::")
+        if first == "__parent__" and self.above is not None:
+            return self.above, rest
+        for scope in (self, *(model for model in self.models if model.is_merged)):
+            if first in scope.inner:
+                return scope.inner[first], rest
+        return None
+
+    def canonical(self) -> str:
+        """The link that stands for the model, which it names, or the first; empty for none."""
+        if self.is_merged and self.above is not None:
+            return self.above.canonical()
+        return self.element.get("canonical_link") or self._first_link()
+
+    def _first_link(self) -> str:
+        named = (str(link.get("name")) for link in self.element.findall("link"))
+        for name in named:
+            return name
+        for model in self.models:
+            if first := model._first_link():
+                return first if model.is_merged else f"{model.own}::{first}"
+        return ""
 
     def pose_of(self, name: str) -> Float:
         """Where a frame is, (4, 4); empty is the scope's own."""
-        if name in ("", "__model__"):
-            return self.pose
+        name = "" if name == "__model__" else name
         if name in ("world", "__root__"):
             return np.eye(4)
-        first, _, rest = name.partition("::")
-        if first == "__parent__" and self.above is not None:
-            return self.above.pose_of(rest)
-        if first in self.inner:
-            return self.inner[first].pose_of(rest)
-        where = f"of {self.name or 'the world'} in {self.file}"
-        if name not in self._frames:
+        if name not in self._poses:
+            where = f"of {self.name or 'the world'} in {self.file}"
+            if name in self._open:
+                raise SceneError(f"frame {name!r} {where} is relative to itself, by {self._open}")
+            self._open.append(name)
+            self._poses[name] = self._find_pose(name, where)
+            self._open.pop()
+        return self._poses[name]
+
+    def _find_pose(self, name: str, where: str) -> Float:
+        if not name:
+            return self._own_pose()
+        found = self._frames.get(name)
+        if found is None:
+            if (led := self.lead(name)) is not None:
+                return led[0].pose_of(led[1])
+            if (merged := self.find(name)) is not None:
+                return merged[0].pose_of(name)
+            if self.is_merged and self.above is not None:
+                return self.above.pose_of(name)
             known = ", ".join(sorted({*self._frames, *self.inner})[:20]) or "none"
             raise SceneError(f"no frame {name!r} {where}: it has {known}")
-        if name in self._open:
-            raise SceneError(f"frame {name!r} {where} is relative to itself, by {self._open}")
-        self._open.append(name)
-        element = self._frames[name]
         default = ""
-        if element.tag == "joint":
-            default = _text(element, "child")
-        elif element.tag == "frame":
-            default = element.get("attached_to", "")
-        place = self.place(element, default)
-        self._open.pop()
+        if found.tag == "joint":
+            default = _text(found, "child")
+        elif found.tag == "frame":
+            default = found.get("attached_to", "")
+        return self.place(found, default)
+
+    def _own_pose(self) -> Float:
+        assert self.above is not None
+        is_placed = self._placing.find("pose") is not None
+        place = self.above.place(self._placing if is_placed else self.element)
+        frame = _text(self._placing, "placement_frame") or self.element.get("placement_frame", "")
+        if frame:  # which is to be where the pose says
+            alone = _Scope(self._reader, self.element, self._placing, self.file, self.above)
+            alone._poses[""] = np.eye(4)
+            place = place @ np.linalg.inv(alone.pose_of(frame))
         return place
 
     def place(self, element: Element, default: str = "") -> Float:
@@ -116,19 +197,24 @@ class _Reader:
         self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
         self._joints: list[tuple[_Scope, Element]] = []
         self._meshes: dict[Any, Mesh | None] = {}
+        self._roots: dict[Path, Element] = {}
+        self._files: dict[tuple[str, Path], Path | None] = {}  # of includes
+        self._count = 0  # of models and pieces
 
     def read(self) -> Gathered:
-        root = _parse(self._path)
+        root = self._parse(self._path)
         worlds = root.findall("world")
         if len(worlds) > 1:
             self._warn(f"{len(worlds)} worlds in {self._path}: the first one is taken")
-        world = _Scope("", worlds[0] if worlds else root, self._path, None)
+        element = worlds[0] if worlds else root
+        world = _Scope(self, element, element, self._path, None)
         if world.element.find("state/model") is not None:
             self._warn(
                 f"<state> of {self._path} is passed by, as in today's Gazebo; Gazebo classic "
                 "places models by it"
             )
-        self._read_inner(world, 0)
+        self._read_inner(world)
+        self._joints += [(world, joint) for joint in world.element.findall("joint")]
         ties = Ties(self._poses)
         for scope, element in self._joints:
             self._tie(ties, scope, element)
@@ -140,72 +226,77 @@ class _Reader:
 
     # ------------------------------------------------------------ models
 
-    def _read_inner(self, scope: _Scope, depth: int) -> None:
-        """Read the models in a world or a model, in order, so that later ones name earlier ones."""
-        if depth > MOST_NESTED:
-            raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
-        for element in scope.element:
-            if element.tag == "include":
-                self._read_include(scope, element, depth)
-            elif element.tag == "model":
-                self._read_model(scope, element, element, scope.file, depth)
-            elif element.tag == "population":
-                name = element.get("name")
-                self._warn(f"population {name!r} of {scope.file} is left out: name its models")
+    def _parse(self, file: Path) -> Element:
+        if file not in self._roots:
+            self._roots[file] = _parse(file)
+        return self._roots[file]
 
-    def _read_include(self, scope: _Scope, include: Element, depth: int) -> None:
-        uri = _text(include, "uri")
-        places = list(sdf_places(uri, scope.file, self._folders))
-        found = next((place for place in places if place.exists()), None)
-        known = Path(uri.partition("://")[2] or uri).name
-        if found is None and known in (SUN, GROUND):
-            if known == GROUND:
-                self._warn(
-                    f"{uri} of {scope.file} not found: taken as Gazebo's own, endless ground"
-                )
-                pose = scope.place(include)
-                name = _text(include, "name") or known
-                self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
-            return
-        if found is None:
+    def _add_to_count(self) -> None:
+        self._count += 1
+        check_count(self._count, self._path)
+
+    def find_models(self, scope: _Scope) -> list[_Scope]:
+        """The models in a world or a model, in order."""
+        if scope.depth > MOST_NESTED:
+            raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
+        models = []
+        for element in scope.element:
+            model: Element | None = element
+            file: Path | None = scope.file
+            if element.tag == "include":
+                file = self._find_model(_text(element, "uri"), scope.file)
+                model = None if file is None else self._parse(file).find("model")
+            elif element.tag != "model":
+                continue
+            if model is not None and file is not None:
+                self._add_to_count()
+                models.append(_Scope(self, model, element, file, scope))
+        return models
+
+    def _find_model(self, uri: str, file: Path) -> Path | None:
+        """The file of an included model; None where Gazebo has it itself."""
+        if (uri, file) in self._files:
+            return self._files[uri, file]
+        places = list(sdf_places(uri, file, self._folders))
+        found = next((one for one in map(model_file, places) if one.is_file()), None)
+        if found is None and _model_name(uri) not in (SUN, GROUND):
+            folder = next((place for place in places if place.is_dir()), None)
+            empty = "" if folder is None else f" ({folder} has no {model_file(folder).name})"
             raise SceneError(
-                f"{uri!r} of {scope.file} not found in {_listed(places)}: name the folder that "
+                f"{uri!r} of {file} not found in {_listed(places)}{empty}: name the folder that "
                 "holds it by `--model-path`, `scene.model_path` or GZ_SIM_RESOURCE_PATH"
             )
-        file = model_file(found)
-        model = _parse(file).find("model")
-        if model is not None:
-            self._read_model(scope, model, include, file, depth)
+        self._files[uri, file] = found
+        return found
 
-    def _read_model(
-        self, above: _Scope, model: Element, placing: Element, file: Path, depth: int
-    ) -> None:
-        """Read a model, whose name, pose and static are those of an include, where it has them."""
-        is_include = placing is not model
-        own = _text(placing, "name") if is_include else ""
-        own = own or str(model.get("name", "model"))
-        name = f"{above.name}::{own}" if above.name else own
-        scope = _Scope(name, model, file, above)
-        for element in (model, placing):
-            if element.find("static") is not None:
-                scope.is_static = _text(element, "static").lower() in ("1", "true")
-        scope.is_static = scope.is_static or above.is_static
-        posed = placing if placing.find("pose") is not None or not is_include else model
-        frame = _text(placing, "placement_frame") or model.get("placement_frame", "")
-        place = above.place(posed)
-        above.inner[own] = scope
-        if frame:  # which is to be where the pose says
-            place = place @ np.linalg.inv(scope.pose_of(frame))
-        scope.pose = place
-        if any(each.tag in ("model", "include") for each in model):
-            self._read_inner(scope, depth + 1)
-        links = model.findall("link")
-        first = model.get("canonical_link") or (links[0].get("name") if links else None)
-        for link in links:
-            body = name if scope.is_static or link.get("name") == first else ""
-            self._read_link(scope, link, body or f"{name}::{link.get('name')}")
+    def _read_inner(self, scope: _Scope) -> None:
+        """Read the models in a world or a model."""
+        for element in scope.element:
+            if element.tag == "population":
+                name = element.get("name")
+                self._warn(f"population {name!r} of {scope.file} is left out: name its models")
+            elif element.tag == "include":
+                uri = _text(element, "uri")
+                is_ground = _model_name(uri) == GROUND
+                if is_ground and self._find_model(uri, scope.file) is None:
+                    self._warn(
+                        f"{uri} of {scope.file} not found: taken as Gazebo's own, endless ground"
+                    )
+                    name = _text(element, "name") or GROUND
+                    pose = scope.place(element)
+                    self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
+        for model in scope.models:
+            self._read_model(model)
+
+    def _read_model(self, scope: _Scope) -> None:
+        self._read_inner(scope)
+        first = scope.canonical()
+        for link in scope.element.findall("link"):
+            name = str(link.get("name"))
+            body = scope.name if scope.is_static or name == first else scope.full(name)
+            self._read_link(scope, link, body)
         if not scope.is_static:
-            self._joints += [(scope, joint) for joint in model.findall("joint")]
+            self._joints += [(scope, joint) for joint in scope.element.findall("joint")]
 
     def _read_link(self, scope: _Scope, link: Element, body: str) -> None:
         name = f"{scope.name}::{link.get('name')}"
@@ -228,6 +319,7 @@ class _Reader:
         mesh: Mesh | None = None, heights: Float | None = None, *, is_visual: bool,
     ) -> None:  # fmt: skip
         shape = kind, size, pose, mesh, heights
+        self._add_to_count()
         self._result.pieces.append(
             Piece(name, body, *shape, "surface", collides=not is_visual, drawn=is_visual)
         )
@@ -327,24 +419,32 @@ class _Reader:
 
     def _body_of(self, scope: _Scope, name: str) -> str:
         """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
+        end, at = name, scope
         for _ in range(MOST_NESTED):  # frames may be attached to frames
-            element = scope.find(name)
-            if element is None or element.tag != "frame":
+            if end in ("world", "__root__"):
+                return ""
+            if end in ("", "__model__"):
+                if at.above is None:
+                    return ""
+                end = at.canonical()
+            if (led := at.lead(end)) is not None:
+                at, end = led
+                continue
+            found = at.find(end) or (at.above.find(end) if at.is_merged and at.above else None)
+            if found is None or (found[1].tag == "link" and at.full(end) not in self._bodies):
                 break
-            name = element.get("attached_to", "")
-        if name in ("world", ""):
-            return ""
-        where = f"{scope.name}::{name}"
-        inner = scope.inner.get(name)
-        links = [] if inner is None else inner.element.findall("link")
-        if links:
-            where = f"{where}::{links[0].get('name')}"
-        if where not in self._bodies:
-            raise SceneError(f"no link {name!r} in model {scope.name!r} of {scope.file}")
-        return self._bodies[where]
+            at, element = found
+            if element.tag == "link":
+                return self._bodies[at.full(end)]
+            end = _text(element, "child") if element.tag == "joint" else ""
+            end = end or element.get("attached_to", "")
+        raise SceneError(
+            f"no link {name!r} in {f'model {scope.name!r}' if scope.name else 'the world'} of "
+            f"{scope.file}"
+        )
 
     def _tie(self, ties: Ties, scope: _Scope, element: Element) -> None:
-        kind, name = str(element.get("type")), f"{scope.name}::{element.get('name')}"
+        kind, name = str(element.get("type")), scope.full(str(element.get("name")))
         parent, child = (self._body_of(scope, _text(element, key)) for key in ("parent", "child"))
         where, joint = f"joint {name!r} of {scope.file}", None
         place, axis = scope.pose_of(str(element.get("name"))), element.find("axis")
@@ -355,8 +455,9 @@ class _Reader:
             way = np.array(_numbers(_text(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
             frame = "" if xyz is None else xyz.get("expressed_in", "")
             turn = scope.pose_of(frame) if frame else place
-            if _text(axis, "use_parent_model_frame").lower() in ("1", "true"):
-                turn = scope.pose
+            is_old = _version_of(self._parse(scope.file)) <= LAST_IN_MODEL
+            if is_old or _is_true(_text(axis, "use_parent_model_frame")):
+                turn = scope.pose_of("")
             low, high = (
                 _numbers(_text(axis, f"limit/{key}") or default, 1, f"<{key}> of {where}")[0]
                 for key, default in (("lower", "-1e16"), ("upper", "1e16"))
@@ -383,6 +484,20 @@ def _parse(file: Path) -> Element:
     if root.tag != "sdf":
         raise SceneError(f"expected <sdf> in {file}, got <{root.tag[:40]}>")
     return root
+
+
+def _version_of(root: Element) -> tuple[int, ...]:
+    """The version of SDF that a file is in; the latest where it says none."""
+    words = (root.get("version") or "").split(".")
+    return tuple(map(int, words)) if all(word.isdecimal() for word in words) else (2,)
+
+
+def _is_true(text: str) -> bool:
+    return text.strip().lower() in ("1", "true")
+
+
+def _model_name(uri: str) -> str:
+    return Path(uri.partition("://")[2] or uri).name
 
 
 def _text(element: Element, path: str) -> str:

@@ -1,7 +1,7 @@
 """Reads a USD stage as pieces: prims that are drawn or collide, and bodies with their joints.
 
-Only this module imports pxr, of the extra [usd]. MuJoCo's own plugin for USD is not used: it leaves
-out units, the up axis, instancers, visibility and purpose.
+pxr comes with the extra [usd]. MuJoCo's own plugin for USD is not used: it leaves out units, the up
+axis, instancers, visibility and purpose.
 
 A prim is drawn unless it, or one above it, is invisible, a guide, or a proxy beside render prims.
 It collides by the collision API, its own or of a prim above it, drawn or not. What does neither is
@@ -22,7 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.scene.mesh_scene import turn_up
-from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, tessellate
+from navbake.baker.scene.pieces import (
+    Gathered,
+    Joint,
+    Mesh,
+    Piece,
+    Ties,
+    check_count,
+    reading,
+    tessellate,
+)
 from navbake.baker.scene.polygons import triangulate
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
@@ -106,6 +115,7 @@ class _Reader:
         self._kinematic: set[str] = set()
         self._joints: list[Any] = []
         self._meshes: dict[Any, Mesh | None] = {}
+        self._open: list[Any] = []  # point instancers whose prototypes are read
         self._left_out: dict[str, list[str]] = {}
         self._readers = {
             "Mesh": self._read_mesh, "Cube": self._read_cube, "Sphere": self._read_sphere,
@@ -139,19 +149,27 @@ class _Reader:
         while left:
             prim, above = left.pop()
             name = str(prim.GetPath()).removeprefix(prefix)
-            state, kind = self._state_of(prim, name, above), str(prim.GetTypeName())
-            if kind == "PointInstancer":
-                self._read_instancer(prim, name, state)
-                continue  # the prototypes below it aren't drawn by themselves
-            if kind in self._readers:
-                self._take(prim, name, kind, state)
-            elif kind.startswith("Physics") and kind.endswith("Joint"):
-                self._joints.append(prim)
-            elif kind.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
-                self._take(prim, name, kind.partition("_")[0], state)
-            elif kind and prim.IsA(UsdGeom.Gprim):
-                self._leave_out(f"{kind} is no surface that navbake reads", name)
-            left += [(child, state) for child in reversed(prim.GetFilteredChildren(below))]
+            with reading(f"prim {prim.GetPath()} of {self._path}"):
+                state = self._state_of(prim, name, above)
+                is_open = self._read_prim(prim, name, state)
+            if is_open:
+                left += [(child, state) for child in reversed(prim.GetFilteredChildren(below))]
+
+    def _read_prim(self, prim: Any, name: str, state: _State) -> bool:
+        """Read one prim; whether those below it are to be read."""
+        kind = str(prim.GetTypeName())
+        if kind == "PointInstancer":
+            self._read_instancer(prim, name, state)
+            return False  # the prototypes below it aren't drawn by themselves
+        if kind in self._readers:
+            self._take(prim, name, kind, state)
+        elif kind.startswith("Physics") and kind.endswith("Joint"):
+            self._joints.append(prim)
+        elif kind.startswith(("Cylinder", "Capsule")) and prim.IsA(UsdGeom.Gprim):
+            self._take(prim, name, kind.partition("_")[0], state)
+        elif kind and prim.IsA(UsdGeom.Gprim):
+            self._leave_out(f"{kind} is no surface that navbake reads", name)
+        return True
 
     def _state_of(self, prim: Any, name: str, above: _State) -> _State:
         matrix, visible, purpose, body, component, collides, approximation = above
@@ -170,6 +188,7 @@ class _Reader:
             if prim.HasAPI(UsdPhysics.RigidBodyAPI):
                 rigid = UsdPhysics.RigidBodyAPI(prim)
                 if rigid.GetRigidBodyEnabledAttr().Get(self._time):
+                    _rigid(self._world_of(matrix))  # which fails here, by the prim's name
                     body, self._rigid[name] = name, matrix
                     if rigid.GetKinematicEnabledAttr().Get(self._time):
                         self._kinematic.add(name)
@@ -199,6 +218,13 @@ class _Reader:
     def _get(self, prim: Any, name: str) -> Any:
         return prim.GetAttribute(name).Get(self._time)
 
+    def _axis_of(self, prim: Any, name: str) -> str:
+        axis = str(self._get(prim, name))
+        if axis not in FRAMES:
+            where = f"{name} of {prim.GetPath()} in {self._path}"
+            raise SceneError(f"expected X, Y or Z as {where}, got {axis[:40]!r}")
+        return axis
+
     def _read_cube(self, prim: Any, kind: str, state: _State) -> _Read | None:
         half = float(self._get(prim, "size")) / 2
         return "box", (half, half, half), np.eye(3), None
@@ -212,11 +238,11 @@ class _Reader:
         radii = [prim.GetAttribute(key) for key in ("radius", "radiusBottom", "radiusTop")]
         radius = max(float(each.Get(self._time)) for each in radii if each)
         half = float(self._get(prim, "height")) / 2
-        return kind.lower(), (radius, half), FRAMES[str(self._get(prim, "axis"))], None
+        return kind.lower(), (radius, half), FRAMES[self._axis_of(prim, "axis")], None
 
     def _read_plane(self, prim: Any, kind: str, state: _State) -> _Read | None:
         """A plane, endless where it collides."""
-        axis = str(self._get(prim, "axis"))
+        axis = self._axis_of(prim, "axis")
         width, length = (float(self._get(prim, key)) / 2 for key in ("width", "length"))
         sides = (width, length) if axis == "Z" else (length, width)
         return "plane", (0.0, 0.0) if state.collides else sides, FRAMES[axis], None
@@ -236,7 +262,7 @@ class _Reader:
         points, counts, indices = (self._get(prim, key) for key in keys)
         if not points or not counts:
             return None
-        vertices = np.array(points, dtype=np.float64)
+        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
         counts, indices = np.array(counts), np.array(indices if indices is not None else [], int)
         where = f"mesh {prim.GetPath()} of {self._path}"
         if counts.min() < 0 or counts.sum() != len(indices):
@@ -286,6 +312,9 @@ class _Reader:
                 f"expected as many positions as protoIndices of {name} in {self._path}, got "
                 f"{len(places)} and {len(numbers)}"
             )
+        if prim.GetPath() in self._open:
+            raise SceneError(f"point instancer {prim.GetPath()} of {self._path} contains itself")
+        self._open.append(prim.GetPath())
         samples = dict[int, list[_Found]]()
         for number, (proto, place, shown) in enumerate(zip(numbers, places, mask, strict=True)):
             if not shown:
@@ -293,12 +322,14 @@ class _Reader:
             if proto not in samples:  # found once, at the origin
                 samples[proto] = self._find_sample(roots[proto], state)
             matrix, own = place * state.matrix, f"{name}/{number}"
+            check_count(len(self._found) + len(samples[proto]), self._path)
             self._found += [
                 one._replace(
                     name=own + one.name, body=state.body or own, matrix=one.matrix * matrix
                 )
                 for one in samples[proto]
             ]
+        self._open.pop()
 
     def _find_sample(self, root: Any, state: _State) -> list[_Found]:
         """The geometry of a prototype, which is of one piece, by names below it."""
@@ -327,11 +358,13 @@ class _Reader:
                 parent, child = child, parent
             if not kind:
                 self._leave_out(f"{prim.GetTypeName()} is no joint that navbake reads", name)
-            elif not child:
+                continue
+            if not child:
                 self._leave_out("it ties no rigid body", name)
-            elif not ties.tie(
-                parent, child, self._read_joint(joint, prim, kind, frames, is_turned)
-            ):
+                continue
+            with reading(f"joint {name} of {self._path}"):
+                made = self._read_joint(joint, prim, kind, frames, is_turned)
+            if not ties.tie(parent, child, made):
                 self._leave_out("its bodies hang on other joints already", name)
         self._result.bodies = ties.make_bodies(self._kinematic)
 
@@ -358,7 +391,7 @@ class _Reader:
             turn = np.array(Gf.Matrix3d(self._get(prim, f"physics:localRot{number}"))).T
             ends.append((world[:3, :3] @ place + world[:3, 3], _rigid(world)[:3, :3] @ turn))
         (start, before), (anchor, after) = ends
-        number = 0 if kind == "ball" else "XYZ".index(str(self._get(prim, "physics:axis")))
+        number = 0 if kind == "ball" else "XYZ".index(self._axis_of(prim, "physics:axis"))
         axis, position, limits = after[:, number], 0.0, None
         if kind == "slide":
             position = float(axis @ (anchor - start))
@@ -385,7 +418,8 @@ class _Reader:
 
     def _place(self) -> None:
         """Make pieces of what was found: their poses, and solids that are no longer any."""
-        if any(one.purpose == "render" for one in self._found):
+        has_render = any(one.purpose == "render" for one in self._found)
+        if has_render:
             for one in self._found:
                 if one.purpose == "proxy" and not one.collides:
                     self._leave_out("it is a proxy beside render prims", one.name)
@@ -414,9 +448,10 @@ class _Reader:
                     mesh = solids[key] = solids.get(key) or tessellate(*key)
             elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
                 kind, size = "sphere", size[:1]
+            drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")
             self._result.pieces.append(
                 Piece(one.name, one.body, kind, size or (), pose, mesh, None, one.mode,
-                      one.collides, bool(one.purpose))
+                      one.collides, drawn)
             )  # fmt: skip
 
 

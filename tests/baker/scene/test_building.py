@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ import yaml
 
 import navbake
 from navbake.baker.scene.building import make_slab
+from navbake.baker.scene.isolated import CompileLimits
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from project_paths import ROOT
 
@@ -166,19 +170,48 @@ def test_fiducials_lay_levels_over_each_other_in_any_pose(lab, write, baked):
         (lambda lab: lab.update(coordinate_system="wgs84"), "in wgs84: expected reference_image"),
         (lambda lab: lab["levels"]["L1"]["walls"].append([0, 99, {}]), "index 99"),
         (lambda lab: lab.pop("levels"), "expected `levels`"),
-        (lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"), "KeyError 'L9'"),
+        (
+            lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"),
+            "lift 'A' .*KeyError 'L9'",
+        ),
+        (
+            lambda lab: lab["levels"]["L1"]["walls"].append([0, 0, {}, []]),
+            None,  # a pillar
+        ),
+        (
+            lambda lab: lab["levels"]["L1"]["doors"][1].__setitem__(1, 5),
+            "door 'store' .* vertices coincide",
+        ),
+        (
+            lambda lab: lab["levels"]["L1"]["measurements"].append([0, 0, {"distance": [3, 2]}]),
+            "cannot read .*: FloatingPointError",
+        ),
+        (
+            lambda lab: lab["levels"]["L1"]["floors"].append({"vertices": [0, "x", 2]}),
+            "cannot read .*lab.building.yaml: ValueError",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(lab, write, change, named):
     lab = copy.deepcopy(lab)
     change(lab)
-    with pytest.raises(SceneError, match=named):
-        navbake.bake(write(lab))
+    expectation = nullcontext() if named is None else pytest.raises(SceneError, match=named)
+    with expectation:
+        load_scene(SceneSettings(path=write(lab)))
 
 
 @pytest.mark.parametrize(
     ("change", "warned"),
     [
+        *(
+            (
+                lambda lab, corners=corners: lab["levels"]["L1"]["floors"].append(
+                    {"vertices": corners}
+                ),
+                "L1/floor_2 .* no area",
+            )
+            for corners in ([0, 0, 0], [0, 1, 0])
+        ),
         (lambda lab: lab["levels"]["L2"].update(fiducials=[]), "shares 0 fiducials"),
         (lambda lab: lab["levels"]["L1"]["doors"][1][2].update(type=[1, "iris"]), "'iris'"),
         (
@@ -203,3 +236,8 @@ def test_a_slab_is_closed_and_faces_outward():
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     assert solid.is_watertight
     assert solid.volume == pytest.approx((12 - 1) * 0.1)
+
+
+def test_isolated():
+    settings = SceneSettings(path=LAB)
+    assert load_scene(settings, limits=CompileLimits()).digest == load_scene(settings).digest

@@ -12,12 +12,13 @@ import trimesh
 from PIL import Image
 
 import navbake
+from navbake.baker.scene import pieces
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.scene_files import MODEL_PATHS, find_inputs
-from scene_files import WEDGE, write_dae
+from scene_files import WEDGE, leads_through, write_dae
 from sdf_scenes import write_world
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -260,6 +261,137 @@ def test_broken_worlds(tmp_path):
     fails(model(link(BOX) + joint, more=""), r"no link 'no' in model 'm'")
     write(tmp_path, model("<include><uri>model://self</uri></include>"), "self/model.sdf")
     fails("<include><uri>model://self</uri></include>", r"self/model\.sdf includes itself")
+
+
+def positions(scene: Scene) -> dict[str, list[float]]:
+    return {geom.name: np.round(scene.data.geom_xpos[geom.id], 6).tolist() for geom in scene.geoms}
+
+
+def test_a_frame_may_be_that_of_a_later_model(tmp_path):
+    at = '<pose relative_to="{}">{} 0 0 0 0 0</pose>'
+    early = model(link(BOX), "early", f"<static>1</static>{at.format('late', 1)}")
+    late = model(link(BOX), "late", "<static>1</static><pose>5 0 0 0 0 0</pose>")
+    found = positions(load(write(tmp_path, early + late)))
+    assert found == {"early::l::c": [6, 0, 0], "late::l::c": [5, 0, 0]}
+    inner = model(link(BOX), "in", "<pose>0 3 0 0 0 0</pose>")
+    held = model(inner, "out", "<static>1</static><pose>7 0 0 0 0 0</pose>").replace(
+        'name="out"', 'name="out" placement_frame="in::l"'
+    )
+    assert positions(load(write(tmp_path, held))) == {"out::in::l::c": [7, 0, 0]}
+    loop = model(link(BOX), "a", at.format("b", 1)) + model(link(BOX), "b", at.format("a", 1))
+    with pytest.raises(SceneError, match="relative to itself"):
+        load(write(tmp_path, loop))
+
+
+def test_long_chains_of_frames_are_one_line(tmp_path):
+    chain = "".join(f'<frame name="f{k}" attached_to="f{k + 1}"/>' for k in range(1500))
+    box = link(BOX, more='<pose relative_to="f0">0 0 0 0 0 0</pose>')
+    path = write(tmp_path, model(box + chain + '<frame name="f1500"/>'))
+    with pytest.raises(SceneError, match=r"cannot read .*w\.sdf: RecursionError"):
+        load(path)
+
+
+def test_merged_includes(tmp_path):
+    """Links of a merged model are the outer one's, in the place of the include."""
+    leaf = link(BOX, "leaf", '<pose relative_to="hinges">1 0 0 0 0 0</pose>')
+    leaf += '<frame name="hinges"><pose>0 2 0 0 0 0</pose></frame>'
+    write(tmp_path, model(leaf, "part", ""), "part/model.sdf")
+    include = '<include merge="true"><uri>model://part</uri><pose>0 0 3 0 0 0</pose></include>'
+    joint = (
+        '<joint name="j" type="revolute"><parent>base</parent><child>leaf</child><axis/></joint>'
+    )
+    scene = load(write(tmp_path, model(link(BOX, "base") + include + joint, "door", "")))
+    assert positions(scene) == {"door::base::c": [0, 0, 0], "door::leaf::c": [1, 2, 3]}
+    assert scene.model.joint("door::j").type[0] == mujoco.mjtJoint.mjJNT_HINGE
+    assert {geom.body for geom in scene.geoms} == {"door", "door::leaf"}
+
+
+@pytest.mark.parametrize(
+    ("version", "more", "axis"),
+    [
+        ("1.4", "", [1, 0, 0]),
+        ("1.5", "", [0, 1, 0]),
+        ("1.6", "<use_parent_model_frame>1</use_parent_model_frame>", [1, 0, 0]),
+    ],
+)
+def test_axes_of_old_versions(tmp_path, version, more, axis):
+    """Until 1.4, axes are in the model's frame; later on in the joint's, unless they say so."""
+    links = link(BOX, "a") + link(BOX, "b", "<pose>0 0 0 0 0 1.5707963267948966</pose>")
+    joint = '<joint name="j" type="revolute"><parent>a</parent><child>b</child>'
+    joint += f"<axis><xyz>1 0 0</xyz>{more}</axis></joint>"
+    path = write(tmp_path, model(links + joint, more=""))
+    path.write_text(path.read_text().replace("1.9", version))
+    scene = load(path)
+    mujoco.mj_kinematics(scene.model, scene.data)
+    assert np.allclose(scene.data.xaxis[scene.model.joint("m::j").id], axis, atol=1e-9)
+
+
+def test_ends_of_joints(tmp_path):
+    """A model stands for its canonical link; a world has joints of its own, to the world, too."""
+    arm = model(link(BOX, "x") + link(BOX, "y"), "arm", "").replace(
+        'name="arm"', 'name="arm" canonical_link="y"'
+    )
+    joint = '<joint name="{}" type="{}"><parent>{}</parent><child>{}</child><axis/></joint>'
+    joints = joint.format("j", "revolute", "world", "arm")
+    scene = load(write(tmp_path, f'<world name="w">{arm}{joints}</world>'))
+    turned = scene.model.body(scene.model.joint("j").bodyid[0]).name
+    assert {geom.name for geom in scene.geoms if geom.body == turned} == {"arm::y::c"}
+    outer = model(link(BOX, "base") + arm + joint.format("j", "fixed", "base", "arm::y"), "m", "")
+    scene = load(write(tmp_path, outer))
+    assert scene.model.body("m::arm").parentid[0] == scene.model.body("m").id
+
+
+def test_the_latest_version_of_a_model_is_taken(tmp_path):
+    for name in ("new", "old"):
+        write(tmp_path, model(link(BOX), name), f"chair/{name}.sdf")
+    files = '<sdf version="1.10">new.sdf</sdf><sdf version="1.9">old.sdf</sdf>'
+    (tmp_path / "chair" / "model.config").write_text(f"<model>{files}</model>")
+    scene = load(write(tmp_path, "<include><uri>model://chair</uri></include>"))
+    assert {geom.name for geom in scene.geoms} == {"new::l::c"}
+
+
+def test_an_empty_folder_hides_no_later_place(tmp_path):
+    (tmp_path / "chair").mkdir()
+    path = write(tmp_path, "<include><uri>model://chair</uri></include>")
+    with pytest.raises(SceneError, match=r"'model://chair' .*chair has no model\.sdf"):
+        load(path)
+    write(tmp_path, model(link(BOX), "chair"), "models/chair/model.sdf")
+    assert {geom.name for geom in load(path).geoms} == {"chair::l::c"}
+
+
+def test_a_drawn_plane_may_move(tmp_path):
+    plane = '<visual name="v"><geometry><plane><size>2 4</size></plane></geometry></visual>'
+    moving = link(BOX).replace("</link>", f"{plane}</link>")
+    scene = load(write(tmp_path, model(moving, more="")), geoms="visual")
+    assert np.allclose(sorted(np.ptp(scene.model.mesh_vert, axis=0)), [0, 2, 4])
+
+
+def test_models_are_bounded(tmp_path, monkeypatch):
+    """Includes that double each other, of which a few kilobytes make millions."""
+    monkeypatch.setattr(pieces, "MAX_PIECES", 1000)
+    for k in range(40):
+        twice = "".join(
+            f"<include><uri>model://m{k + 1}</uri><name>{side}</name></include>" for side in "ab"
+        )
+        write(tmp_path, model(twice, f"m{k}"), f"m{k}/model.sdf")
+    write(tmp_path, model(link(BOX), "m40"), "m40/model.sdf")
+    with pytest.raises(SceneError, match=r"w\.sdf has more than 1,000 pieces and models"):
+        load(write(tmp_path, "<include><uri>model://m0</uri></include>"))
+
+
+def test_an_open_door_frees_its_doorway(tmp_path):
+    def box(name: str, at: str, size: str, joint: str = "", static: str = "1") -> str:
+        shape = f"<geometry><box><size>{size}</size></box></geometry>"
+        return model(link(shape) + joint, name, f"<static>{static}</static><pose>{at}</pose>")
+
+    hinge = (
+        '<joint name="hinge" type="revolute"><pose>0 0.58 0 0 0 0</pose><parent>world</parent>'
+        "<child>l</child><axis><xyz>0 0 1</xyz><limit><lower>0</lower><upper>1.5708</upper></limit>"
+        "</axis></joint>"
+    )
+    world = box("floor", "0 0 -0.05 0 0 0", "8 4 0.1") + box("a", "0 1.3 1 0 0 0", "0.2 1.4 2")
+    world += box("b", "0 -1.3 1 0 0 0", "0.2 1.4 2")
+    leads_through(write(tmp_path, world + box("door", "0 0 1.05 0 0 0", "0.06 1.16 2", hinge, "0")))
 
 
 @pytest.mark.filterwarnings("ignore::navbake.BakeWarning")

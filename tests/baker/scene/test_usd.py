@@ -13,17 +13,20 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.baker.scene import pieces
 from navbake.baker.scene.isolated import CompileLimits
 from navbake.baker.scene.pieces import MOST_PIECES
 from navbake.baker.scene.polygons import triangulate
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, MissingDependencyError, SceneError
+from navbake.formats.scene_files import find_inputs
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, Vt
 
+from scene_files import leads_through
 from usd_scenes import (
     FORMS,
     RAMP,
@@ -156,9 +159,14 @@ def test_visibility_purpose_and_collision(tmp_path):
     assert names(load(tmp_path / "a.usda", geoms="collision")) == {"/World/Ground/Cube"}
     render = UsdGeom.Cube.Define(stage, "/World/Render")
     render.CreatePurposeAttr("render")
+    collider = UsdGeom.Cube.Define(stage, "/World/Collider")
+    collider.CreatePurposeAttr("proxy")
+    UsdPhysics.CollisionAPI.Apply(collider.GetPrim())
     stage.Save()
     scene = load(tmp_path / "a.usda", geoms="visual")
     assert names(scene) == {"/World/Drawn/Cube", "/World/Render"}
+    found = names(load(tmp_path / "a.usda", geoms="collision"))
+    assert found == {"/World/Ground/Cube", "/World/Collider"}
 
 
 def test_a_collider_that_is_switched_off_counts_as_drawn(tmp_path):
@@ -357,6 +365,98 @@ def test_broken_stages(tmp_path):
         load(tmp_path / "c.usda")
     with pytest.raises(ConfigError, match=r"scene.up: level.*c\.usda"):
         load(tmp_path / "c.usda", up="level")
+
+
+BODY = 'prepend apiSchemas = ["PhysicsRigidBodyAPI"]'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('def Cylinder "A" {token axis = "W"}', "expected X, Y or Z as axis of /A in .*'W'"),
+        ('def Cube "A" {string size = "x"}', "cannot read prim /A of .*a.usda: "),
+        (
+            'def Mesh "A" {float3 points = (0, 0, 0); int[] faceVertexCounts = [3]; '
+            "int[] faceVertexIndices = [0, 1, 2]}",
+            "mesh /A of .* is broken",
+        ),
+        (
+            f'def Cube "A" ({BODY}) {{float3 xformOp:scale = (nan, 1, 1); '
+            'uniform token[] xformOpOrder = ["xformOp:scale"]}',
+            "cannot read prim /A of .*a.usda: LinAlgError",
+        ),
+        (
+            'def PointInstancer "A" {rel prototypes = </A>; int[] protoIndices = [0]; '
+            "point3f[] positions = [(0, 0, 0)]}",
+            "point instancer /A of .*a.usda contains itself",
+        ),
+        (
+            f'def Cube "A" ({BODY}) {{ }}\ndef PhysicsRevoluteJoint "J" '
+            '{rel physics:body1 = </A>; uniform token physics:axis = "W"}',
+            "expected X, Y or Z as physics:axis of /J in .*'W'",
+        ),
+    ],
+)
+def test_broken_prims_are_named(tmp_path, text, message):
+    (tmp_path / "a.usda").write_text(
+        "#usda 1.0\n" + re.sub(r"[{}]|; ", r"\n\g<0>\n", text).replace(";", "")
+    )
+    with pytest.raises(SceneError, match=message) as raised:
+        load(tmp_path / "a.usda")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_drawn_plane_may_move(tmp_path):
+    stage = new_stage(tmp_path / "a.usda")
+    UsdPhysics.RigidBodyAPI.Apply(UsdGeom.Xform.Define(stage, "/World/Tray").GetPrim())
+    plane = UsdGeom.Plane.Define(stage, "/World/Tray/Plane")
+    plane.CreateWidthAttr(2.0)
+    plane.CreateLengthAttr(4.0)
+    stage.Save()
+    model = load(tmp_path / "a.usda").model
+    sides = np.ptp(model.mesh_vert, axis=0)
+    assert np.allclose(sorted(sides), [0, 2, 4]) and int(model.body("/World/Tray").jntnum[0]) == 1
+
+
+def test_an_open_door_frees_its_doorway(tmp_path):
+    stage = new_stage(tmp_path / "a.usda")
+    walls = [
+        ((0, 0, -0.05), (4, 2, 0.05)),
+        ((0, 1.3, 1), (0.1, 0.7, 1)),
+        ((0, -1.3, 1), (0.1, 0.7, 1)),
+    ]
+    leaf = ((0, 0, 1.05), (0.03, 0.58, 1.0))
+    for number, (at, half) in enumerate([*walls, leaf]):
+        cube = UsdGeom.Cube.Define(stage, "/World/Door" if number == 3 else f"/World/Part{number}")
+        place(cube, at, scale=half)
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+    UsdPhysics.RigidBodyAPI.Apply(cube.GetPrim())
+    hinge = UsdPhysics.RevoluteJoint.Define(stage, "/World/Hinge")
+    hinge.CreateBody1Rel().AddTarget("/World/Door")
+    hinge.CreateLocalPos0Attr(Gf.Vec3f(0, 0.58, 1.05))
+    hinge.CreateLocalPos1Attr(Gf.Vec3f(0, 1, 0))
+    hinge.CreateAxisAttr("Z")
+    hinge.CreateLowerLimitAttr(0.0)
+    hinge.CreateUpperLimitAttr(90.0)
+    stage.Save()
+    leads_through(tmp_path / "a.usda")
+
+
+def test_textures_are_no_inputs(tmp_path):
+    """They change no cell; layers and what they name do."""
+    (tmp_path / "tex.png").write_bytes(b"x")
+    shader = 'def Shader "S" {\n asset inputs:file = @tex.png@\n}'
+    (tmp_path / "b.usda").write_text(f"#usda 1.0\n{shader}\n")
+    (tmp_path / "a.usda").write_text('#usda 1.0\ndef "A" (references = @b.usda@</S>) {\n}\n')
+    layers = [tmp_path / "a.usda", tmp_path / "b.usda"]
+    assert find_inputs(tmp_path / "a.usda") == layers
+    assert find_inputs(tmp_path / "a.usda", looks=True) == [*layers, tmp_path / "tex.png"]
+
+
+def test_instances_are_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(pieces, "MAX_PIECES", 6)
+    with pytest.raises(SceneError, match=r"room\.usda has more than 6 pieces"):
+        load(write_room(tmp_path, 1.0, "Z", "point-instanced"))
 
 
 def test_unit_and_up_may_be_set(tmp_path, room):
