@@ -192,7 +192,7 @@ class _Builder:
         found = []
         for number, level in enumerate(self.grid.levels):
             part = self.flat.cells_of(number)
-            thin = _thin(self.inside[part].reshape(level.shape))
+            thin = thin_mask(self.inside[part].reshape(level.shape))
             _, turns = _around(np.pad(thin, 1))
             found.append(part.start + np.flatnonzero(thin & (turns >= 3)))
         cells = np.concatenate(found)
@@ -495,7 +495,7 @@ def _around(padded: Bool) -> tuple[Int, Int]:
     return np.sum(ring, axis=0), np.sum(turns, axis=0)
 
 
-def _thin(mask: Bool) -> Bool:
+def thin_mask(mask: Bool) -> Bool:
     """Thin a mask to lines one cell wide."""
     padded = np.pad(mask, 1)
     while True:

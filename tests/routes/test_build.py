@@ -14,7 +14,7 @@ from navbake.auditor.facts import Facts
 from navbake.auditor.routes import distances
 from navbake.errors import QueryError
 from navbake.navgrid.agents import Agent
-from navbake.routes.build import _thin, make_routes
+from navbake.routes.build import make_routes, thin_mask
 from project_paths import GOLDEN
 from route_ratios import TOLL, with_toll, worst_ratio
 
@@ -201,7 +201,7 @@ def test_thinning_keeps_what_is_connected():
     rng = np.random.default_rng(2)
     for _ in range(20):
         mask = rng.random((20, 30)) < 0.8
-        thin = _thin(mask)
+        thin = thin_mask(mask)
         assert (thin <= mask).all()
         eight = np.ones((3, 3))
         assert label(thin, eight)[1] == label(mask, eight)[1]
