@@ -20,7 +20,6 @@ from navbake.baker.scene.polygons import triangulate
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, MissingDependencyError, SceneError
-from navbake.formats.scene_files import find_inputs
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -440,17 +439,6 @@ def test_an_open_door_frees_its_doorway(tmp_path):
     hinge.CreateUpperLimitAttr(90.0)
     stage.Save()
     leads_through(tmp_path / "a.usda")
-
-
-def test_textures_are_no_inputs(tmp_path):
-    """They change no cell; layers and what they name do."""
-    (tmp_path / "tex.png").write_bytes(b"x")
-    shader = 'def Shader "S" {\n asset inputs:file = @tex.png@\n}'
-    (tmp_path / "b.usda").write_text(f"#usda 1.0\n{shader}\n")
-    (tmp_path / "a.usda").write_text('#usda 1.0\ndef "A" (references = @b.usda@</S>) {\n}\n')
-    layers = [tmp_path / "a.usda", tmp_path / "b.usda"]
-    assert find_inputs(tmp_path / "a.usda") == layers
-    assert find_inputs(tmp_path / "a.usda", looks=True) == [*layers, tmp_path / "tex.png"]
 
 
 def test_instances_are_bounded(tmp_path, monkeypatch):
