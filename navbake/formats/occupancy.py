@@ -10,6 +10,7 @@ Source: nav2's ``costmap_2d_publisher.cpp`` for the values of costs.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.inflation import SCALING, nav2_costs
-from navbake.types import Float, Json
+from navbake.types import Bool, Float, Json
 
 ndimage = lazy("scipy.ndimage")
 
@@ -105,6 +106,40 @@ def level_from_values(
         },
         metadata=metadata,
     )
+
+
+def level_from_rooms(
+    free: Bool,
+    rooms: NDArray[np.uint16],
+    names: Mapping[int, str],
+    lattice: Lattice,
+    ground: float,
+    scene_id: str,
+) -> SceneGrid2D:
+    """Make a flat level of a map that has free cells and rooms.
+
+    Args:
+        free: where an agent can stand, shape (height, width).
+        rooms: numbers of rooms from 1, 0 for none, of the same shape.
+        names: of rooms, by number.
+        ground: world z of the floor [m].
+    """
+    level = SceneGrid2D(
+        width=lattice.width,
+        height=lattice.height,
+        cell_size=lattice.cell_size,
+        min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
+        weights=np.where(free, 1.0, np.inf),
+        attributes={
+            "floorHeight": np.full(free.shape, ground, dtype=np.float32),
+            "occupancy": (~free).astype(np.uint8),
+            "roomIndex": rooms,
+        },
+        metadata={"sceneId": scene_id},
+    )
+    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
+    level.metadata["navbake"] = {"rooms": table}
+    return level
 
 
 def lay_along_axes(

@@ -28,6 +28,7 @@ from navbake.files import readable_stem
 from navbake.formats.allowance import MAX_PIXELS
 from navbake.formats.convert import chosen_levels
 from navbake.formats.images import encode_image, open_image
+from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, Lattice
@@ -179,22 +180,7 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
         index, kinds, known = _read_rooms(Path(path).parent, size)
         rooms = pick(index).astype(np.uint16)
         names = _name_rooms(index, kinds, known)
-    level = SceneGrid2D(
-        width=lattice.width,
-        height=lattice.height,
-        cell_size=lattice.cell_size,
-        min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
-        weights=np.where(free, 1.0, np.inf),
-        attributes={
-            "floorHeight": np.full(free.shape, ground, dtype=np.float32),
-            "occupancy": (~free).astype(np.uint8),
-            "roomIndex": rooms,
-        },
-        metadata={"sceneId": readable_stem(path)},
-    )
-    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
-    level.metadata["navbake"] = {"rooms": table}
-    return level
+    return level_from_rooms(free, rooms, names, lattice, ground, readable_stem(path))
 
 
 def list_room_maps(path: Path) -> list[Path]:

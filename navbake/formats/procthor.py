@@ -23,6 +23,7 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.convert import level_paths
 from navbake.formats.images import encode_image, open_image
+from navbake.formats.occupancy import level_from_rooms
 from navbake.formats.source import Files
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
@@ -93,19 +94,6 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     z = float(to_world[2, 2])
     if not abs(z) <= FARTHEST:
         raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
-    level = SceneGrid2D(
-        width=lattice.width,
-        height=lattice.height,
-        cell_size=lattice.cell_size,
-        min_yup=(lattice.x_min, z, 0.0 - lattice.y_max),
-        weights=np.where(free, 1.0, np.inf),
-        attributes={
-            "floorHeight": np.full(free.shape, z, dtype=np.float32),
-            "occupancy": (~free).astype(np.uint8),
-            "roomIndex": rooms,
-        },
-        metadata={"sceneId": readable_stem(path)},
-    )
     text = image.info.get("room_ids_to_name")
     stated = {} if text is None else _parse(text, "room_ids_to_name", path)
     if not isinstance(stated, dict | None):
@@ -115,9 +103,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
         for key, name in (stated or {}).items()
         if key.isdecimal() and len(key) < 10 and isinstance(name, str)
     }
-    table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
-    level.metadata["navbake"] = {"rooms": table}
-    return level
+    return level_from_rooms(free, rooms, names, lattice, z, readable_stem(path))
 
 
 def _straighten(

@@ -462,12 +462,7 @@ class SceneGrid2D(GridBase):
         All 0 without ``roomIndex``; in other dtypes, values beyond uint16 are 0, too. Read-only
         unless it is the attribute itself.
         """
-        stored = self.attributes.get("roomIndex")
-        if stored is None:
-            return _derived(np.zeros(self.shape, dtype=np.uint16))
-        if stored.dtype == np.uint16:
-            return stored
-        return _derived(np.where((stored >= 0) & (stored < 65536), stored, 0).astype(np.uint16))
+        return self._numbers("roomIndex", np.uint16)
 
     @property
     def area_index(self) -> NDArray[np.uint8]:
@@ -475,12 +470,17 @@ class SceneGrid2D(GridBase):
 
         It means something only where the grid has areas; numbers beyond their table are none.
         """
-        stored = self.attributes.get("area")
+        return self._numbers("area", np.uint8)
+
+    def _numbers(self, name: str, dtype: type[Any]) -> NDArray[Any]:
+        """A layer as unsigned integers, 0 where it has none or a number beyond them."""
+        stored = self.attributes.get(name)
         if stored is None:
-            return _derived(np.zeros(self.shape, dtype=np.uint8))
-        if stored.dtype == np.uint8:
+            return _derived(np.zeros(self.shape, dtype=dtype))
+        if stored.dtype == dtype:
             return stored
-        return _derived(np.where((stored >= 0) & (stored < 256), stored, 0).astype(np.uint8))
+        inside = (stored >= 0) & (stored <= np.iinfo(dtype).max)
+        return _derived(np.where(inside, stored, 0).astype(dtype))
 
     def measure_rooms(self, number: int = 0) -> list[Room]:
         """Describe the rooms of level `number` of a grid from `room_index` alone."""

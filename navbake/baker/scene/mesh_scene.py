@@ -80,6 +80,13 @@ def is_mesh_scene(scene: Any) -> bool:
     return isinstance(scene, trimesh.Scene | trimesh.Trimesh)
 
 
+def join_parts(parts: Sequence[MeshPart]) -> tuple[Float, Int32]:
+    """The vertices and faces of all parts, as one mesh."""
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)]).astype(np.int32)
+    faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
+    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
+
+
 def take_mesh_parts(
     scene: Any, path: Path, up: Direction = "z", unit: float = 1.0
 ) -> list[MeshPart]:

@@ -15,6 +15,7 @@ from navbake.baker.scene.mesh_scene import (
     MESH_SUFFIXES,
     MeshPart,
     is_mesh_scene,
+    join_parts,
     read_mesh_parts,
     take_mesh_parts,
 )
@@ -192,9 +193,7 @@ def _build_urdf(
     read = cache(lambda file: read_mesh_parts(files[file]))
     for mesh in spec.meshes:
         parts, mesh.file = read(mesh.file), ""
-        first = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
-        fill_mesh(mesh, np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+        fill_mesh(mesh, *join_parts(parts))
     return compile_geometry(spec, ground, warnings)
 
 

@@ -19,7 +19,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, read_mesh_parts, stated_up
+from navbake.baker.scene.mesh_scene import (
+    MESH_SUFFIXES,
+    join_parts,
+    read_mesh_parts,
+    stated_up,
+)
 from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, check_count, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
@@ -404,12 +409,9 @@ class _Reader:
             if not named:
                 listed = ", ".join(sorted(part.name for part in parts)[:20])
                 raise SceneError(f"no submesh {submesh!r} in {file}, of {where}: it has {listed}")
-            vertices = np.concatenate([part.vertices for part in named])
-            first = np.cumsum([0, *(len(part.vertices) for part in named)]).astype(np.int32)
-            pairs = zip(named, first, strict=False)
+            vertices, faces = join_parts(named)
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            faces = np.concatenate([part.faces + start for part, start in pairs])
             self._meshes[key] = Mesh(vertices, faces)
         mesh = self._meshes[key]
         assert mesh is not None
