@@ -107,13 +107,8 @@ _LAZY = {
     "view": "navbake.views.viewer.view:view",
 }
 
-_MODULES = (
-    "episodes",
-    "samples",
-    "scores",
-    "tensors",
-)  # of navbake, loaded when they are first asked for
-
+# of navbake, loaded when they are first asked for
+_MODULES = ("episodes", "samples", "scores", "tensors")
 
 # first guesses
 _MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}

@@ -16,14 +16,13 @@ from typer import Exit, Option, Typer
 from typer.core import TyperGroup
 
 from navbake._version import __version__
-from navbake.cli.commands.ask import audit, info, path, rooms, verify, why
+from navbake.cli.commands.ask import info, path, rooms, why
 from navbake.cli.commands.bake import bake, geoms, init, samples, voxelize
 from navbake.cli.commands.batch import batch, warm_up
-from navbake.cli.commands.doctor import doctor
+from navbake.cli.commands.check import audit, doctor, verify
 from navbake.cli.commands.episodes import episodes, score
-from navbake.cli.commands.exchange import convert, inflate, map_descriptor
+from navbake.cli.commands.exchange import convert, inflate, map_descriptor, routes
 from navbake.cli.commands.look import plot, report, view
-from navbake.cli.commands.routes import routes
 from navbake.cli.options import Command, prepared
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError

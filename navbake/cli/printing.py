@@ -1,4 +1,4 @@
-"""Prints tables and JSON on stdout, warnings and errors on stderr."""
+"""Prints tables and JSON on stdout, warnings, errors and progress on stderr."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TextIO
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from navbake.types import Json
     from navbake.verifier.report import VerifyReport
 
-rich_console = lazy("rich.console")  # takes 0.1 s; for wide tables only
+rich_console = lazy("rich.console")  # takes 0.1 s; for wide tables and progress
+rich_progress = lazy("rich.progress")  # on a terminal only
 rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
@@ -82,8 +83,9 @@ def print_json_line(value: Any) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON; refuses NaN and infinity, which JSON lacks."""
-    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+    """Print a value, which may hold arrays, as JSON; refuses NaN and infinity, which JSON lacks."""
+    form: Any = {"indent": 2, "ensure_ascii": False, "allow_nan": False}
+    text = json.dumps(value, **form, default=lambda array: array.tolist())
     # JSON escapes characters below a space, but not all control characters
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
@@ -200,3 +202,29 @@ def text_width(text: str) -> int:
     from rich.cells import cell_len  # rich slows --help by a fifth
 
     return cell_len(text)
+
+
+@contextmanager
+def progress_bars(title: str, hidden: bool = False) -> Iterator[Callable[..., None]]:
+    """Yields a function that shows progress: a name, the share done, and a note.
+
+    Each name has a bar on stderr, if that is a terminal; other output appears above the bars.
+    """
+    if hidden or not is_terminal(sys.stderr):
+        yield lambda name, share, note="": None
+        return
+    screen = rich_console.Console(stderr=True, markup=False, highlight=False, emoji=False)
+    text = rich_progress.TextColumn(f"{printable(title)} {{task.description}}", markup=False)
+    note_column = rich_progress.TextColumn("{task.fields[note]}", markup=False)
+    columns = text, rich_progress.BarColumn(), note_column, rich_progress.TimeElapsedColumn()
+    # stdout may be a pipe
+    options = {"console": screen, "transient": True, "redirect_stdout": False}
+    tasks: dict[str, Any] = {}
+    with rich_progress.Progress(*columns, rich_progress.TimeRemainingColumn(), **options) as bars:
+
+        def show(name: str, share: float, note: str = "") -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(name, total=1.0, note="")
+            bars.update(tasks[name], completed=share, note=note)
+
+        yield show

@@ -9,7 +9,7 @@ import pytest
 
 from navbake import compiled
 from navbake._version import __version__
-from navbake.cli.commands import doctor
+from navbake.cli.commands import check
 
 
 @pytest.fixture
@@ -38,19 +38,19 @@ def test_a_bake_has_a_time(lines):
 
 
 def test_a_slow_machine_is_named(lines, monkeypatch):
-    monkeypatch.setattr(doctor, "USUAL", 0.0)
+    monkeypatch.setattr(check, "USUAL", 0.0)
     assert "SLOW: usually below 0.0 s" in lines("-q")["bake"]
 
 
 def test_a_missing_extra_names_its_command(lines, monkeypatch):
-    monkeypatch.setattr(doctor, "_installed", lambda name: None if name == "viser" else "1.0")
+    monkeypatch.setattr(check, "_installed", lambda name: None if name == "viser" else "1.0")
     found = lines()
     assert found["[view]"] == 'missing viser: pip install "navbake[view]"'
     assert found["[plot]"] == "matplotlib 1.0"
 
 
 def test_no_folder_that_can_be_written(lines, monkeypatch):
-    monkeypatch.setattr(doctor.compiled, "cache_folder", lambda: None)
+    monkeypatch.setattr(check.compiled, "cache_folder", lambda: None)
     assert lines()["compiled"].endswith(compiled.REMEDY)
     assert "NO FOLDER CAN BE WRITTEN" in lines()["compiled"]
 

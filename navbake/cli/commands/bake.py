@@ -12,33 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from typer import Argument, BadParameter, Exit, Option
 
 import navbake
-from navbake.cli.options import (
-    GRIDS,
-    OUTPUT,
-    STDOUT,
-    AsJson,
-    ModelPath,
-    Overrides,
-    SceneOrConfig,
-    beside_output,
-    check_output,
-    flag,
-    option,
-    override_model_path,
-    refuse_unused,
-    say_if_sample,
-    write_stdout,
-)
-from navbake.cli.printing import (
-    VOLUME,
-    geom_table,
-    print_error,
-    print_json,
-    print_tables,
-    print_warnings,
-    say,
-    say_unless_quiet,
-)
+from navbake.cli import options, printing
+from navbake.cli.options import OUTPUT, AsJson, ModelPath, Overrides, SceneOrConfig, flag, option
+from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.views.tables import level_table
@@ -53,9 +29,7 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 def init(
     scene: Path = Argument(
-        ...,
-        metavar="SCENE",
-        help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh.",
+        ..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh."
     ),
     output: Path | None = option(
         "FILE", "YAML to write; - for stdout.  [default: ./<id>.yaml]", *OUTPUT
@@ -68,8 +42,8 @@ def init(
     """
     from navbake.config.template import template_for, write_template
 
-    refuse_unused(("--force", force, output != STDOUT, "files"))
-    if output == STDOUT:
+    options.refuse_unused(("--force", force, output != options.STDOUT, "files"))
+    if output == options.STDOUT:
         print(template_for(scene, Path())[1], end="")
         return
     path = write_template(scene, output, force=force)
@@ -121,9 +95,9 @@ def geoms(
     from navbake.baker.scene.scene import load_scene
     from navbake.config.settings import load_config
 
-    overrides = [*(overrides or []), *override_model_path(model_path)]
+    overrides = [*(overrides or []), *options.override_model_path(model_path)]
     settings = load_config(config, overrides)
-    say_if_sample(config)
+    options.say_if_sample(config)
     scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
     if as_json:
@@ -132,7 +106,7 @@ def geoms(
         print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
-    print_tables(geom_table(scene.geoms))
+    printing.print_tables(printing.geom_table(scene.geoms))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 
@@ -182,13 +156,13 @@ def voxelize(
 
     Example: navbake voxelize house.yaml --res 0.1 -o house.binvox
     """
-    if STDOUT in outputs:
+    if options.STDOUT in outputs:
         raise BadParameter("expected a name: its ending says which format", param_hint="-o")
     for output in outputs:
-        check_output(output, *VOXELS, inputs=[config])
+        options.check_output(output, *VOXELS, inputs=[config])
     has_octree = [output.suffix.lower() in OCTREES for output in outputs]
     has_ids = bool(segments) and any(output.suffix.lower() == ".binvox" for output in outputs)
-    refuse_unused(
+    options.refuse_unused(
         ("--compact", layout.compact, has_ids, ".binvox with --segment"),
         ("--twin", layout.twin, has_ids, ".binvox with --segment"),
         ("--airsim", layout.airsim, any(o.suffix.lower() == ".binvox" for o in outputs), ".binvox"),
@@ -201,9 +175,9 @@ def voxelize(
     from navbake.config.settings import load_config  # loads numpy
 
     settings = load_config(config, overrides or [])
-    say_if_sample(config)
+    options.say_if_sample(config)
     for output in outputs:
-        check_output(output, inputs=settings.inputs)
+        options.check_output(output, inputs=settings.inputs)
     voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
     # an octree's voxels begin at multiples of their edge, and all files hold the same ones
@@ -319,16 +293,16 @@ def bake(
             f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)",
             param_hint="-o",
         )
-    if is_file and output != str(STDOUT) and not Path(output or "").suffix:
+    if is_file and output != str(options.STDOUT) and not Path(output or "").suffix:
         raise BadParameter(
-            f"expected a name that ends in {', '.join(GRIDS)}, got {output}: a new folder is "
-            f"written {output}/",
+            f"expected a name that ends in {', '.join(options.GRIDS)}, got {output}: a new "
+            f"folder is written {output}/",
             param_hint="-o",
         )
-    refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
+    options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
         fill_name(name, "id", Path("stem"))
-    refuse_unused(
+    options.refuse_unused(
         ("--isolate-seconds", isolation.seconds is not None, isolation.isolate, "--isolate"),
         ("--isolate-memory", isolation.memory is not None, isolation.isolate, "--isolate"),
     )
@@ -337,13 +311,13 @@ def bake(
     overrides = list(overrides or [])
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
-    overrides += override_model_path(model_path)
+    overrides += options.override_model_path(model_path)
     jobs: list[tuple[Path, BakeConfig]] = []
     failed: list[Path] = []
     for path in configs:
         with _going_on(path, failed, len(configs)):
             jobs.append((path, load_config(path, overrides)))
-            say_if_sample(path)
+            options.say_if_sample(path)
     written: set[Path] = set()
     for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
         with _going_on(path, failed, len(configs)):
@@ -353,10 +327,10 @@ def bake(
                     "name files by --name, as in --name '{parent}-{stem}'"
                 )
             is_own, inputs = target == config.output, (path, *config.inputs)
-            suffixes, may_make = () if is_own else GRIDS, not (is_file or is_own)
-            check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
-            if not target.name.lower().endswith(GRIDS) and target != STDOUT:
-                endings = ", ".join(GRIDS)
+            suffixes, may_make = () if is_own else options.GRIDS, not (is_file or is_own)
+            options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
+            if not target.name.lower().endswith(options.GRIDS) and target != options.STDOUT:
+                endings = ", ".join(options.GRIDS)
                 raise ConfigError(
                     f"expected a name that ends in {endings} as `output` in {path}, got {target}"
                 )
@@ -385,34 +359,33 @@ def _bake_one(
 ) -> None:
     from navbake.baker.pipeline import run_bake
     from navbake.baker.scene.isolated import CompileLimits
-    from navbake.cli.progress import progress_bars
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
     from navbake.views.describe import describe
 
     _, *given = isolation._asdict().items()
     stated = {name: value for name, value in given if value is not None}
     limits = CompileLimits(**stated) if isolation.isolate else None
-    with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
+    with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
         asked: Any = {"threads": threads, "progress": progress, "limits": limits}
         # with --quiet, all warnings follow the bake
-        tell = None if VOLUME.quiet else lambda hint: print_warnings([hint])
+        tell = None if printing.VOLUME.quiet else lambda hint: print_warnings([hint])
         result = run_bake(config, **asked, tell=tell)
     if not with_timings:
         result.grid.timings = {}
     begin = time.perf_counter()
-    if target == STDOUT:
-        write_stdout(dumps_navgrid(result.grid))
+    if target == options.STDOUT:
+        options.write_stdout(dumps_navgrid(result.grid))
     else:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_navgrid(result.grid, target)
     result.timings["write"] = time.perf_counter() - begin
-    if VOLUME.quiet:
+    if printing.VOLUME.quiet:
         print_warnings(result.warnings)
         return
-    with beside_output(target):
-        if target != STDOUT:
+    with options.beside_output(target):
+        if target != options.STDOUT:
             say(target)
-        print_tables(level_table(describe(result.grid)))
+        printing.print_tables(level_table(describe(result.grid)))
         for warning in result.warnings:
             say(f"warning: {warning}")
         stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items())

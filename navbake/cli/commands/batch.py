@@ -13,25 +13,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from typer import Argument, BadParameter, Exit
 
-from navbake.cli.options import (
-    OUTPUT,
-    STDOUT,
-    Overrides,
-    check_output,
-    flag,
-    option,
-    read_pairs,
-    refuse_unused,
-)
-from navbake.cli.printing import (
-    VOLUME,
-    is_terminal,
-    print_error,
-    print_json_line,
-    print_warnings,
-    say,
-    say_unless_quiet,
-)
+from navbake.cli import options, printing
+from navbake.cli.options import OUTPUT, STDOUT, Overrides, flag, option
+from navbake.cli.printing import print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
@@ -151,7 +135,7 @@ def batch(
 
     is_ray = ways.executor == "ray"
     part = _read_slice(ways.part)
-    refuse_unused(
+    options.refuse_unused(
         ("--ray-address", ways.ray_address is not None, is_ray, "--executor ray"),
         ("--merge", ways.merge, part is None, "all slices"),
         *(
@@ -169,11 +153,13 @@ def batch(
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     hosts = tuple(allow_hosts or ())
     store.allow_hosts(hosts)
-    jobs = list_jobs(sources, read_pairs(column, "--column", "NAME=COLUMN"))
+    jobs = list_jobs(sources, options.read_pairs(column, "--column", "NAME=COLUMN"))
     if ways.log is not None:
         own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
         given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
-        check_output(ways.log, inputs=map(Path, given), may_make_folder=True, option="--log")
+        options.check_output(
+            ways.log, inputs=map(Path, given), may_make_folder=True, option="--log"
+        )
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
     folder = as_folder(output)
@@ -232,7 +218,7 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     found = preview(plan, jobs)
     if as_json:
         for scene in found:
-            print_json_line(scene)
+            printing.print_json_line(scene)
         return
     by_why: dict[str, list[Json]] = {}
     for scene in found:
@@ -266,7 +252,9 @@ class _Watch:
         from navbake.batch.index import LineFile
 
         self._stack, self._ways, self._folder = stack, ways, folder
-        self._takers: list[Callable[[Json], None]] = [print_json_line] if ways.as_json else []
+        self._takers: list[Callable[[Json], None]] = (
+            [printing.print_json_line] if ways.as_json else []
+        )
         if ways.log is not None:
             log = LineFile(ways.log, f"the log {ways.log}")
             stack.callback(log.close)
@@ -287,12 +275,13 @@ class _Watch:
         self._log(event, values)
         if event == "begin":
             from navbake.batch.page import LivePage
-            from navbake.cli.progress import progress_bars
 
             self._page = LivePage(self._folder, self._total) if self._ways.page else None
             # on a terminal, lines and a bar would mix
-            hidden = VOLUME.quiet or (self._ways.as_json and is_terminal(sys.stdout))
-            self._show = self._stack.enter_context(progress_bars("batch", hidden))
+            hidden = printing.VOLUME.quiet or (
+                self._ways.as_json and printing.is_terminal(sys.stdout)
+            )
+            self._show = self._stack.enter_context(printing.progress_bars("batch", hidden))
         if event == "scene":
             counts["failed" if values["status"] == "failed" else "baked"] += 1
             counts["left"] -= 1
@@ -384,10 +373,9 @@ def draw_missing_thumbnails(folder: Folder) -> None:
     """Draw the missing thumbnails of a batch's page."""
     from navbake.batch.page import draw_thumbnails
     from navbake.batch.store import FullError
-    from navbake.cli.progress import progress_bars
 
     try:
-        with progress_bars("page", VOLUME.quiet) as show:
+        with printing.progress_bars("page", printing.VOLUME.quiet) as show:
             lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except FullError as error:
         print_warnings([str(error)])

@@ -8,7 +8,8 @@ from typing import Annotated, Any, NamedTuple
 from typer import Argument, BadParameter
 
 import navbake
-from navbake.cli.options import OUTPUT, AsJson, check_output, flag, option, read_pairs
+from navbake.cli import options
+from navbake.cli.options import OUTPUT, AsJson, flag, option
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
@@ -79,7 +80,7 @@ def episodes(
     """
     if drawn.total is not None and drawn.per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
-    check_output(output, *SETS, inputs=grids)
+    options.check_output(output, *SETS, inputs=grids)
     from msgspec import DecodeError, yaml  # --help does without it
 
     from navbake import episodes as sets  # loads numpy
@@ -94,10 +95,10 @@ def episodes(
             raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
         kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
         given[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
-    rules: dict[str, Any] = read_pairs(drawn.rule, "--rule", "KEY=VALUE")
+    rules: dict[str, Any] = options.read_pairs(drawn.rule, "--rule", "KEY=VALUE")
     if "edges" in rules:
         rules["edges"] = rules["edges"].split(",")
-    shares = read_pairs(drawn.split, "--split", "NAME=SHARE")
+    shares = options.read_pairs(drawn.split, "--split", "NAME=SHARE")
     count = drawn.total or (drawn.per_scene or 100) * len(grids)
     content = sets.make_episodes(
         [navbake.load(grid) for grid in grids],
@@ -122,7 +123,7 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
     """Convert a set of episodes, and print which data the new file lacks."""
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
 
-    check_output(output, inputs=[source])
+    options.check_output(output, inputs=[source])
     lost = write_episodes(read_episodes(source, scenes), output, form, scenes)
     say_unless_quiet(output)
     if lost:
@@ -149,7 +150,7 @@ def score(
     Example: navbake score house.jsonl runs.jsonl house.grid.json -o scores.csv
     """
     if output is not None:
-        check_output(output, ".csv", inputs=[content, trajectories, *(grids or [])])
+        options.check_output(output, ".csv", inputs=[content, trajectories, *(grids or [])])
     import msgspec  # --help does without it
 
     from navbake import scores  # loads numpy

@@ -1,33 +1,23 @@
-"""The commands that convert a grid: `navbake convert`, `inflate`, `map-descriptor`."""
+"""The commands that convert a grid: `convert`, `inflate`, `routes`, `map-descriptor`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
 import navbake
+from navbake.cli import options
 from navbake.cli.commands.episodes import SET_FORMATS, convert_set
-from navbake.cli.options import (
-    GRIDS,
-    OUTPUT,
-    STDOUT,
-    AsJson,
-    GridFile,
-    beside_output,
-    check_output,
-    option,
-    parse_place,
-    position_of_place,
-    read_pairs,
-    refuse_unused,
-    write_stdout,
-)
+from navbake.cli.options import GRIDS, OUTPUT, STDOUT, AsJson, GridFile, option
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
+from navbake.formats.route_files import ROUTE_FORMATS, find_module, write_routes
 from navbake.formats.source import write_files
+from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -105,18 +95,18 @@ def convert(
 ) -> None:
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    options = chosen._asdict()
+    fields = chosen._asdict()
     given = {
         key: value
-        for key, value in options.items()
+        for key, value in fields.items()
         if value is not None and value is not False and value != []
     }
     names = source.name.lower(), output.name.lower()
     if to in SET_FORMATS or names[0].endswith(".csv") or any(n.endswith(ONLY_SETS) for n in names):
-        refuse_unused(*((f"--{key}", True, False, "grids") for key in given))
-        convert_set(source, output, to, read_pairs(scene, "--scene", "NAME=ID"))
+        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given))
+        convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
-    refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
+    options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
     reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
     read_options = {key: given.pop(key) for key in reader.read_options if key in given}
     for key in given.keys() - {*writer.write_options}:
@@ -124,8 +114,8 @@ def convert(
         takers += [f"{form.name} as IN" for form in FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
-    inputs = [source, *(value for value in options.values() if isinstance(value, Path))]
-    check_output(output, inputs=inputs)
+    inputs = [source, *(value for value in fields.values() if isinstance(value, Path))]
+    options.check_output(output, inputs=inputs)
     of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
     if not source.exists() and of_level.is_file():
         missing = f"cannot read {source}: No such file or directory"
@@ -141,10 +131,10 @@ def convert(
         if len(files) > 1:
             raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
         (content,) = files.values()
-        write_stdout(content if isinstance(content, bytes) else b"".join(content))
+        options.write_stdout(content if isinstance(content, bytes) else b"".join(content))
         return
     for path in files:
-        check_output(path, inputs=inputs)
+        options.check_output(path, inputs=inputs)
     for path in write_files(files):
         say_unless_quiet(path)
 
@@ -152,10 +142,10 @@ def convert(
 def _plan(grid: NavGrid, text: str) -> Route:
     """The path of a route: a position, a space and a goal."""
     start, _, end = text.partition(" ")
-    origin = position_of_place(grid, parse_place(start, "--route"), "--route")
+    origin = options.position_of_place(grid, options.parse_place(start, "--route"), "--route")
     goal: str | list[float] = end.strip()
     if not str(goal).startswith(("room:", "object:")):
-        goal = position_of_place(grid, parse_place(str(goal), "--route"), "--route")
+        goal = options.position_of_place(grid, options.parse_place(str(goal), "--route"), "--route")
     finder = navbake.PathFinder(grid)
     found = finder.find_path(origin, goal)
     if found is None:
@@ -234,21 +224,21 @@ def inflate(
     if len(given) != 1:
         raise BadParameter("expected one radius [m]", param_hint="RADIUS")
     radius = given[0]
-    refuse_unused(
+    options.refuse_unused(
         ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
         ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
     )
     scaling, ledges = SCALING if scaling is None else scaling, ledges or "avoid"
     # check the arguments before reading the grid, which takes seconds
     check_arguments(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
-    check_output(output, *GRIDS, inputs=[grid])
+    options.check_output(output, *GRIDS, inputs=[grid])
     before = navbake.load(grid)
     held = before.inflated_radius if mode == "exact" else 0.0
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
     if output == STDOUT:
-        write_stdout(dumps_navgrid(after))
+        options.write_stdout(dumps_navgrid(after))
     else:
         after.save(output)
     areas = [
@@ -262,11 +252,59 @@ def inflate(
         listed = ", ".join(cut.name for cut in cuts)
         count = f"{other.islands.count} islands where there {were} {closed}"
         print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
-    with beside_output(output):
+    with options.beside_output(output):
         say_unless_quiet(
             f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
             f"for an agent of radius {max(radius, held):g} m ({mode})"
         )
+
+
+def routes(
+    grid: GridFile,
+    output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT, default=...),
+    agent: str | None = option("NAME", "An agent that the grid names.  [default: the grid's own]"),
+    radius: float | None = option(
+        "METRES", "Radius of the agent [m].  [default: the agent's, else the grid's]"
+    ),
+    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
+    to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
+) -> None:
+    from navbake.navgrid.agents import Agent
+    from navbake.routes.build import make_routes
+    from navbake.runtime.agents import find_agent
+
+    if output == STDOUT and to is None:
+        raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
+    try:
+        module = find_module(output, to)
+    except FormatError as error:
+        raise BadParameter(str(error), param_hint="--to" if to else "-o") from error
+    options.check_output(output, inputs=[grid])
+    content = navbake.load(grid)
+    own = find_agent(content, agent)
+    if radius is not None:
+        own = replace(own or Agent(""), radius=radius)
+    graph = make_routes(content, own)
+    graph = graph if level is None else graph.on_level(level)
+    if output == STDOUT:
+        options.write_stdout(resolve(f"{module}:encode_routes")(graph))
+        return
+    write_routes(graph, output, to)
+    nodes, lanes = len(graph.nodes), len(graph.lanes)
+    say_unless_quiet(f"{output}: {nodes} nodes, {lanes} lanes for a radius of {graph.radius:g} m")
+
+
+routes.__doc__ = "\n\n".join(
+    (
+        "Make a graph of where agents drive: nodes, and lanes that are free for them.",
+        "Example: navbake routes house.grid.json -o house.geojson",
+        "Formats:",
+        *(
+            f"{name} ({', '.join(ends)}): {for_}."
+            for name, (_, ends, for_) in ROUTE_FORMATS.items()
+        ),
+    )
+)
 
 
 class Squares(NamedTuple):
@@ -302,7 +340,7 @@ def map_descriptor(
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
     of_grids: dict[str, object] = {"level": squares.level, "corner": squares.corner}
     of_grids |= {"square": squares.square, "explored": explored}
-    refuse_unused(
+    options.refuse_unused(
         *((f"--{k}", v is not None, decode is None, "a GRID") for k, v in of_grids.items())
     )
     import numpy as np  # not for --help

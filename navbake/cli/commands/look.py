@@ -10,22 +10,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from typer import Argument, BadParameter
 
 import navbake
+from navbake.cli import options, printing
 from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
-from navbake.cli.options import (
-    GRIDS,
-    OUTPUT,
-    STDOUT,
-    GridFile,
-    Overrides,
-    check_output,
-    flag,
-    option,
-    refuse_unused,
-    say_if_sample,
-    write_output,
-    write_picture,
-)
-from navbake.cli.printing import VOLUME, print_warnings, say, say_unless_quiet
+from navbake.cli.options import GRIDS, OUTPUT, STDOUT, GridFile, Overrides, flag, option
+from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 
 if TYPE_CHECKING:
@@ -65,9 +53,9 @@ def plot(
             raise BadParameter(
                 f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
             )
-    check_output(output, ".png", ".svg", inputs=[grid])
+    options.check_output(output, ".png", ".svg", inputs=[grid])
     content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
-    write_picture(content, output, level=level, layers=chosen)
+    options.write_picture(content, output, level=level, layers=chosen)
     if output != STDOUT:
         say_unless_quiet(output)
 
@@ -101,7 +89,7 @@ def report(
     from navbake.views.report.report import read_verification, render_report
 
     if any(os.path.isdir(path) for path in grids):
-        refuse_unused(
+        options.refuse_unused(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
@@ -112,7 +100,7 @@ def report(
     if verifications and len(verifications) != len(grids):
         message = f"expected one for each GRID, {len(grids)}, got {len(verifications)}"
         raise BadParameter(message, param_hint="--verify")
-    check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
+    options.check_output(output, ".html", ".htm", inputs=[*grids, *(verifications or ())])
     read = [read_verification(path) for path in verifications or ()]
     contents = [navbake.load(path) for path in grids]
     page = render_report(
@@ -121,7 +109,7 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    write_output(page, output)
+    options.write_output(page, output)
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
@@ -134,7 +122,7 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
     page = folders[0] / NAME if output is None else output
     if page == STDOUT:
         raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
-    check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
+    options.check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
     draw_missing_thumbnails(folders[0])
     write_page(folders[0], output)
     say_unless_quiet(page)
@@ -189,7 +177,7 @@ def view(
     from navbake.views.viewer.view import Viewer, watch_grid
 
     is_grid = source.name.lower().endswith(GRIDS)
-    refuse_unused(
+    options.refuse_unused(
         ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
         ("--scene", scene is not None, is_grid, "a GRID"),
         ("--force", force, is_grid, "a GRID"),
@@ -203,7 +191,7 @@ def view(
             runs = {"episodes": episodes, "trajectories": trajectories or ()}
             watch = watch_grid(source, scene, force=force, **runs)
         else:
-            say_if_sample(source)
+            options.say_if_sample(source)
             watch = _baked(source, overrides or [])
         with Viewer(watch.read(), server, watch=watch) as viewer:
             say(f"{viewer.url} (Ctrl-C ends it)")
@@ -216,7 +204,6 @@ def _baked(path: Path, overrides: list[str]) -> Watch:
     """A watch of a scene or of settings that bakes it."""
     from navbake.baker.pipeline import run_bake
     from navbake.baker.scene.scene import load_scene, open_file
-    from navbake.cli.progress import progress_bars
     from navbake.config.settings import load_config
     from navbake.views.viewer.exhibit import Exhibit
     from navbake.views.viewer.view import Watch, find_files
@@ -229,7 +216,7 @@ def _baked(path: Path, overrides: list[str]) -> Watch:
 
     def bake() -> Exhibit:
         config = load_config(path, overrides)
-        with progress_bars(str(config.scene.id), VOLUME.quiet) as progress:
+        with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
             opened = open_file(config.scene)
             grid = run_bake(config, progress=progress, opened=opened).grid
         print_warnings(list(grid.warnings))

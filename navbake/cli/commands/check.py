@@ -1,0 +1,290 @@
+"""The commands that check grids and an installation: `verify`, `audit`, `doctor`."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from ctypes.util import find_library
+from importlib.metadata import PackageNotFoundError, requires, version
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from typer import BadParameter, Exit
+
+import navbake
+from navbake import samples
+from navbake._version import __version__
+from navbake.cli import options, printing
+from navbake.cli.options import OUTPUT, AsJson, GridFile, flag, option
+from navbake.cli.printing import print_json, print_tables, say
+from navbake.errors import NavbakeError
+from navbake.formats.convert import read_as
+from navbake.lazy import lazy
+
+if TYPE_CHECKING:
+    from navbake.navgrid.grid import NavGrid
+    from navbake.verifier.report import VerifyReport
+
+compiled = lazy("navbake.compiled")  # numba loads slowly
+config = lazy("navbake.config.settings")
+pipeline = lazy("navbake.baker.pipeline")
+threads = lazy("navbake.threads")
+
+SAMPLE = 100_000
+SHOWN = 20  # printed disagreements
+BAKED = "apartment"
+USUAL = 0.5  # [s] a warm bake of the sample takes 0.05 to 0.2 s on a desktop's cores
+REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)["'])?""")
+
+
+class Sample(NamedTuple):
+    """Options that select cells."""
+
+    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE)
+    every: bool = flag("--all", "Look at all cells.")
+    seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0)
+
+
+def verify(
+    grid: GridFile,
+    which: Sample,
+    scene: Path | None = option(
+        "SCENE|CONFIG",
+        "The scene, or the settings of the bake (YAML).  [default: the file that the grid "
+        "names, beside it or in the current folder, or in `scenes` there]",
+    ),
+    radius: float | None = option(
+        "METRES",
+        "Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
+        "less, is inflated for it.  [default: that of the grid]",
+    ),
+    paths: int = option("N", "Sweep the agent along this many paths.", default=0, min=0),
+    tolerance: float = option(
+        "METRES",
+        "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
+        default=1e-4,
+    ),
+    as_json: AsJson = False,
+    output: Path | None = option(
+        "PNG|SVG", "Draw the disagreements; - for a PNG on stdout.", *OUTPUT
+    ),
+    force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
+) -> None:
+    """Compare a grid with its scene by MuJoCo and FCL.
+
+    The exit status is 1 if they disagree.
+
+    Example: navbake verify house.grid.json --all
+    """
+    if which.every and which.sample != SAMPLE:
+        raise BadParameter("expected one of them", param_hint="--sample, --all")
+    if output is not None:
+        options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
+    from navbake.verifier.verify import verify as compare  # loads MuJoCo
+
+    report = compare(
+        grid,
+        scene,
+        sample=None if which.every else which.sample,
+        seed=which.seed,
+        radius=radius,
+        paths=paths,
+        tolerance=tolerance,
+        force=force,
+    )
+    with options.beside_output(output):
+        if as_json:
+            print_json(report.to_json())
+        else:
+            _print(report)
+    if output is not None:
+        marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
+        _write_marked(navbake.load(grid), output, marks)
+    if not report.ok:
+        raise Exit(1)
+
+
+def _print(report: VerifyReport) -> None:
+    print_tables(printing.verify_table(report))
+    if report.sweeps is not None:
+        swept = report.sweeps
+        say(
+            f"{swept.paths} paths of {swept.length:.0f} m in all swept with {swept.radius:g} m: "
+            f"{swept.touching} touch, {swept.beside} meet what lies within a step of their ends"
+        )
+    for note in report.notes:
+        say(f"note: {note}")
+    for found in report.findings[:SHOWN]:
+        x, y, z = found.position
+        cell = "" if found.cell is None else f", row {found.cell[0]}, col {found.cell[1]}"
+        say(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
+    if len(report.findings) > SHOWN:
+        say(f"and {len(report.findings) - SHOWN} more: --json lists them")
+    share = f"{report.checked:,} of {report.num_cells:,} cells"
+    verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
+    say(f"grid and scene {verdict}, at {share}")
+
+
+def audit(
+    grid: GridFile,
+    as_json: AsJson = False,
+    output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
+    on: Path | None = option(
+        "FILE", "GRID is a graph of routes on this grid, or map of nav2.", "--grid"
+    ),
+    radius: float | None = option(
+        "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
+    ),
+) -> None:
+    """Look at a grid of any program, or at a graph of routes, for what a person would notice.
+
+    It needs no scene. The exit status is 1 if there are errors, 0 if there are only remarks.
+
+    Example: navbake audit house.grid.json -o remarks.png
+    """
+    options.refuse_unused(("--radius", radius is not None, on is not None, "--grid"))
+    if output is not None:
+        options.check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
+    from navbake.auditor.audit import audit as look_at  # loads numpy
+    from navbake.auditor.report import count_of  # loads it too
+
+    if on is None:
+        content = navbake.load(grid)
+        report = look_at(content)
+    else:
+        from navbake.auditor.routes import audit_routes  # loads it too
+
+        content = read_as(on)
+        report = audit_routes(grid, content, radius=radius)
+    with options.beside_output(output):
+        if as_json:
+            print_json(report.to_json())
+        else:
+            for remark in report.remarks:
+                say(remark)
+            errors = count_of(len(report.errors), "error")
+            others = count_of(len(report.remarks) - len(report.errors), "remark")
+            say(f"{len(report.checks)} checks: {errors}, {others}")
+    if output is not None:
+        placed = [(-1 if r.level is None else r.level, r.place, r.check) for r in report.remarks]
+        marks = [(level, *place[:2], kind) for level, place, kind in placed if place is not None]
+        _write_marked(content, output, marks)
+    if not report.ok:
+        raise Exit(1)
+
+
+def _write_marked(
+    grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
+) -> None:
+    """Draw a grid's occupancy with marks: level, world x and y [m], and text."""
+    from navbake.views.plot import Mark  # loads numpy
+
+    options.write_picture(
+        grid, output, layers=("occupancy",), marks=[Mark(*mark) for mark in marks]
+    )
+
+
+def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
+    """Print what is installed and whether it works, to paste into an issue.
+
+    Versions, the folder of compiled code, cores, OpenGL, extras with the command that installs
+    each, and the time of a sample's bake. The first bake on a machine compiles for half a minute.
+    The exit status is 1 if the bake fails.
+
+    Example: navbake doctor
+    """
+    parts = (_describe_versions(), _describe_machine(), _describe_cache(), _describe_extras())
+    for name, text in chain.from_iterable(parts):
+        print(f"{name:<12} {text}")
+    if not no_bake:
+        print(f"{'bake':<12} {_time_bake()}")
+
+
+def _describe_versions() -> Iterator[tuple[str, str]]:
+    yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
+    yield "python", f"{platform.python_version()} in {sys.executable}"
+    yield "system", f"{platform.platform()}, {platform.machine()}"
+    yield "packages", ", ".join(f"{name} {_installed(name) or 'MISSING'}" for name in _needed()[""])
+
+
+def _needed() -> dict[str, list[str]]:
+    """The packages that navbake requires, by extra, those that it always requires under ""."""
+    needed: dict[str, list[str]] = {"": []}
+    for line in requires("navbake") or ():
+        found = REQUIREMENT.match(line)
+        assert found is not None
+        needed.setdefault(found["extra"] or "", []).append(found[1])
+    return needed
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _describe_machine() -> Iterator[tuple[str, str]]:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    yield "cores", f"{os.cpu_count()}, usable {usable}, threads of a bake {threads.num_threads()}"
+    found = [name for name in ("EGL", "OSMesa", "GL") if find_library(name)]
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
+    libraries = ", ".join(found) or "none"
+    yield (
+        "OpenGL",
+        f"libraries {libraries}, display {screen}; only the browser of `view` draws by it",
+    )
+
+
+def _describe_cache() -> Iterator[tuple[str, str]]:
+    folder = compiled.cache_folder()
+    if folder is None:
+        yield "compiled", f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.REMEDY}"
+        return
+    entries = [entry for group in compiled.read_list() for entry in group]
+    cold = len(compiled.list_cold(entries))
+    files = [path for path in folder.rglob("*.nb?") if path.is_file()]
+    used = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
+    stale = [path for path in files if path.parent.parent not in used]
+    state = f"{len(entries) - cold} of {len(entries)} functions are compiled"
+    yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
+    if stale:
+        folders = len({path.parent.parent for path in stale})
+        yield "", f"{_megabytes(stale)} MB in {folders} folders are of other sources: not used"
+
+
+def _megabytes(files: list[Path]) -> str:
+    return f"{sum(path.stat().st_size for path in files) / 1e6:.1f}"
+
+
+def _describe_extras() -> Iterator[tuple[str, str]]:
+    for extra, packages in sorted(_needed().items()):
+        if extra in ("", "test", "bench", "docs", "tensors-test"):  # of developers
+            continue
+        have = [f"{name} {_installed(name)}" for name in packages if _installed(name)]
+        missing = [name for name in packages if not _installed(name)]
+        lack = f'missing {", ".join(missing)}: pip install "navbake[{extra}]"'
+        yield (
+            f"[{extra}]",
+            "; ".join([*([", ".join(have)] if have else []), *([lack] if missing else [])]),
+        )
+
+
+def _time_bake() -> str:
+    """Bake the sample twice, the first time with what compiling there is to do."""
+    settings, taken = config.load_config(samples.path(BAKED)), []
+    try:
+        for _ in range(2):
+            begin = time.perf_counter()
+            grid = pipeline.bake(settings)
+            taken.append(time.perf_counter() - begin)
+    except NavbakeError as error:
+        raise NavbakeError(f"the sample {BAKED!r} can't be baked: {error}") from error
+    free = sum(int(level.free.sum()) for level in grid.levels)
+    is_usual = "as usual" if taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
+    return f"{BAKED}: {taken[0]:.2f} s, again {taken[1]:.2f} s ({is_usual}), {free} free cells"
