@@ -25,7 +25,7 @@ from navbake.episodes.episode import Episode, EpisodeSet, named_agent, scene_of
 from navbake.episodes.formats import decode
 from navbake.episodes.goals import SNAP, find_stops, path_through
 from navbake.episodes.sampler import EDGES
-from navbake.errors import QueryError
+from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
@@ -285,11 +285,13 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     ``stop`` (bool, shape (k,)) and ``times`` (shape (n,)).
 
     Raises:
-        FormatError: it is neither.
+        FormatError: it is neither, or empty.
     """
     if not os.fspath(path).lower().endswith(".npz"):
         packed, name = read_bytes(path)
         lines = [line for line in unpack(packed, name).splitlines() if line.strip()]
+        if not lines:
+            raise FormatError(f"expected trajectories in {name}, got none")
         return [decode(line, Trajectory, f"{name}, line {k}") for k, line in enumerate(lines, 1)]
     wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), wanted) as archive:
@@ -300,6 +302,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
         fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
         fits &= stop is None or stop.shape == ids.shape
         fits &= times is None or times.shape == points.shape[:1]
+        if not len(ids):
+            raise ValueError("no trajectories")
         if not fits or start[0] != 0 or start[-1] != len(points) or (np.diff(start) < 0).any():
             raise ValueError("arrays of other shapes")
         return [

@@ -111,9 +111,10 @@ def find_format(path: str | os.PathLike[str], name: str | None = None, *, writin
     if fitting:
         return max(fitting, key=lambda pair: len(pair[0]))[1]  # the first of equally long ones
     listed = ", ".join(f"{'/'.join(form.endings)} ({form.name})" for form in known)
+    hint = ": give the .yaml of the map, which names the image" if file.endswith(".pgm") else ""
     raise FormatError(
         f"expected a name that ends as a format that is {done} does, {listed}; got "
-        f"{os.fsdecode(path)}"
+        f"{os.fsdecode(path)}{hint}"
     )
 
 

@@ -97,6 +97,8 @@ def test_sets_are_converted(run):
     assert (status, out, err) == (0, "a.json.gz\n", "")
     assert run("convert", "a.json.gz", "b.jsonl", "--scene", "house=x/house.glb", "-q")[0] == 0
     assert Path("b.jsonl").read_bytes().count(b'"scene":"house"') == 1 + 5
+    status, _, err = run("convert", "a.json.gz", "o.jsonl", "--scene", "house=WRONG")
+    assert status == 1 and "house=WRONG fits no scene of a.json.gz" in err and "x/house.glb" in err
     status, out, _ = run("convert", "a.json.gz", "c.csv", "--to", "minos")
     assert status == 0 and "c.csv doesn't hold: agent, path" in out
     assert run("convert", "c.csv", "d.json", "--to", "habitat-vln")[2].count("needs paths") == 1

@@ -14,6 +14,7 @@ from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
 from navbake.formats.source import write_bytes
+from navbake.known_names import suggest
 from navbake.views.tables import make_table
 
 # Functions import what reads grids when they run: --help stays quick.
@@ -124,7 +125,12 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
 
     options.check_output(output, inputs=[source])
-    lost = write_episodes(read_episodes(source, scenes), output, form, scenes)
+    content = read_episodes(source, scenes)
+    known = {episode.scene for episode in content.episodes}
+    for name in sorted(scenes.keys() - known):
+        fault = f"--scene {name}={scenes[name]} fits no scene of {source}"
+        raise ConfigError(f"{fault}: {suggest(name, sorted(known))}")
+    lost = write_episodes(content, output, form, scenes)
     say_unless_quiet(output)
     if lost:
         say(f"{output} doesn't hold: {', '.join(lost)}")
