@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from os import PathLike
 from typing import Any
 
-from navbake.auditor import cells, levels, traffic
+from navbake.auditor import cells, levels
 from navbake.auditor.facts import Facts
 from navbake.auditor.report import ERROR, AuditReport, Found, Remark
 from navbake.errors import FormatError
@@ -34,8 +34,8 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Found]]]] = {
     "boxes exclude their own cells": ("boxes", levels.check_boxes),
     "links lead nowhere": ("links", levels.check_links),
     "links are missing": ("no link", levels.check_missing_links),
-    "a link stops where it can't": ("named links", traffic.check_named_links),
-    "an area is nowhere": ("areas", traffic.check_areas),
+    "a link stops where it can't": ("named links", levels.check_named_links),
+    "an area is nowhere": ("areas", levels.check_areas),
     "the agent can't be": ("agent", levels.check_agent),
 }
 """The checks, by what each looks for: what its remarks are called, and its function."""

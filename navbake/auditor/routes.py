@@ -24,7 +24,6 @@ from navbake.types import Bool, Float
 LEAST_AREA = 4.0  # m² of an island that has to be reached
 SLACK = 1e-5  # metres by which a disc may overlap what it touches
 SHOWN = 5  # names that a remark lists
-CHECKS = ("nodes", "lanes", "parts", "dead ends", "islands")
 
 
 def audit_routes(
@@ -42,15 +41,17 @@ def audit_routes(
     """
     if not isinstance(graph, RouteGraph):
         graph = read_routes(graph)
-    facts, remarks = Facts(grid), list[Remark]()
-    radius = graph.radius if radius is None else radius
-    checks = (_nodes(graph, facts), _lanes(graph, facts, radius), _parts(graph))
-    for name, found in zip(
-        CHECKS, (*checks, _dead_ends(graph), _islands(graph, facts)), strict=True
-    ):
-        remarks += [Remark(name, *entry) for entry in found]
+    facts, radius = Facts(grid), graph.radius if radius is None else radius
+    checks = {
+        "nodes": _nodes(graph, facts),
+        "lanes": _lanes(graph, facts, radius),
+        "parts": _parts(graph),
+        "dead ends": _dead_ends(graph),
+        "islands": _islands(graph, facts),
+    }
+    remarks = [Remark(name, *entry) for name, found in checks.items() for entry in found]
     remarks.sort(key=lambda remark: remark.severity != ERROR)
-    return AuditReport(graph.scene_id, remarks, list(CHECKS))
+    return AuditReport(graph.scene_id, remarks, list(checks))
 
 
 def _nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
@@ -129,9 +130,8 @@ def distances(ends: Float, centers: Float, half: float) -> Float:
     """
     start, way = ends[0], ends[1] - ends[0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        cuts = np.sort(
-            [(centers + side - start) / way for side in (-half + SLACK, half - SLACK)], axis=0
-        )
+        sides = (-half + SLACK, half - SLACK)
+        cuts = np.sort([(centers + side - start) / way for side in sides], axis=0)
     within = np.abs(centers - start) < half - SLACK  # of a line along an axis
     enter = np.where(way == 0, np.where(within, -np.inf, np.inf), cuts[0]).max(axis=1)
     leave = np.where(way == 0, np.where(within, np.inf, -np.inf), cuts[1]).min(axis=1)
@@ -174,10 +174,8 @@ def _dead_ends(graph: RouteGraph) -> Iterator[Found]:
     for lane in graph.lanes:
         ends[lane.start].add(lane.end)
         ends[lane.end].add(lane.start)
-    names = ("junction", "waypoint")
-    found = [
-        n for n, own in zip(graph.nodes, ends, strict=True) if len(own) < 2 and n.kind in names
-    ]
+    found = [node for node, own in zip(graph.nodes, ends, strict=True) if len(own) < 2]
+    found = [node for node in found if node.kind in ("junction", "waypoint")]
     if found:
         listed = ", ".join(repr(node.name) for node in found[:SHOWN])
         more = ", …" if len(found) > SHOWN else ""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
 from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.navgrid.grid import GridBase
 from navbake.types import Vector3
-from navbake.verifier.lines import AROUND, FACES_UP, RIM, Lines
+from navbake.verifier.probes import AROUND, FACES_UP, RIM, Lines
 from navbake.verifier.report import FLOOR_OFF, PLACE_LOST, Finding, LevelCounts
 from navbake.verifier.sample import Agent, LevelSample, shift_between
 
@@ -55,10 +56,8 @@ class FloorCheck:
         self._agent, self._lines = agent, lines
         self._settings = FloorSettings() if config is None else config.floors
         self._lattice = grid.levels[0].lattice
-        self._levels = [
-            (level.floor, level.free, shift_between(self._lattice, level.lattice))
-            for level in grid.levels
-        ]
+        shifts = [shift_between(self._lattice, level.lattice) for level in grid.levels]
+        self._levels = [(v.floor, v.free, by) for v, by in zip(grid.levels, shifts, strict=True)]
         leaves_out = config is None or config.levels != "auto" or config.floors.reach != "all"
         self._are_asked = not leaves_out or all(np.isnan(floor).all() for floor, *_ in self._levels)
         self._stride = max(1, round(STRIDE / self._lattice.cell_size))
@@ -139,9 +138,8 @@ class FloorCheck:
         reach = int(self._settings.shrink / self._edge) + 1
         span = [n * self._stride for n in range(-reach, reach + 1)]
         # farther from the outline than floors are shrunk by
-        num_inner = sum(
-            all((r + i, c + j) in places for i in span for j in span) for r, c in places
-        )
+        around = [*product(span, span)]
+        num_inner = sum(all((r + i, c + j) in places for i, j in around) for r, c in places)
         over = {(r, c) for r, c, n in own if any((r, c, below) not in own for below in range(n))}
         area, walls = len(places) * self._edge**2, ends.count(None)
         # what drops to the sheet itself, as beside its own stairs, makes it no top

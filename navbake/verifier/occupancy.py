@@ -8,9 +8,8 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from navbake.types import Bool, Int
-from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, Obstacle
-from navbake.verifier.probes import DISPUTED, FARTHEST, TOUCHES, Probes
+from navbake.verifier.probes import DISPUTED, FARTHEST, TOUCHES, Lines, Probes
 from navbake.verifier.report import BLOCKED_APART, FREE_TOUCHES, NO_FLOOR, Finding, LevelCounts
 from navbake.verifier.sample import Agent, LevelSample, Part
 

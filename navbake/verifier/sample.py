@@ -58,10 +58,8 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
     """
     done, broken = read_inflations(grid)
     if broken is not None:
-        notes.append(
-            "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch "
-            "something by itself"
-        )
+        text = "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch"
+        notes.append(f"{text} something by itself")
     largest = max((one.radius for one in done), default=0.0)
     if any(one.mode == "minos" for one in done):
         if radius is not None:

@@ -107,10 +107,8 @@ def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:
     """The stated scene's file: beside the grid, in the current folder, or in ``scenes`` there."""
     whose = grid.scene_id or "the grid"
     if not isinstance(stated, str) or not stated:
-        raise NoSceneError(
-            f"{whose} doesn't say which scene it was baked from: give the scene, or the settings "
-            "of its bake"
-        )
+        text = f"{whose} doesn't say which scene it was baked from"
+        raise NoSceneError(f"{text}: give the scene, or the settings of its bake")
     name = Path(stated).name
     folders = dict.fromkeys([grid_path.parent if grid_path else Path(), Path()])
     for folder in folders:

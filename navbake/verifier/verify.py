@@ -17,11 +17,9 @@ from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.floors import FloorCheck
-from navbake.verifier.lines import Lines
-from navbake.verifier.links import check_links
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
 from navbake.verifier.occupancy import OccupancyCheck
-from navbake.verifier.probes import Probes
+from navbake.verifier.probes import Lines, Probes
 from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
     Agent,
@@ -32,7 +30,7 @@ from navbake.verifier.sample import (
     volume_over,
 )
 from navbake.verifier.source import SceneSource, find_source, pose_doors
-from navbake.verifier.sweeps import Sweep
+from navbake.verifier.sweeps import Sweep, check_links
 
 SAMPLE = 100_000  # cells that are looked at unless told otherwise
 TOLERANCE = 1e-4  # what touches by less than this touches by rounding [m]
@@ -185,9 +183,8 @@ def verify_scene(
         except FormatError as error:
             notes.append(f"no paths were swept: {error}")
     findings.sort(key=lambda found: (found.level, found.cell or (-1, -1), found.kind))
-    report = VerifyReport(
-        content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes
-    )
+    made = levels, swept, findings, notes
+    report = VerifyReport(content.scene_id, num_cells, seed, tolerance, cylinder, *made)
     surfaces = {item.geom for item in obstacles.items if not item.same_in_mujoco}
     if surfaces:
         names = sorted(obstacles.names[geom] for geom in surfaces)

@@ -8,9 +8,8 @@ import pytest
 
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
-from navbake.verifier.lines import Lines
 from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, Obstacles, split_parts
-from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
+from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Lines, Probes
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
 
