@@ -55,10 +55,12 @@ def describe(grid: NavGrid) -> Json:
                 "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
             }
         )
+    cell_size = grid.levels[0].lattice.cell_size
+    cells = np.sum([np.bincount(v.area_index.ravel(), minlength=256) for v in grid.levels], axis=0)
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
-        "cell_size": grid.levels[0].lattice.cell_size,
+        "cell_size": cell_size,
         "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
@@ -66,7 +68,7 @@ def describe(grid: NavGrid) -> Json:
         "num_steps": len(grid.step_array),
         "links": [link.to_json() for link in grid.links],
         "areas": [
-            {**area.to_json(), "m2": _rounded(_size_of_area(grid, number))}
+            {**area.to_json(), "m2": _rounded(cells[number] * cell_size**2)}
             for number, area in enumerate(grid.areas, start=1)
         ],
         "agents": {name: agent.to_json() for name, agent in grid.agents.items()},
@@ -79,14 +81,6 @@ def describe(grid: NavGrid) -> Json:
         ],
         "warnings": list(grid.warnings),
     }
-
-
-def _size_of_area(grid: NavGrid, number: int) -> float:
-    """Of all cells of an area [m²], free or not."""
-    return sum(
-        float(np.count_nonzero(level.area_index == number)) * level.lattice.cell_size**2
-        for level in grid.levels
-    )
 
 
 def _rounded(value: float) -> float:

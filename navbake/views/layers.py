@@ -310,14 +310,9 @@ def _show_rooms(grid: NavGrid, number: int) -> Panel:
         ("doorway", colors.DOORWAY): doorways & ~doors,
     }
     legend = tuple(entry for entry, cells in entries.items() if cells.any())
-    labels, lines = _label_rooms(grid, number), find_door_lines(grid, number)
+    names = [(r.index, r.name, f"{number}:{r.index}") for r in grid.rooms if r.level == number]
+    labels, lines = _label_parts(level, index, names), find_door_lines(grid, number)
     return Panel("rooms", paint_rooms(grid, number), legend=legend, labels=labels, doors=lines)
-
-
-def _label_rooms(grid: NavGrid, number: int) -> tuple[Label, ...]:
-    rooms = [room for room in grid.rooms if room.level == number]
-    names = [(room.index, room.name, f"{number}:{room.index}") for room in rooms]
-    return _label_parts(grid.levels[number], grid.levels[number].room_index, names)
 
 
 def _label_parts(
@@ -385,18 +380,17 @@ def _show_links(grid: NavGrid, number: int) -> Panel:
 
 
 def _show_areas(grid: NavGrid, number: int) -> Panel:
-    level, areas = grid.levels[number], grid.areas
-    index = level.area_index
+    level, index, names = grid.levels[number], grid.levels[number].area_index, []
     rgb, legend = _occupancy(level)
     entries = []
-    for place, area in enumerate(areas, 1):
+    for place, area in enumerate(grid.areas, 1):
         color = colors.ROOMS[place % len(colors.ROOMS)]
         color = colors.KEEP_OUT if math.isinf(area.cost) else color
         here, tint = index == place, np.array(colors.rgb_of(color), dtype=np.uint8)
         rgb[here & level.free] = tint
         rgb[here & ~level.free] = colors.darkened(tint)
         entries += [(describe_area(area), color)] if here.any() else []
-    names = [(place, area.name, str(place)) for place, area in enumerate(areas, 1)]
+        names.append((place, area.name, str(place)))
     return Panel("areas", rgb, legend=(*entries, *legend), labels=_label_parts(level, index, names))
 
 

@@ -46,10 +46,8 @@ class Way(NamedTuple):
 
 def find_ways(grid: NavGrid) -> list[Way]:
     """The named links in the file's order, then stairs, then steep ramps, by level."""
-    links = [
-        Way(link.name, link.kind, tuple((s.level, *s.position) for s in link.stops), link)
-        for link in grid.links
-    ]
+    stops = [tuple((stop.level, *stop.position) for stop in link.stops) for link in grid.links]
+    links = [Way(one.name, one.kind, at, one) for one, at in zip(grid.links, stops, strict=True)]
     return [*links, *_group_steps(grid)]
 
 
@@ -67,16 +65,12 @@ def _group_steps(grid: NavGrid) -> Iterator[Way]:
         part = ndimage.label(mask, np.ones((3, 3)))[0][cells]
         for number in np.unique(part).tolist():
             some, count[kind] = own[part == number], count[kind] + 1
-            ends = [_middle_of(grid, pair[k], some[:, 2 * k + 1]) for k in (0, 1)]
+            ends: list[Place] = []
+            for on, at in zip(pair, (some[:, 1], some[:, 3]), strict=True):
+                rows, cols = np.divmod(at, grid.levels[on].width)
+                x, y = grid.levels[on].lattice.positions(rows, cols).mean(axis=0).tolist()
+                ends.append((on, x, y, float(grid.levels[on].floor_or_ground[rows, cols].mean())))
             yield Way(f"{kind} {count[kind]}", kind, tuple(ends), None, len(some))
-
-
-def _middle_of(grid: NavGrid, number: int, cells: np.ndarray) -> Place:
-    level = grid.levels[number]
-    rows, cols = np.divmod(cells, level.width)
-    x, y = level.lattice.positions(rows, cols).mean(axis=0).tolist()
-    z = level.floor_or_ground[rows, cols].mean()
-    return number, x, y, float(z)
 
 
 def bend(start: Float, end: Float) -> Float:

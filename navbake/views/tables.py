@@ -53,18 +53,17 @@ def make_table(
     return Table(headings, cells, frozenset(numbers), gap)
 
 
-def unit_of(setting: str) -> str:
-    """The unit of an agent's size or slope, as it stands behind its name."""
-    return "[deg]" if "slope" in setting else "[m]"
-
-
 def summarize(facts: Json) -> list[tuple[str, str]]:
     """Facts about a whole grid, from `navbake.views.describe.describe`."""
-    inflated, agent = "{radius}, clearance {clearance} ({mode})", facts["agent"].items()
+    inflated = "{radius}, clearance {clearance} ({mode})"
+    agent = {  # sizes, and a slope
+        f"agent {name.replace('_', ' ')} {'[deg]' if 'slope' in name else '[m]'}": str(value)
+        for name, value in facts["agent"].items()
+    }
     return [
         ("scene", facts["scene_id"] or "not named"),
         ("cell size [m]", f"{facts['cell_size']:g}"),
-        *((f"agent {name.replace('_', ' ')} {unit_of(name)}", str(v)) for name, v in agent),
+        *agent.items(),
         *(("inflated to [m]", inflated.format_map(entry)) for entry in facts["inflated"]),
         ("islands", str(facts["num_islands"])),
         ("steps", str(facts["num_steps"])),
@@ -97,9 +96,9 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
             opens_to.append(f"{neighbour.room} ({how})" if how else neighbour.room)
         index = "" if room.id == f"{room.level}:{room.index}" else room.index
         named = (room.id, room.name, levels[room.level] if len(levels) > 1 else "", index)
-        centroid = " ".join(f"{value:.2f}" for value in room.centroid)
         source = f"{room.source or ''}{', outdoors' if room.outdoors else ''}"
-        rows.append((*named, f"{room.area:.2f}", centroid, source, ", ".join(opens_to)))
+        facts = f"{room.area:.2f}", _place(room.centroid), source, ", ".join(opens_to)
+        rows.append((*named, *facts))
     headings = ("id", "name", "level", "index", "m2", "centroid x y z m", "from", "opens to")
     return make_table(headings, rows, numbers=("index", "m2")).without_empty_columns()
 
@@ -125,20 +124,13 @@ def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
 
 def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
     """A row for each named link, without empty columns; `levels` are the levels' names."""
-    rows = [
-        (
-            link.name,
-            link.kind,
-            f"{' > ' if link.one_way else ' - '}".join(
-                _place(stop.position) for stop in link.stops
-            ),
-            ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops)),
-            *(_number(value) for value in (link.width, link.cost, link.seconds)),
-            _names(link.agents),
-            link.state,
-        )
-        for link in links
-    ]
+    rows = []
+    for link in links:
+        way = " > " if link.one_way else " - "
+        stops = way.join(_place(stop.position) for stop in link.stops)
+        on = ", ".join(dict.fromkeys(levels[stop.level] for stop in link.stops))
+        sizes = map(_number, (link.width, link.cost, link.seconds))
+        rows.append((link.name, link.kind, stops, on, *sizes, _names(link.agents), link.state))
     headings = ("link", "kind", "stops x y z m", "levels", "wide m", "cost m", "s", "for", "is")
     return make_table(headings, rows, numbers=("wide m", "cost m", "s")).without_empty_columns()
 
@@ -146,14 +138,8 @@ def link_table(links: Sequence[Link], levels: Sequence[str]) -> Table:
 def area_table(areas: Sequence[Json]) -> Table:
     """A row for each area, from `navbake.views.describe.describe`, without empty columns."""
     rows = [
-        (
-            area["name"],
-            area["cost"],
-            _number(area.get("speed")),
-            _names(area.get("agents")),
-            f"{area['m2']:.2f}",
-        )
-        for area in areas
+        (a["name"], a["cost"], _number(a.get("speed")), _names(a.get("agents")), f"{a['m2']:.2f}")
+        for a in areas
     ]
     headings = ("area", "cost", "m/s", "for", "m2")
     return make_table(headings, rows, numbers=("cost", "m/s", "m2")).without_empty_columns()

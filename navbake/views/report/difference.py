@@ -51,9 +51,8 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     pairs = match_levels(first, second)
     levels = [compare_levels(first.levels[i], second.levels[j], (i, j)) for i, j in pairs]
     called = [(first.level_names[i], second.level_names[j]) for i, j in pairs]
-    counts = [
-        np.bincount(level.change.ravel(), minlength=len(COLORS))[: len(CHANGES)] for level in levels
-    ]
+    most = len(CHANGES)
+    counts = [np.bincount(level.change.ravel(), minlength=most)[:most] for level in levels]
     cells = [(*both, *count.tolist()) for both, count in zip(called, counts, strict=True)]
     alone = [
         (ONLY[side], *("" if side else name, name if side else ""))
@@ -76,10 +75,8 @@ def describe_changes(first: NavGrid, second: NavGrid, names: Sequence[str]) -> J
     if abs(ours - theirs) > 1e-9:
         where = f"with the cells of {theirs:g} m in which their centres lie"
         warnings.append(f"cells of {ours:g} m are compared {where}")
-    before, after = (
-        sum(np.count_nonzero(level.free) * level.lattice.cell_size**2 for level in grid.levels)
-        for grid in grids
-    )
+    areas = [[v.free.sum() * v.lattice.cell_size**2 for v in grid.levels] for grid in grids]
+    before, after = map(sum, areas)
     changed = f"{sum(int(count.sum()) for count in counts):,}"
     facts = {"first": names[0], "second": names[1], "cells that changed": changed}
     facts["free area"] = f"{before:.2f} to {after:.2f} m² ({after - before:+.2f})"
@@ -159,9 +156,8 @@ def compare_levels(
     Each is compared with the cell of the second level that holds it.
     """
     lattice = _cover_both(first.lattice, second.lattice)
-    there, free, floor, room, weight = zip(
-        _sample(first, lattice), _sample(second, lattice), strict=True
-    )
+    sampled = _sample(first, lattice), _sample(second, lattice)
+    there, free, floor, room, weight = zip(*sampled, strict=True)
     rooms, both = _match_rooms(*room), there[0] & there[1]
     same_room = np.zeros([int(of_one.max(initial=0)) + 1 for of_one in room], bool)
     same_room[0, 0] = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -19,22 +18,13 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Int, Json
+from navbake.views import tables as made
 from navbake.views.describe import describe
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.links import Way, stair_table
+from navbake.views.links import stair_table
 from navbake.views.page.page import make_page, pack, show_table
 from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
-from navbake.views.tables import (
-    Table,
-    agent_table,
-    area_table,
-    door_table,
-    level_table,
-    link_table,
-    make_table,
-    room_table,
-    summarize,
-)
+from navbake.views.tables import Table, make_table, summarize
 
 if TYPE_CHECKING:
     from navbake.auditor.report import AuditReport
@@ -65,21 +55,13 @@ class Verification(TypedDict):
 
 
 def write_report(
-    grids: NavGrid | Sequence[NavGrid],
-    path: str | PathLike[str],
-    *,
-    names: Sequence[str] | None = None,
-    audits: Sequence[AuditReport | None] | None = None,
-    verifications: Sequence[Json | None] | None = None,
+    grids: NavGrid | Sequence[NavGrid], path: str | PathLike[str], **more: Any
 ) -> Path:
-    """Write what `render_report` makes, whole or not at all, and return the path.
+    """Write what `render_report` makes of the same arguments, whole or not at all.
 
-    Raises:
-        FormatError: it can't be written.
-        QueryError: see `render_report`.
+    Returns the path. Raises a FormatError if it can't be written, and as `render_report`.
     """
-    content = render_report(grids, names=names, audits=audits, verifications=verifications)
-    write_bytes(content, path)
+    write_bytes(render_report(grids, **more), path)
     return Path(path)
 
 
@@ -118,14 +100,13 @@ def render_report(
         name if called.count(name) == 1 else f"{name} ({called[: i + 1].count(name)})"
         for i, name in enumerate(called)
     ]
-    each = zip(grids, called, audits, verifications, strict=True)
-    sheets = [_describe_grid(*of_one) for of_one in each]
+    sheets = list(map(_describe_grid, grids, called, audits, verifications))
     if num == 2:
         sheets.append(describe_changes(grids[0], grids[1], called))
     return make_page(", ".join(called), {"sheets": sheets}, "navbake.views.report", "report")
 
 
-def read_verification(path: str | os.PathLike[str]) -> Json:
+def read_verification(path: str | PathLike[str]) -> Json:
     """Read a verification's JSON, see `navbake.verifier.report.VerifyReport.to_json`.
 
     Raises:
@@ -168,24 +149,26 @@ def _describe_grid(
         looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
         title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
         remarks.append(_show_remarks("verify", title, "geom", found, looked_at))
-    marks, levels, timings = [mark for of_one, _ in remarks for mark in of_one], [], []
+    marks, levels = [mark for of_one, _ in remarks for mark in of_one], []
     for number in range(len(grid.levels)):
         own = [mark for mark in marks if mark["level"] in (number, None)]
         rooms = {str(r.index): r.name or r.id for r in grid.rooms if r.level == number}
         levels.append({**describe_map(grid, number), "marks": own, "rooms": rooms})
-    for key, value in grid.timings.items():
-        if isinstance(value, int | float):
-            timings.append((key.removesuffix("Millis"), f"{value:.1f}"))
+    timings = [
+        (key.removesuffix("Millis"), f"{value:.1f}")
+        for key, value in grid.timings.items()
+        if isinstance(value, int | float)
+    ]
     settings = flatten(grid.navbake.get("settings")).items()
     tables = {
-        "Levels": level_table(facts),
-        "Rooms": room_table(grid.rooms, grid.level_names),
-        "Doors": door_table(grid.doors, grid.level_names),
+        "Levels": made.level_table(facts),
+        "Rooms": made.room_table(grid.rooms, grid.level_names),
+        "Doors": made.door_table(grid.doors, grid.level_names),
         "Stairs and steep ramps": stair_table(grid),
-        "Links": link_table(grid.links, grid.level_names),
-        "Areas": area_table(facts["areas"]),
-        "Agents": agent_table(facts["agents"]),
-        **dict(made for _, made in remarks),
+        "Links": made.link_table(grid.links, grid.level_names),
+        "Areas": made.area_table(facts["areas"]),
+        "Agents": made.agent_table(facts["agents"]),
+        **dict(table for _, table in remarks),
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
         "Made by": make_table(("what", "version or digest"), facts["made_by"].items()),
@@ -242,9 +225,8 @@ def describe_map(grid: NavGrid, number: int) -> Json:
     }
     every = place["every"]
     cells = {key: layer[::every, ::every].ravel() for key, layer in layers.items()}
-    drawn = [
-        _draw_layer(grid, number, layer, every) for layer in LAYERS if layer != "area" or grid.areas
-    ]
+    shown = [layer for layer in LAYERS if layer != "area" or grid.areas]
+    drawn = [_draw_layer(grid, number, layer, every) for layer in shown]
     return {**place, "cells": pack({**cells, "nameLists": name_lists}), "layers": drawn}
 
 
@@ -294,12 +276,14 @@ def _draw_layer(grid: NavGrid, number: int, layer: str, every: int) -> Json:
         "scale": scale,
         "labels": [label._asdict() for label in panel.labels],
         "doors": [door._asdict() for door in panel.doors],
-        "ways": [_draw_way(way, number) for way in panel.ways],
+        "ways": [
+            {
+                # in order, null on another level
+                "stops": [[x, y] if level == number else None for level, x, y, _ in way.places],
+                "link": way.link is not None,
+                "closed": way.is_closed,
+                "oneWay": way.one_way,
+            }
+            for way in panel.ways
+        ],
     }
-
-
-def _draw_way(way: Way, number: int) -> Json:
-    """Where a link or stair stops on a level, in order, null on another, and how it is drawn."""
-    stops = [[x, y] if level == number else None for level, x, y, _ in way.places]
-    named = way.link is not None
-    return {"stops": stops, "link": named, "closed": way.is_closed, "oneWay": way.one_way}

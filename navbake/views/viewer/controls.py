@@ -245,9 +245,8 @@ def _set(field: str) -> Callable[[Any], Change]:
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
     """How the page looks: without the marks of the library, and nothing that shares it."""
-    gui.configure_theme(
-        dark_mode=dark, show_logo=False, show_share_button=False, control_width="medium"
-    )
+    form: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
+    gui.configure_theme(dark_mode=dark, **form)
 
 
 def _level(names: list[str], chosen: Choices) -> str:

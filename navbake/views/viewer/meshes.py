@@ -131,10 +131,8 @@ def draw_scene(
     has_hidden = bool(in_groups.any() and (drawn & ~in_groups).any())
     if has_hidden and not with_hidden:
         drawn = in_groups
-    pieces = [
-        *_draw_solids(model, data, drawn, plain[:, 3] < 1),
-        *_draw_others(scene, data, drawn, texture),
-    ]
+    pieces = [*_draw_solids(model, data, drawn, plain[:, 3] < 1)]
+    pieces += _draw_others(scene, data, drawn, texture)
     bounds = _bounds_of(pieces)
     planes = np.flatnonzero(drawn & (model.geom_type == PLANE)).tolist()
     pieces += [_draw_plane(model, data, geom, bounds) for geom in planes]
@@ -143,9 +141,8 @@ def draw_scene(
     for look in sorted(set(looks)):
         some = [piece for piece, own in zip(pieces, looks, strict=True) if own == look]
         _, is_round, number = look
-        vertices, faces = trimesh.util.append_faces(
-            [piece.vertices for piece in some], [piece.faces for piece in some]
-        )
+        parts = [piece.vertices for piece in some], [piece.faces for piece in some]
+        vertices, faces = trimesh.util.append_faces(*parts)
         geom = np.concatenate([piece.geom for piece in some if piece.geom is not None])
         triangles = vertices.astype(np.float32), faces.astype(np.uint32), geom
         colors, uv = plain[geom], None

@@ -14,18 +14,14 @@ import threading
 import urllib.request
 from collections.abc import Collection
 from concurrent.futures import Future
-from contextlib import redirect_stdout, suppress
+from contextlib import AbstractContextManager, redirect_stdout, suppress
 from email.message import Message
 from email.parser import BytesHeaderParser
 from functools import partial
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from navbake.errors import MissingDependencyError, NavbakeError
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 HOST, PORT = "127.0.0.1", 8080
 EVERYWHERE = ("0.0.0.0", "::", "")  # hosts that stand for all addresses of this machine
@@ -39,7 +35,7 @@ REFUSED = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n
 PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
 
 
-class PageServer:
+class PageServer(AbstractContextManager["PageServer"]):
     """Serves an empty page at an address of this machine; port 0 is any that is free.
 
     viser answers everybody, so it listens at a random address of the loopback network, and this
@@ -115,9 +111,6 @@ class PageServer:
             self._thread.join()
             with redirect_stdout(io.StringIO()):
                 self.viser.stop()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

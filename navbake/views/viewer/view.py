@@ -9,7 +9,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from itertools import product
 from os import PathLike
@@ -48,7 +48,6 @@ from navbake.views.viewer.server import HOST, PORT, PageServer
 
 if TYPE_CHECKING:
     import viser
-    from typing_extensions import Self
 
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
 PATH_LIFT = 0.06  # of a path over the floor [m]
@@ -78,7 +77,7 @@ def find_camera(bounds: Float, aspect: float) -> Float:
     return place
 
 
-class Viewer:
+class Viewer(AbstractContextManager["Viewer"]):
     """A page that shows a grid, until it is closed; also as a context manager.
 
     Changes come from threads of the server into a queue. One thread applies all that wait, then
@@ -136,9 +135,6 @@ class Viewer:
             self._changes.put(None)
             self._thread.join()
             self._page.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
