@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -157,9 +158,8 @@ class Measures:
         self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
         goals, in_order = episode.goals, episode.task == "sequence"
         # many episodes of a set have the goals of the last one
-        stops = finder.search.keep(
-            "stops", (goals, in_order), lambda: find_stops(finder, goals, in_order=in_order)
-        )
+        key, find = (goals, in_order), partial(find_stops, finder, goals, in_order=in_order)
+        stops = finder.search.keep("stops", key, find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops, self._passed = stops, 0
@@ -216,9 +216,8 @@ class Measures:
     def scores(self, *, stopped: bool) -> Json:
         """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
         way, places, times = np.array(self._positions), self._stops.places, self._times
-        length, distance, shortest = (
-            np.array(v) for v in (path_length(way), self.distance, self.shortest)
-        )
+        known = path_length(way), self.distance, self.shortest
+        length, distance, shortest = map(np.array, known)
         coverage = math.nan if self.share is None else self._coverage(way)
         if self.share is not None:
             ends_at = best_at = 0.0 if coverage >= self.share else math.inf
@@ -296,9 +295,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), wanted) as archive:
         ids, start, points = (archive.read(key, archive.top) for key in REQUIRED)
-        stop, times = (
-            archive.read(key, archive.top) if key in archive else None for key in ("stop", "times")
-        )
+        more = [archive.read(k, archive.top) if k in archive else None for k in ("stop", "times")]
+        stop, times = more
         fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
         fits &= stop is None or stop.shape == ids.shape
         fits &= times is None or times.shape == points.shape[:1]
@@ -407,9 +405,7 @@ def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int =
     summaries = []
     for name, members in groups.items():
         columns = {key: np.array([row[key] for row in members], dtype=float) for key in MEANS}
-        means = {
-            key: bootstrap(np.where(np.isinf(values), np.nan, values), seed=seed)
-            for key, values in columns.items()
-        }
+        finite = {key: np.where(np.isinf(v), np.nan, v) for key, v in columns.items()}
+        means = {key: bootstrap(values, seed=seed) for key, values in finite.items()}
         summaries.append({"group": name, "episodes": len(members), **means})
     return summaries

@@ -31,9 +31,8 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, Hashable) and key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands here a second time", key_node.start_mark
-                )
+                text = f"the key {key!r} stands here a second time"
+                raise yaml.constructor.ConstructorError(None, None, text, key_node.start_mark)
             seen |= {key} if isinstance(key, Hashable) else set()
         return super().construct_mapping(node, deep)
 
@@ -96,10 +95,8 @@ def apply_overrides(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
         for depth, section in enumerate(sections):
             inner = target.get(section)
             if inner is not None and not isinstance(inner, Mapping):
-                above = ".".join(sections[: depth + 1])
-                raise ConfigError(
-                    f"`{above}` is no mapping, so there is no key for --set {override}"
-                )
+                text = f"`{'.'.join(sections[: depth + 1])}` is no mapping"
+                raise ConfigError(f"{text}, so there is no key for --set {override}")
             target[section] = dict(inner or {})
             target = target[section]
         target[last] = value

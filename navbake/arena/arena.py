@@ -229,10 +229,8 @@ class ExploredMap:
             if 0 <= row < self.lattice.height and 0 <= col < self.lattice.width:
                 return row, col
         x0, y0, x1, y1 = self.lattice.bounds
-        raise QueryError(
-            f"expected a position within the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, "
-            f"got ({x:g}, {y:g})"
-        )
+        arena = f"the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        raise QueryError(f"expected a position within {arena}, got ({x:g}, {y:g})")
 
     def _trace(
         self, x: float, y: float, angle: float, length: float, beyond: bool

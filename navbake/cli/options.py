@@ -34,9 +34,9 @@ def option(metavar: str, text: str, *names: str, default: Any = None, **more: An
     return Option(default, *names, metavar=metavar, help=text, **more)
 
 
-def flag(name: str, text: str) -> Any:
+def flag(name: str, text: str, *names: str) -> Any:
     """An option without a value."""
-    return Option(False, name, help=text)
+    return Option(False, name, *names, help=text)
 
 
 def check_overrides(overrides: list[str] | None) -> list[str]:
@@ -85,14 +85,8 @@ ModelPath = Annotated[
     ),
 ]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
-Quiet = Annotated[
-    bool, Option("-q", "--quiet", help="Print only what was asked for, warnings and errors.")
-]
-Verbose = Annotated[
-    bool, Option("-v", "--verbose", help="Print on stderr what is read, done and written, too.")
-]
-
-
+QUIET = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
+VERBOSE = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
 OUTPUT = "-o", "--output"
 """The names of the option."""
 STDOUT = Path("-")
@@ -130,9 +124,8 @@ def check_output(
     if own in others or any(os.path.samefile(own, file) for file in there):
         raise ConfigError(f"expected an output apart from the inputs, got {path}")
     if suffixes and not path.name.lower().endswith(suffixes):
-        raise BadParameter(
-            f"expected a name that ends in {', '.join(suffixes)}, got {path}", param_hint=option
-        )
+        endings = ", ".join(suffixes)
+        raise BadParameter(f"expected a name that ends in {endings}, got {path}", param_hint=option)
     probe = path
     while may_make_folder and not os.path.exists(probe.parent):
         probe = probe.parent
@@ -235,9 +228,9 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
     for parameter in _parameters(command):
         is_group = parameter.name in groups
         parameters += _parameters(parameter.annotation) if is_group else [parameter]
-    for name, option in (("quiet", Quiet), ("verbose", Verbose)):
+    for name, default in (("quiet", QUIET), ("verbose", VERBOSE)):
         kind = inspect.Parameter.KEYWORD_ONLY
-        parameters.append(inspect.Parameter(name, kind, default=False, annotation=option))
+        parameters.append(inspect.Parameter(name, kind, default=default, annotation=bool))
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
@@ -287,10 +280,8 @@ def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[flo
     x, y, z, level = given
     if z is not None or (level is None and len(grid.levels) == 1):
         return [x, y] if z is None else [x, y, z]
-    places = {
-        number: grid.at((x, y), number)
-        for number in (range(len(grid.levels)) if level is None else [level])
-    }
+    asked = range(len(grid.levels)) if level is None else [level]
+    places = {number: grid.at((x, y), number) for number in asked}
     floors = {number: at.floor for number, at in places.items() if at and at.floor is not None}
     if level is None and not floors:
         raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)

@@ -133,10 +133,10 @@ def print_tables(*tables: Table) -> None:
 
 def geom_table(geoms: Iterable[GeomReport]) -> Table:
     """A row for each geom: whether and as what it counts, and why."""
-    rows = (
+    rows = [
         (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
         for g in geoms
-    )
+    ]
     return make_table(("id", "geom", "body", "type", "counted", "as", "why"), rows, numbers=("id",))
 
 
@@ -170,10 +170,8 @@ def lay_out(table: Table, width: int | None = None) -> list[str]:
     widths = [max(map(text_width, column)) for column in zip(*shown, strict=True)]
     is_number = [heading in table.numbers for heading in table.headings]
     if width is not None and sum(widths) + table.gap * (len(widths) - 1) > width:
-        padding = (0, table.gap, 0, 0)
-        wrapped = rich_table.Table(
-            box=None, pad_edge=False, padding=padding, show_header=shown is not table.rows
-        )
+        form = {"pad_edge": False, "padding": (0, table.gap, 0, 0)}
+        wrapped = rich_table.Table(box=None, show_header=shown is not table.rows, **form)
         for heading, right in zip(table.headings, is_number, strict=True):
             side = "right" if right else "left"
             wrapped.add_column(heading, justify=side, overflow="fold", no_wrap=right)

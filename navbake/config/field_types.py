@@ -115,18 +115,16 @@ Positive = Annotated[float, Field(gt=0), expects("a number > 0")]
 NotNegative = Annotated[float, Field(ge=0), expects("a number >= 0")]
 Name = Annotated[str, Field(min_length=1), expects("text that is not empty")]
 OptionalName = Annotated[Name | None, expects("text that is not empty, or null")]
-# a single pattern is a list of one: `bodies: robot*`
-Patterns = Annotated[
-    list[Name], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
-]
-LevelKey = Annotated[
-    Annotated[int, Field(ge=0)] | Name, expects("a level's number from 0, or its name")
-]
-Position = Annotated[
-    Annotated[list[float], Field(min_length=3, max_length=3)], expects("a position [x, y, z]")
-]
+# a single name is a list of one: `bodies: robot*`
+OneOrMore = BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
+Patterns = Annotated[list[Name], OneOrMore]
+Index = Annotated[int, Field(ge=0)]
+LevelKey = Annotated[Index | Name, expects("a level's number from 0, or its name")]
+Point2 = Annotated[list[float], Field(min_length=2, max_length=2)]
+Point3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Position = Annotated[Point3, expects("a position [x, y, z]")]
 Outline = Annotated[
-    list[Annotated[list[float], Field(min_length=2, max_length=2)]],
+    list[Point2],
     Field(min_length=3),
     expects("3 or more corners [[x, y], …]"),
     AfterValidator(_check_outline),

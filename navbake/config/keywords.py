@@ -106,9 +106,7 @@ def _checked(keywords: Mapping[str, Any]) -> Any:
         for section, model in SECTIONS.items():
             name = key.removeprefix(f"{section}_")
             if name in model.model_fields and section in BakeConfig.model_fields:
-                raise ConfigError(
-                    f'write `{section}={{"{name}": …}}` in place of the keyword `{key}`'
-                )
+                raise ConfigError(f'write `{section}={{"{name}": …}}` in place of `{key}`')
     return _plain(keywords)
 
 

@@ -29,12 +29,15 @@ from pydantic import (
 from navbake import samples
 from navbake.config.field_types import (
     FilePath,
+    Index,
     LevelKey,
     Name,
     NotNegative,
+    OneOrMore,
     OptionalName,
     Outline,
     Patterns,
+    Point3,
     Position,
     Positive,
     Section,
@@ -47,7 +50,6 @@ from navbake.config.field_types import (
     resolve,
     section,
     setting,
-    to_path,
 )
 from navbake.config.traffic import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.errors import ConfigError
@@ -79,33 +81,25 @@ def stem_of(path: str | PathLike[str]) -> str:
     return stem.removesuffix(".building") if suffix_of(path) in BUILDING_SUFFIXES else stem
 
 
-ScenePath = Annotated[
-    Path, BeforeValidator(to_path), expects("the path of a scene file"), AfterValidator(resolve)
-]
-Folder = Annotated[Path, BeforeValidator(to_path), expects("a path"), AfterValidator(resolve)]
+Folder = Annotated[FilePath, AfterValidator(resolve)]
+ScenePath = Annotated[Folder, expects("the path of a scene file")]
+IsNoId = refuse_if(lambda v: v in (".", "..") or not v.isprintable() or set(v) & set("/\\"))
 SceneId = Annotated[
     str,
     Field(min_length=1),
-    AfterValidator(
-        refuse_if(lambda v: v in (".", "..") or not v.isprintable() or set(v) & set("/\\"))
-    ),
+    AfterValidator(IsNoId),
     expects("text without / and \\ (a number needs quotes)"),
 ]
 
 
 class ExcludeSettings(Settings):
-    bodies: Patterns = setting(
-        [], "body name patterns (*, ?, [...]); child bodies are left out too"
-    )
+    bodies: Patterns = setting([], "body name patterns (*, ?, [...]), with child bodies")
     geoms: Patterns = setting([], "geom name patterns")
     movable: bool = setting(False, "true: leave out bodies with a free joint; or false")
 
 
 SCAN_HOLES = 2.0  # `floors.fill` of scans [m²]
-
-
-def _is_nowhere(direction: list[float]) -> bool:
-    return sum(value * value for value in direction) < 1e-12
+IsSome = AfterValidator(refuse_if(lambda way: sum(value * value for value in way) < 1e-12))
 
 
 class SceneSettings(Settings):
@@ -115,10 +109,7 @@ class SceneSettings(Settings):
         "no default"
     )
     up: Annotated[
-        Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"]
-        | Annotated[
-            list[float], Field(min_length=3, max_length=3), AfterValidator(refuse_if(_is_nowhere))
-        ],
+        Literal["auto", "level", "x", "-x", "y", "-y", "z", "-z"] | Annotated[Point3, IsSome],
         expects("auto, level, an axis (x, -x, y, -y, z, -z) or a direction [x, y, z]"),
     ] = setting(
         "auto",
@@ -131,9 +122,9 @@ class SceneSettings(Settings):
         "floors.fill: 2.0, pieces below 0.1 m2 left out) or false",
     )
     unit: Positive = setting(1.0, "the unit of mesh files [m], > 0; of USD in place of its own")
-    model_path: Annotated[
-        list[Folder], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)
-    ] = setting([], "folders of the models of an SDF scene (model://…), relative to this file")
+    model_path: Annotated[list[Folder], OneOrMore] = setting(
+        [], "folders of the models of an SDF scene (model://…), relative to this file"
+    )
     geoms: Literal["auto", "collision", "visual", "all"] = setting(
         "auto", "auto (those that can collide, or all if none can), collision, visual, all"
     )
@@ -148,12 +139,10 @@ class SceneSettings(Settings):
     ground: Annotated[float | None, expects("a height in metres, or null")] = setting(
         None, "height of endless ground that is added [m], or null"
     )
-    exclude: Section[ExcludeSettings] = section(
-        ExcludeSettings, "what is left out, by pattern (*, ?, [...])"
+    exclude: Section[ExcludeSettings] = section(ExcludeSettings, "what is left out, by pattern")
+    keyframe: Annotated[str | Index | None, expects("a keyframe's name or index, or null")] = (
+        setting(None, "pose: a keyframe's name, or index >= 0, or null")
     )
-    keyframe: Annotated[
-        str | Annotated[int, Field(ge=0)] | None, expects("a keyframe's name or index, or null")
-    ] = setting(None, "pose: a keyframe's name, or index >= 0, or null")
     joints: dict[Name, Annotated[float | list[float], expects("a number or a list of numbers")]] = (
         setting({}, "pose, after the keyframe: {joint name: position [m or rad], or a list}")
     )
@@ -168,13 +157,10 @@ class SceneSettings(Settings):
         return data
 
 
+DEFAULT_GEOMS, DEFAULT_SITES = ("room|*", "room_*", "floor|*"), ("room*",)
 RoomSource = Literal["polygons", "geoms", "sites", "auto"]
-
-DEFAULT_GEOMS = ("room|*", "room_*", "floor|*")
-DEFAULT_SITES = ("room*",)
-
-
 DoorWidth = Annotated[Literal["auto"] | Positive, expects("a number > 0, or auto")]
+OnceEach = AfterValidator(refuse_if(lambda value: len(set(value)) < len(value)))
 
 
 class RoomPolygon(Settings):
@@ -188,12 +174,12 @@ class RoomPolygon(Settings):
 
 
 class RoomSettings(Settings):
-    # the key `from` is a keyword of Python, so it is an alias of `sources`
+    # `from` is a keyword of Python, so it is an alias of `sources`
     model_config = ConfigDict(**Settings.model_config, populate_by_name=True)
 
     sources: Annotated[
         list[RoomSource],
-        AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
+        OnceEach,
         expects("a list of some of polygons, geoms, sites, auto, each once"),
     ] = Field(
         default=["polygons", "geoms", "sites", "auto"],
@@ -201,7 +187,7 @@ class RoomSettings(Settings):
         description="polygons, geoms, sites, auto, in order of preference: a cell gets its room "
         "from the first that covers it, auto divides the rest at doors; default all four",
     )
-    geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns (*, ?, [...])")
+    geoms: Patterns = setting(list(DEFAULT_GEOMS), "floor geoms, by name patterns")
     sites: Patterns = setting(list(DEFAULT_SITES), "sites as volumes, by name patterns")
     polygons: Annotated[
         list[RoomPolygon], BeforeValidator(read_named("rooms.polygons", read_room_outlines))
@@ -291,24 +277,16 @@ class FloorSettings(Settings):
 
     min_area: NotNegative = setting(1.0, "smallest area of a floor, after shrinking [m2], >= 0")
     shrink: NotNegative = setting(0.3, "distance to shrink floors by for that [m], >= 0")
-    crack: NotNegative = setting(
-        0.03, "distance under which floors on both sides of a cell's centre have no gap [m], >= 0"
-    )
+    crack: NotNegative = setting(0.03, "floors nearer than this have no gap between [m], >= 0")
     fill: NotNegative = setting(
         0.0,
         "largest hole that is closed where floor surrounds it, for scans [m2], >= 0",
         "0.0, or 2.0 with `scene.scan`",
     )
-    tops: bool = setting(
-        False, "keep large tops of what stands on a floor (beds, blocks): true or false"
-    )
+    tops: bool = setting(False, "keep large tops of things on a floor (beds): true or false")
     roofs: bool = setting(False, "keep roofs as levels: true or false")
-    voids: bool = setting(
-        False, "keep voids as levels (plenums, crawl spaces under 1.8 m): true or false"
-    )
-    reach: Literal["all", "steps"] = setting(
-        "all", "which floors count: all, or only those that steps lead to"
-    )
+    voids: bool = setting(False, "keep voids under 1.8 m (plenums) as levels: true or false")
+    reach: Literal["all", "steps"] = setting("all", "floors: all, or those that steps lead to")
     starts: list[Position] = Field(
         default=[],
         alias="from",
@@ -319,16 +297,12 @@ class FloorSettings(Settings):
 
 class NameSettings(Settings):
     enabled: bool = setting(True, "write them: true or false")
-    walls: Patterns = setting(
-        [], "body, geom or mesh name patterns of walls", "[], which finds walls by their shape"
-    )
+    walls: Patterns = setting([], "patterns of walls: bodies, geoms or meshes", "[], by shape")
 
 
 class DoorSettings(Settings):
     patterns: Patterns = setting([], "body name patterns of doors (*, ?, [...])")
-    find: bool = setting(
-        True, "find doors between rooms by shape and joint (one hinge or slide): true or false"
-    )
+    find: bool = setting(True, "find doors between rooms by shape and joint: true or false")
     state: Literal["modelled", "open", "closed", "removed"] = setting(
         "modelled", "state of all doors: modelled, open, closed or removed"
     )
@@ -359,12 +333,8 @@ def _check_ascending(levels: list[LevelSettings]) -> list[LevelSettings]:
 class BakeConfig(Settings):
     """All settings of a bake."""
 
-    scene: Section[SceneSettings] = Field(
-        description="the scene, which of its geoms count, and its pose"
-    )
-    agent: Section[AgentSettings] = section(
-        AgentSettings, "the agent that must fit where it stands"
-    )
+    scene: Section[SceneSettings] = Field(description="the scene: what of it counts, its pose")
+    agent: Section[AgentSettings] = section(AgentSettings, "the agent that must fit")
     grid: Section[GridSettings] = section(GridSettings, "the cells")
     # tags as of `scene.meshes`
     levels: Annotated[
@@ -380,9 +350,7 @@ class BakeConfig(Settings):
         "the storeys: auto, or a list, lowest first, of {ground: 0.0, top: 2.7, name: first floor}"
         " [m]; top and name may be left out",
     )
-    floors: Section[FloorSettings] = section(
-        FloorSettings, "which surfaces are floors, and not furniture"
-    )
+    floors: Section[FloorSettings] = section(FloorSettings, "which surfaces are floors")
     names: Annotated[
         Section[NameSettings],  # `names: false` is short for `names: {enabled: false}`
         BeforeValidator(lambda value: {"enabled": value} if isinstance(value, bool) else value),
@@ -407,15 +375,11 @@ class BakeConfig(Settings):
     )
     attributes: Annotated[
         list[Literal["island", "clearance"]],
-        AfterValidator(refuse_if(lambda value: len(set(value)) < len(value))),
+        OnceEach,
         expects("a list of some of island, clearance, each once"),
     ] = setting([], "further layers to write: island, clearance")
-    verify: Section[VerifySettings] = section(
-        VerifySettings, "comparing the grid with the scene by MuJoCo and FCL"
-    )
-    output: FilePath | None = setting(
-        None, "file to write, relative to the current folder", "<id>.grid.json"
-    )
+    verify: Section[VerifySettings] = section(VerifySettings, "comparing grid and scene")
+    output: FilePath | None = setting(None, "file, from the current folder on", "<id>.grid.json")
     _named: tuple[Path, ...] = PrivateAttr(())
 
     @model_validator(mode="before")
@@ -515,12 +479,8 @@ def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> B
 
 def settings_digest(config: BakeConfig) -> str:
     """Hash the settings that change cells: sha256 of their canonical JSON, 64 hex digits."""
-    left_out: Any = {
-        "output": True,
-        "verify": True,
-        "scene": {"path", "model_path"},
-        "grid": {"max_cells"},
-    }
+    left_out: Any = {"output": True, "verify": True, "grid": {"max_cells"}}
+    left_out["scene"] = {"path", "model_path"}
     # a grid without links, areas and agents has the digest that it had before there were any
     left_out |= {name: True for name in ("agents", "areas", "links") if not getattr(config, name)}
     settings = config.model_dump(mode="json", exclude=left_out)
@@ -535,9 +495,8 @@ def settings_to_state(config: BakeConfig) -> Json:
     memory has none. The grid itself has the states of doors.
     """
     sections = {"scene", "agent", "grid", "levels", "floors"}
-    stated: Json = config.model_dump(
-        mode="json", include=sections, by_alias=True, exclude_defaults=True
-    )
+    form: Any = {"mode": "json", "by_alias": True, "exclude_defaults": True}
+    stated: Json = config.model_dump(include=sections, **form)
     scene = stated["scene"] = dict(stated.get("scene", {}))
     scene["path"] = Path(config.scene.path).name
     scene.pop("model_path", None)

@@ -19,6 +19,7 @@ from pydantic import (
 from navbake.config.field_types import (
     LevelKey,
     Name,
+    OneOrMore,
     OptionalName,
     Outline,
     Patterns,
@@ -38,15 +39,14 @@ from navbake.navgrid.areas import MAX_AREAS
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self
 
+AT_MOST = "that of `agent`, which is the most"
 AUTO_ONLY = ("height", "gap", "patterns")
 GIVEN_ONLY = ("name", "kind", "one_way", "width")
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
 OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
 AgentNames = Annotated[
-    list[Name] | None,
-    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
-    expects("a list of names of `agents`, or null"),
+    list[Name] | None, OneOrMore, expects("a list of names of `agents`, or null")
 ]
 
 
@@ -54,12 +54,8 @@ class NamedAgent(Settings):
     """An agent that plans on the grid, with sizes of its own."""
 
     radius: OptionalLength = setting(None, "radius of its footprint [m], >= 0", "that of `agent`")
-    height: OptionalPositive = setting(
-        None, "its height [m], > 0, at most that of `agent`", "that of `agent`"
-    )
-    step: OptionalLength = setting(
-        None, "its highest step [m], >= 0, at most that of `agent`", "that of `agent`"
-    )
+    height: OptionalPositive = setting(None, "its height [m], > 0", AT_MOST)
+    step: OptionalLength = setting(None, "its highest step [m], >= 0", AT_MOST)
     speed: Positive = setting(1.0, "how fast it goes [m/s], > 0")
 
 
@@ -101,10 +97,8 @@ class AreaSettings(Settings):
     def _check_place(self) -> Self:
         given = [name for name in ("room", "polygon", "box", "geoms") if getattr(self, name)]
         if len(given) != 1:
-            raise refusal(
-                "one of room, polygon, box and geoms",
-                got=" and ".join(given) or f"none for {self.name!r}",
-            )
+            got = " and ".join(given) or f"none for {self.name!r}"
+            raise refusal("one of room, polygon, box and geoms", got=got)
         return self
 
 
@@ -117,13 +111,9 @@ class LinkSettings(Settings):
         list[Position], expects("2 or more positions [[x, y, z], …], none for `auto`")
     ] = setting([], "where it stops, 2 or more positions [[x, y, z], …] [m]")
     one_way: bool = setting(False, "whether it leads from earlier stops to later ones only")
-    width: OptionalPositive = setting(
-        None, "the widest agent that fits, by its diameter [m], > 0, or null"
-    )
+    width: OptionalPositive = setting(None, "diameter of agents that fit [m], > 0, or null")
     cost: OptionalLength = setting(None, "a path's price of it [m], >= 0", "its length")
-    seconds: OptionalLength = setting(
-        None, "how long it takes [s], >= 0", "its cost at the agent's speed"
-    )
+    seconds: OptionalLength = setting(None, "how long it takes [s], >= 0", "cost over speed")
     agents: AgentNames = setting(None, "names of the agents that may use it; null for all")
     state: Literal["open", "closed"] = setting("open", "open or closed")
     auto: Annotated[
@@ -140,9 +130,7 @@ class LinkSettings(Settings):
         "of auto: between a stop and the landing, ladder or car [m], >= 0",
         "0.5; 0.6 for ladders",
     )
-    patterns: Patterns = setting(
-        [], "of auto ladder and lift: bodies or geoms by name patterns", '["*ladder*"] and all'
-    )
+    patterns: Patterns = setting([], "of auto ladder, lift: name patterns", '["*ladder*"] and all')
 
     @model_validator(mode="after")
     def _check_form(self) -> Self:

@@ -17,17 +17,7 @@ from navbake.views import tables
 # Functions import views when they run: --help loads no numpy.
 
 NAMED = ("room:", "object:")
-PATH_FACTS = (
-    "length",
-    "cost",
-    "seconds",
-    "rooms",
-    "doors",
-    "links",
-    "positions",
-    "levels",
-    "cells",
-)
+FACTS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
 
 def info(grid: GridFile, as_json: AsJson = False) -> None:
@@ -167,14 +157,13 @@ def path(
         origin = finder.snap(middles[0] if middles else (0.0, 0.0, 0.0), room=name)
         if origin is None:
             raise QueryError(f"no agent can stand in room {name!r}")
-    goal: Any = (
-        goals[0] if is_named else [options.position_of_place(content, p, "--to") for p in ends]
-    )
+    places = [options.position_of_place(content, p, "--to") for p in ends]
+    goal: Any = goals[0] if is_named else places
     found = finder.find_path(origin, goal, by=planner.by, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     with options.beside_output(output):
         if as_json:
-            facts = {key: getattr(found, key) for key in PATH_FACTS} if found else None
+            facts = {key: getattr(found, key) for key in FACTS} if found else None
             print_json({"path": facts, "reason": reason})
         elif found:
             print(f"length  {found.length:.3f} m")

@@ -47,9 +47,7 @@ def init(
         print(template_for(scene, Path())[1], end="")
         return
     path = write_template(scene, output, force=force)
-    say_unless_quiet(
-        f"{path}: the default settings; `navbake bake {path}` bakes the scene with them"
-    )
+    say_unless_quiet(f"{path}: the default settings; `navbake bake {path}` bakes with them")
 
 
 def samples(
@@ -77,9 +75,7 @@ def samples(
         return
     for name in names:
         settings = known.copy(name, folder)[0]
-        say_unless_quiet(
-            f"{settings}: the settings of a sample; `navbake bake {settings}` bakes it"
-        )
+        say_unless_quiet(f"{settings}: a sample's settings; `navbake bake {settings}` bakes it")
 
 
 def geoms(
@@ -114,9 +110,7 @@ class Box(NamedTuple):
     """Options that place the grid."""
 
     res: float = option("METRES", "Edge of a voxel [m].", default=0.1)
-    position: Triple | None = option(
-        "X Y Z", "Centre [m].  [default: of the scene's box]", "--center"
-    )
+    position: Triple | None = option("X Y Z", "Centre [m].  [default: the scene's]", "--center")
     cells: tuple[int, int, int] | None = option("NX NY NZ", "Number of voxels along each axis.")
     size: Triple | None = option("X Y Z", "Size of the grid [m], in place of --cells.")
     align: bool = flag("--align", "Begin voxels at multiples of --res, as octrees always do.")
@@ -169,9 +163,7 @@ def voxelize(
         ("--free", layout.free, any(has_octree), ".bt and .ot"),
     )
     if segments and all(has_octree):
-        raise BadParameter(
-            "octrees hold no IDs: write a .npz or a .binvox, too", param_hint="--segment"
-        )
+        raise BadParameter("octrees hold no IDs: write a .npz, too", param_hint="--segment")
     from navbake.config.settings import load_config  # loads numpy
 
     settings = load_config(config, overrides or [])
@@ -224,9 +216,8 @@ def _parse_segments(words: list[str] | None) -> Any:
         if not is_given:
             pattern, value = word, str(number)
         if not value.isdecimal() or not pattern:
-            raise BadParameter(
-                f"expected geom, body, top or PATTERN=ID, got {word}", param_hint="--segment"
-            )
+            text = f"expected geom, body, top or PATTERN=ID, got {word}"
+            raise BadParameter(text, param_hint="--segment")
         patterns[pattern] = int(value)
     return patterns
 
@@ -237,17 +228,10 @@ def _parse_segments(words: list[str] | None) -> Any:
 class Isolation(NamedTuple):
     """Options that run MuJoCo's compiler in a process of its own."""
 
-    isolate: bool = flag(
-        "--isolate", "Compile scenes in a process of its own: a crash of MuJoCo is an error then."
-    )
-    seconds: float | None = option(
-        "SECONDS", "How long that may take [s].  [default: 60]", "--isolate-seconds", min=0.0
-    )
+    isolate: bool = flag("--isolate", "Compile in a process of its own: a crash is an error then.")
+    seconds: float | None = option("S", "Time [s].  [default: 60]", "--isolate-seconds", min=0.0)
     memory: float | None = option(
-        "GIB",
-        "How much memory it may take, on Linux [GiB].  [default: 4]",
-        "--isolate-memory",
-        min=0.0,
+        "GIB", "Memory, on Linux [GiB].  [default: 4]", "--isolate-memory", min=0.0
     )
 
 
@@ -289,16 +273,11 @@ def bake(
     """
     is_file = output is not None and not is_folder(output)
     if len(configs) > 1 and is_file:
-        raise BadParameter(
-            f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)",
-            param_hint="-o",
-        )
+        text = f"with several CONFIGs, expected a folder, got {output} (a new one ends in /)"
+        raise BadParameter(text, param_hint="-o")
     if is_file and output != str(options.STDOUT) and not Path(output or "").suffix:
-        raise BadParameter(
-            f"expected a name that ends in {', '.join(options.GRIDS)}, got {output}: a new "
-            f"folder is written {output}/",
-            param_hint="-o",
-        )
+        text = f"expected a name that ends in {', '.join(options.GRIDS)}, got {output}"
+        raise BadParameter(f"{text}: a new folder is written {output}/", param_hint="-o")
     options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
     if name is not None:
         fill_name(name, "id", Path("stem"))
@@ -330,10 +309,8 @@ def bake(
             suffixes, may_make = () if is_own else options.GRIDS, not (is_file or is_own)
             options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)
             if not target.name.lower().endswith(options.GRIDS) and target != options.STDOUT:
-                endings = ", ".join(options.GRIDS)
-                raise ConfigError(
-                    f"expected a name that ends in {endings} as `output` in {path}, got {target}"
-                )
+                text = f"expected a name that ends in {', '.join(options.GRIDS)} as `output`"
+                raise ConfigError(f"{text} in {path}, got {target}")
             _bake_one(config, target, threads, isolation, not no_timings)
             written.add(target.resolve())
     if failed:
@@ -428,7 +405,6 @@ def fill_name(name: str, scene_id: str, path: Path) -> str:
         message = f"expected fields out of {{id}}, {{stem}}, {{parent}}, got {name}"
         raise BadParameter(message, param_hint="--name") from error
     if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.endswith("/"):
-        raise BadParameter(
-            f"expected the name of a file in the folder, got {name!r}", param_hint="--name"
-        )
+        text = f"expected the name of a file in the folder, got {name!r}"
+        raise BadParameter(text, param_hint="--name")
     return filled

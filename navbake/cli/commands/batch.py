@@ -9,13 +9,13 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from typer import Argument, BadParameter, Exit
 
 from navbake.cli import options, printing
 from navbake.cli.options import OUTPUT, STDOUT, Overrides, flag, option
-from navbake.cli.printing import print_error, print_warnings, say, say_unless_quiet
+from navbake.cli.printing import VOLUME, print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError
 
 if TYPE_CHECKING:
@@ -46,9 +46,7 @@ class Ways(NamedTuple):
     max_failures: int | None = option("N", "Stop when more than N scenes failed.", min=0)
     as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them.")
     log: Path | None = option("FILE", "Add what happens to a file, a line of JSON each.")
-    page: bool = flag(
-        "--page", "Write FOLDER/index.html, a page that shows all scenes, their failures and times."
-    )
+    page: bool = flag("--page", "Write FOLDER/index.html: all scenes, their failures and times.")
     parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
     time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
     memory_limit: float | None = option(
@@ -56,21 +54,15 @@ class Ways(NamedTuple):
         "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
         min=0.01,
     )
-    retries: int = option(
-        "N", "How often a scene that crashed or exceeded a limit is tried again.", default=0, min=0
-    )
-    preview: bool = flag(
-        "--plan", "Bake nothing: say what would be baked and why, and how large it is."
-    )
+    retries: int = option("N", "How often a crash or a limit is tried again.", default=0, min=0)
+    preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size.")
     part: str | None = option(
         "K/N",
         "Bake every N-th scene from the K-th on, as task K of N of a job array; then --merge.",
         "--slice",
     )
     merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one.")
-    shards: int | None = option(
-        "N", "Pack the scenes into N tar files, as WebDataset reads them.", min=1
-    )
+    shards: int | None = option("N", "Pack the scenes into N tar files (WebDataset).", min=1)
     executor: Literal["embedded", "ray"] = option(
         "embedded|ray",
         "Where workers run: embedded, on this machine; ray, on a Ray cluster.",
@@ -157,9 +149,8 @@ def batch(
     if ways.log is not None:
         own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
         given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
-        options.check_output(
-            ways.log, inputs=map(Path, given), may_make_folder=True, option="--log"
-        )
+        inputs = map(Path, given)
+        options.check_output(ways.log, inputs=inputs, may_make_folder=True, option="--log")
     settings = {} if config is None else read_shared(config)
     limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
     folder = as_folder(output)
@@ -201,9 +192,8 @@ def _read_slice(text: str | None) -> Slice | None:
         return None
     number, _, total = text.partition("/")
     if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
-        raise BadParameter(
-            f"expected K/N with K from 1 to N, as 3/64, got {text!r}", param_hint="--slice"
-        )
+        message = f"expected K/N with K from 1 to N, as 3/64, got {text!r}"
+        raise BadParameter(message, param_hint="--slice")
     return Slice(int(number), int(total))
 
 
@@ -252,9 +242,8 @@ class _Watch:
         from navbake.batch.index import LineFile
 
         self._stack, self._ways, self._folder = stack, ways, folder
-        self._takers: list[Callable[[Json], None]] = (
-            [printing.print_json_line] if ways.as_json else []
-        )
+        printers: Any = [printing.print_json_line]
+        self._takers: list[Callable[[Json], None]] = printers if ways.as_json else []
         if ways.log is not None:
             log = LineFile(ways.log, f"the log {ways.log}")
             stack.callback(log.close)
@@ -278,9 +267,8 @@ class _Watch:
 
             self._page = LivePage(self._folder, self._total) if self._ways.page else None
             # on a terminal, lines and a bar would mix
-            hidden = printing.VOLUME.quiet or (
-                self._ways.as_json and printing.is_terminal(sys.stdout)
-            )
+            is_mixed = self._ways.as_json and printing.is_terminal(sys.stdout)
+            hidden = VOLUME.quiet or is_mixed
             self._show = self._stack.enter_context(printing.progress_bars("batch", hidden))
         if event == "scene":
             counts["failed" if values["status"] == "failed" else "baked"] += 1
@@ -375,7 +363,7 @@ def draw_missing_thumbnails(folder: Folder) -> None:
     from navbake.batch.store import FullError
 
     try:
-        with printing.progress_bars("page", printing.VOLUME.quiet) as show:
+        with printing.progress_bars("page", VOLUME.quiet) as show:
             lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
     except FullError as error:
         print_warnings([str(error)])

@@ -235,10 +235,7 @@ def _describe_machine() -> Iterator[tuple[str, str]]:
     found = [name for name in ("EGL", "OSMesa", "GL") if find_library(name)]
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
     libraries = ", ".join(found) or "none"
-    yield (
-        "OpenGL",
-        f"libraries {libraries}, display {screen}; only the browser of `view` draws by it",
-    )
+    yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
 
 
 def _describe_cache() -> Iterator[tuple[str, str]]:
@@ -269,10 +266,7 @@ def _describe_extras() -> Iterator[tuple[str, str]]:
         have = [f"{name} {_installed(name)}" for name in packages if _installed(name)]
         missing = [name for name in packages if not _installed(name)]
         lack = f'missing {", ".join(missing)}: pip install "navbake[{extra}]"'
-        yield (
-            f"[{extra}]",
-            "; ".join([*([", ".join(have)] if have else []), *([lack] if missing else [])]),
-        )
+        yield f"[{extra}]", "; ".join(filter(None, [", ".join(have), lack if missing else ""]))
 
 
 def _time_bake() -> str:

@@ -28,13 +28,9 @@ class Goals(NamedTuple):
     """Options of the goals."""
 
     task: str = option("TASK", "point, object, room, sequence or explore.", default="point")
-    objects: list[str] | None = option(
-        "PATTERN", "Objects by name. May be repeated.  [default: all, by category]", "--object"
-    )
+    objects: list[str] | None = option("PATTERN", "Objects by name. May be repeated.", "--object")
     categories: Path | None = option("YAML", "Patterns of names by category, or type of room.")
-    rooms: list[str] | None = option(
-        "PATTERN", "Rooms by id or name. May be repeated.  [default: all]", "--room"
-    )
+    rooms: list[str] | None = option("PATTERN", "Rooms by id or name. May be repeated.", "--room")
     reach: float | None = option("METRES", "How near to the goal counts as reached [m].")
     length: int = option("N", "Goals of a sequence.", default=3, min=2)
     of: str = option("KIND", "What its goals are: point, object or room.", default="point")
@@ -45,12 +41,8 @@ class Drawn(NamedTuple):
     """Options of drawing episodes."""
 
     sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform")
-    rule: list[str] | None = option(
-        "KEY=VALUE", "Another rule of the sampler, e.g. min_distance=2. May be repeated."
-    )
-    total: int | None = option(
-        "N", "Episodes in all.  [default: 100 for each scene]", "--count", min=1
-    )
+    rule: list[str] | None = option("KEY=VALUE", "A rule, e.g. min_distance=2. May be repeated.")
+    total: int | None = option("N", "Episodes in all.  [default: 100 a scene]", "--count", min=1)
     per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1)
     seed: int = option("N", "Seed of the draw.", default=0, min=0)
     split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated.")

@@ -36,51 +36,26 @@ class FormatOptions(NamedTuple):
 
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
-    mode: str | None = option(
-        "trinary|scale|raw",
-        "trinary (free, occupied, unknown), scale or raw (with costs).  [default: trinary]",
-    )
-    image: str | None = option(
-        "pgm|png", "pgm or png.  [default: pgm; png with --mode scale, which needs transparency]"
-    )
-    rules: str | None = option(
-        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
-    )
-    inflation: float | None = option(
-        "METRES", "Costs by nav2's formula, up to this distance from obstacles [m]."
-    )
-    zone: list[str] | None = option(
-        "NAME[=PERCENT]", "Room (name, id or number) or polygon of a mask. May be repeated."
-    )
-    zones: Path | None = option(
-        "GEOJSON", "Polygons of a mask; all of them unless --zone names some."
-    )
-    agent: str | None = option(
-        "NAME", "Agent that a mask of the grid's areas is for.  [default: any]"
-    )
+    mode: str | None = option("trinary|scale|raw", "The last two have costs.  [default: trinary]")
+    image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]")
+    rules: str | None = option("humble|main", "nav2's, to read a map by.  [default: humble]")
+    inflation: float | None = option("METRES", "Costs as nav2's, so far from obstacles [m].")
+    zone: list[str] | None = option("NAME[=PERCENT]", "Room or polygon of a mask. May be repeated.")
+    zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some.")
+    agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]")
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
-    height: float | None = option(
-        "METRES", "How far walls rise over the highest floor [m].  [default: 2.5]"
-    )
+    height: float | None = option("METRES", "Of walls over the highest floor [m].  [default: 2.5]")
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
-    scaling: float | None = option(
-        "FACTOR", "How fast these costs fall, nav2's cost_scaling_factor [1/m].  [default: 10]"
-    )
-    categories: Path | None = option(
-        "TXT", "OmniGibson's room_categories.txt.  [default: one of these rooms, written beside]"
-    )
+    scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
+    categories: Path | None = option("TXT", "room_categories.txt.  [default: one of these rooms]")
     route: list[str] | None = option(
         "'START GOAL'",
         "Path to plan and to write, between positions or to room:NAME or object:NAME. May be "
         "repeated.",
     )
-    tolerance: float | None = option(
-        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
-    )
+    tolerance: float | None = option("METRES", "Of a mesh's floor [m].  [default: 0.001]", min=0)
     up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
-    cut_corners: bool | None = Option(
-        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
-    )
+    cut_corners: bool | None = Option(None, "--cut-corners", help="Pass blocked corners in graphs.")
 
 
 def convert(
@@ -311,13 +286,9 @@ class Squares(NamedTuple):
     """Options of the descriptor's squares."""
 
     level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0)
-    corner: tuple[float, float] | None = option(
-        "X Y", "Lower left corner [m].  [default: the level's]"
-    )
+    corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]")
     rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1)
-    cols: int | None = option(
-        "N", "Squares across.  [default: the whole level; decoding: 15]", min=1
-    )
+    cols: int | None = option("N", "And across.  [default: the whole level; decoding: 15]", min=1)
     square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]")
 
 
@@ -340,9 +311,8 @@ def map_descriptor(
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
     of_grids: dict[str, object] = {"level": squares.level, "corner": squares.corner}
     of_grids |= {"square": squares.square, "explored": explored}
-    options.refuse_unused(
-        *((f"--{k}", v is not None, decode is None, "a GRID") for k, v in of_grids.items())
-    )
+    for name, value in of_grids.items():
+        options.refuse_unused((f"--{name}", value is not None, decode is None, "a GRID"))
     import numpy as np  # not for --help
 
     from navbake.arena import map_descriptor as descriptor

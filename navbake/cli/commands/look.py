@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from typer import Argument, BadParameter
 
@@ -29,9 +29,7 @@ def plot(
     output: Path = option(
         "PNG|SVG", "Picture to write; - for a PNG on stdout.", *OUTPUT, default=...
     ),
-    level: int | None = option(
-        "N", "Draw only this level; 0 is the lowest.  [default: all]", min=0
-    ),
+    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     layers: list[str] | None = option(
         "LAYER",
         "Draw occupancy, floor, rooms, doors, clearance, island, weights or links. May be "
@@ -50,9 +48,8 @@ def plot(
 
     for layer in layers or ():
         if layer not in LAYERS:
-            raise BadParameter(
-                f"expected one of {', '.join(LAYERS)}, got {layer}", param_hint="--layer"
-            )
+            text = f"expected one of {', '.join(LAYERS)}, got {layer}"
+            raise BadParameter(text, param_hint="--layer")
     options.check_output(output, ".png", ".svg", inputs=[grid])
     content, chosen = navbake.load(grid), tuple(layers or DEFAULT_LAYERS)
     options.write_picture(content, output, level=level, layers=chosen)
@@ -61,9 +58,7 @@ def plot(
 
 
 def report(
-    grids: Annotated[
-        list[Path], Argument(metavar="GRID|FOLDER", help="NavGrid files, or the folder of a batch.")
-    ],
+    grids: list[Path] = Argument(..., metavar="GRID|FOLDER", help="Grids, or a batch's folder."),
     output: Path | None = option(
         "HTML",
         "Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
@@ -137,9 +132,7 @@ class Address(NamedTuple):
         "0.0.0.0 lets others in, too.",
         default="127.0.0.1",
     )
-    port: int = option(
-        "PORT", "Port to listen at; 0 for any free one.", default=8080, min=0, max=65535
-    )
+    port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535)
     no_open: bool = flag("--no-open", "Only print the link.")
     allow_origin: list[str] | None = option(
         "URL",
