@@ -362,7 +362,11 @@ def test_trajectories_come_from_both_formats(tmp_path):
         with pytest.raises(FormatError, match=r"expected an?.*bad\.npz"):
             read_trajectories(tmp_path / "bad.npz")
     (tmp_path / "empty.jsonl").write_text("\n")
-    nothing = {"episode": np.empty(0, str), "start": np.zeros(1, int), "positions": np.zeros((0, 3))}
+    nothing = {
+        "episode": np.empty(0, str),
+        "start": np.zeros(1, int),
+        "positions": np.zeros((0, 3)),
+    }
     np.savez(tmp_path / "empty.npz", **nothing)
     for name in ("empty.jsonl", "empty.npz"):
         with pytest.raises(FormatError, match=rf"expected .*{name}"):

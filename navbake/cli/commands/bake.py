@@ -54,13 +54,7 @@ def samples(
     names: list[str] | None = Argument(
         None, metavar="NAME", help="Samples to copy.  [default: list them]"
     ),
-    folder: Path = option(
-        "FOLDER",
-        "Where to copy them to.  [default: the current folder]",
-        *OUTPUT,
-        default=Path(),
-        show_default=False,
-    ),
+    folder: Path = option("FOLDER", "Where to copy them to.", *OUTPUT, default=Path()),
 ) -> None:
     """Copy sample scenes and their settings here, to try navbake with.
 

@@ -98,9 +98,7 @@ def batch(
         "repeated.",
     ),
     allow_hosts: list[str] | None = option(
-        "HOST",
-        "Another host of the web to which a list, settings or redirects there may lead. May be "
-        "repeated.",
+        "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
     ),
     overrides: Overrides = None,
     *,
@@ -113,31 +111,17 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    from navbake.batch import store
-    from navbake.batch.cluster import do_on_ray
-    from navbake.batch.index import LOCK, NAME, TABLE
-    from navbake.batch.job import Plan
-    from navbake.batch.page import NAME as PAGE
-    from navbake.batch.products import parse_products
-    from navbake.batch.run import run_batch
-    from navbake.batch.scenes import list_jobs
+    from navbake.batch import cluster, index, job, page, products, run, scenes, store, workers
     from navbake.batch.settings import read_shared
-    from navbake.batch.store import as_folder
-    from navbake.batch.workers import JobLimits
 
     is_ray = ways.executor == "ray"
-    part = _read_slice(ways.part)
+    part, whole = _read_slice(ways.part), "the whole batch, as with --merge"
     options.refuse_unused(
         ("--ray-address", ways.ray_address is not None, is_ray, "--executor ray"),
         ("--merge", ways.merge, part is None, "all slices"),
-        *(
-            (f"--{name}", bool(given), part is None, "the whole batch, as with --merge")
-            for name, given in (
-                ("page", ways.page),
-                ("parquet", ways.parquet),
-                ("shards", ways.shards),
-            )
-        ),
+        ("--page", ways.page, part is None, whole),
+        ("--parquet", ways.parquet, part is None, whole),
+        ("--shards", ways.shards is not None, part is None, whole),
     )
     if not output:
         raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")
@@ -145,32 +129,30 @@ def batch(
         raise BadParameter("expected a file, got -: --json prints the same", param_hint="--log")
     hosts = tuple(allow_hosts or ())
     store.allow_hosts(hosts)
-    jobs = list_jobs(sources, options.read_pairs(column, "--column", "NAME=COLUMN"))
+    jobs = scenes.list_jobs(sources, options.read_pairs(column, "--column", "NAME=COLUMN"))
     if ways.log is not None:
-        own = (os.path.join(output, name) for name in (NAME, PAGE, TABLE))
-        given = (*sources, *filter(None, [config]), *(job.source for job in jobs), *own)
+        own = (os.path.join(output, name) for name in (index.NAME, page.NAME, index.TABLE))
+        given = (*sources, *filter(None, [config]), *(each.source for each in jobs), *own)
         inputs = map(Path, given)
         options.check_output(ways.log, inputs=inputs, may_make_folder=True, option="--log")
     settings = {} if config is None else read_shared(config)
-    limits = JobLimits(ways.time_limit, ways.memory_limit, ways.retries)
-    folder = as_folder(output)
-    witness = folder / LOCK if isinstance(folder, Path) else None
-    on_ray = partial(do_on_ray, address=ways.ray_address, witness=witness)
-    made = parse_products(make or [])
+    folder, made = store.as_folder(output), products.parse_products(make or [])
+    witness = folder / index.LOCK if isinstance(folder, Path) else None
+    on_ray = partial(cluster.do_on_ray, address=ways.ray_address, witness=witness)
     given = tuple(overrides or [])
-    plan = Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
+    plan = job.Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
     if ways.preview:
         _print_preview(plan, jobs[part.number - 1 :: part.total] if part else jobs, ways.as_json)
         return
     with ExitStack() as stack:
         watch = _Watch(stack, ways, folder)
         try:
-            result = run_batch(
+            result = run.run_batch(
                 plan,
                 jobs,
                 watch,
                 workers=ways.jobs,
-                limits=limits,
+                limits=workers.JobLimits(ways.time_limit, ways.memory_limit, ways.retries),
                 max_failures=ways.max_failures,
                 executor=on_ray if is_ray else None,
                 part=part,
@@ -268,8 +250,8 @@ class _Watch:
             self._page = LivePage(self._folder, self._total) if self._ways.page else None
             # on a terminal, lines and a bar would mix
             is_mixed = self._ways.as_json and printing.is_terminal(sys.stdout)
-            hidden = VOLUME.quiet or is_mixed
-            self._show = self._stack.enter_context(printing.progress_bars("batch", hidden))
+            bars = printing.progress_bars("batch", VOLUME.quiet or is_mixed)
+            self._show = self._stack.enter_context(bars)
         if event == "scene":
             counts["failed" if values["status"] == "failed" else "baked"] += 1
             counts["left"] -= 1
@@ -310,10 +292,8 @@ class _Watch:
         """Print the result."""
         from rich.filesize import decimal
 
+        from navbake.batch import index, page
         from navbake.batch.cost import measure_cost
-        from navbake.batch.index import NAME, TABLE
-        from navbake.batch.page import NAME as PAGE
-        from navbake.batch.page import write_page
         from navbake.batch.store import shown
 
         baked, failed, left = map(result.count, ("ok", "failed", "left"))
@@ -327,13 +307,13 @@ class _Watch:
             result.stopped = result.stopped or str(error)
         seconds = time.perf_counter() - self._begin
         part = _read_slice(self._ways.part)
-        names = [part.file if part else NAME, *[TABLE] * self._ways.parquet]
+        names = [part.file if part else index.NAME, *[index.TABLE] * self._ways.parquet]
         names += ["shard-*.tar"] if self._ways.shards else []
         if self._ways.page:
             draw_missing_thumbnails(self._folder)
             try:
-                write_page(self._folder)
-                names.append(PAGE)
+                page.write_page(self._folder)
+                names.append(page.NAME)
             except NavbakeError as error:
                 print_warnings([str(error)])
         if self._ways.as_json:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator, Sequence
 from ctypes.util import find_library
 from importlib.metadata import PackageNotFoundError, requires, version
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -70,9 +69,7 @@ def verify(
         default=1e-4,
     ),
     as_json: AsJson = False,
-    output: Path | None = option(
-        "PNG|SVG", "Draw the disagreements; - for a PNG on stdout.", *OUTPUT
-    ),
+    output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
     """Compare a grid with its scene by MuJoCo and FCL.
@@ -125,9 +122,8 @@ def _print(report: VerifyReport) -> None:
         say(f"{found.kind}: level {found.level}{cell} ({x:.3f}, {y:.3f}, {z:.3f}): {found.text}")
     if len(report.findings) > SHOWN:
         say(f"and {len(report.findings) - SHOWN} more: --json lists them")
-    share = f"{report.checked:,} of {report.num_cells:,} cells"
     verdict = "agree" if report.ok else f"disagree at {len(report.findings)} places"
-    say(f"grid and scene {verdict}, at {share}")
+    say(f"grid and scene {verdict}, at {report.checked:,} of {report.num_cells:,} cells")
 
 
 def audit(
@@ -184,9 +180,8 @@ def _write_marked(
     """Draw a grid's occupancy with marks: level, world x and y [m], and text."""
     from navbake.views.plot import Mark  # loads numpy
 
-    options.write_picture(
-        grid, output, layers=("occupancy",), marks=[Mark(*mark) for mark in marks]
-    )
+    made = [Mark(*mark) for mark in marks]
+    options.write_picture(grid, output, layers=("occupancy",), marks=made)
 
 
 def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
@@ -198,28 +193,10 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
 
     Example: navbake doctor
     """
-    parts = (_describe_versions(), _describe_machine(), _describe_cache(), _describe_extras())
-    for name, text in chain.from_iterable(parts):
+    for name, text in _describe_installation():
         print(f"{name:<12} {text}")
     if not no_bake:
         print(f"{'bake':<12} {_time_bake()}")
-
-
-def _describe_versions() -> Iterator[tuple[str, str]]:
-    yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
-    yield "python", f"{platform.python_version()} in {sys.executable}"
-    yield "system", f"{platform.platform()}, {platform.machine()}"
-    yield "packages", ", ".join(f"{name} {_installed(name) or 'MISSING'}" for name in _needed()[""])
-
-
-def _needed() -> dict[str, list[str]]:
-    """The packages that navbake requires, by extra, those that it always requires under ""."""
-    needed: dict[str, list[str]] = {"": []}
-    for line in requires("navbake") or ():
-        found = REQUIREMENT.match(line)
-        assert found is not None
-        needed.setdefault(found["extra"] or "", []).append(found[1])
-    return needed
 
 
 def _installed(package: str) -> str | None:
@@ -229,13 +206,31 @@ def _installed(package: str) -> str | None:
         return None
 
 
-def _describe_machine() -> Iterator[tuple[str, str]]:
+def _describe_installation() -> Iterator[tuple[str, str]]:
+    """What `doctor` prints of versions, the machine, compiled code and extras: names and texts."""
+    needed: dict[str, list[str]] = {"": []}  # packages by extra, those of navbake itself under ""
+    for line in requires("navbake") or ():
+        found = REQUIREMENT.match(line)
+        assert found is not None
+        needed.setdefault(found["extra"] or "", []).append(found[1])
+    yield "navbake", f"{__version__} in {Path(samples.__file__).parent}"
+    yield "python", f"{platform.python_version()} in {sys.executable}"
+    yield "system", f"{platform.platform()}, {platform.machine()}"
+    yield "packages", ", ".join(f"{name} {_installed(name) or 'MISSING'}" for name in needed[""])
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     yield "cores", f"{os.cpu_count()}, usable {usable}, threads of a bake {threads.num_threads()}"
-    found = [name for name in ("EGL", "OSMesa", "GL") if find_library(name)]
+    libraries = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
-    libraries = ", ".join(found) or "none"
     yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
+    yield from _describe_cache()
+    needed.pop("")
+    for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
+        needed.pop(extra, None)
+    for extra, packages in sorted(needed.items()):
+        have = ", ".join(f"{name} {_installed(name)}" for name in packages if _installed(name))
+        missing = ", ".join(name for name in packages if not _installed(name))
+        lack = f'missing {missing}: pip install "navbake[{extra}]"' if missing else ""
+        yield f"[{extra}]", "; ".join(filter(None, [have, lack]))
 
 
 def _describe_cache() -> Iterator[tuple[str, str]]:
@@ -257,16 +252,6 @@ def _describe_cache() -> Iterator[tuple[str, str]]:
 
 def _megabytes(files: list[Path]) -> str:
     return f"{sum(path.stat().st_size for path in files) / 1e6:.1f}"
-
-
-def _describe_extras() -> Iterator[tuple[str, str]]:
-    for extra, packages in sorted(_needed().items()):
-        if extra in ("", "test", "bench", "docs", "tensors-test"):  # of developers
-            continue
-        have = [f"{name} {_installed(name)}" for name in packages if _installed(name)]
-        missing = [name for name in packages if not _installed(name)]
-        lack = f'missing {", ".join(missing)}: pip install "navbake[{extra}]"'
-        yield f"[{extra}]", "; ".join(filter(None, [", ".join(have), lack if missing else ""]))
 
 
 def _time_bake() -> str:
