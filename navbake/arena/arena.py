@@ -49,10 +49,8 @@ def place_squares(
     left, bottom = check_squares(square, (x0, y0) if corner is None else corner).tolist()
     if shape is None:
         if not (left < x1 and bottom < y1):
-            raise QueryError(
-                f"the corner ({left:g}, {bottom:g}) leaves nothing of the level, which ends "
-                f"at ({x1:g}, {y1:g})"
-            )
+            text = f"the corner ({left:g}, {bottom:g}) leaves nothing of the level"
+            raise QueryError(f"{text}, which ends at ({x1:g}, {y1:g})")
         if max(x1 - left, y1 - bottom) > MOST * square:
             raise QueryError(f"expected larger squares: the level has over {MOST} of {square:g} m")
         shape = num_cells(y1 - bottom, square), num_cells(x1 - left, square)
@@ -60,17 +58,14 @@ def place_squares(
     if rows < 1 or cols < 1:
         raise QueryError(f"expected rows and columns >= 1, got {rows} and {cols}")
     if rows * cols > MOST:
-        raise QueryError(
-            f"expected at most {MOST} squares, got {rows} × {cols} of {square:g} m: "
-            f"take larger squares, or a part of the level"
-        )
+        got = f"{rows} × {cols} of {square:g} m: take larger squares, or a part of the level"
+        raise QueryError(f"expected at most {MOST} squares, got {got}")
     squares = Lattice(left, bottom + rows * square, square, cols, rows)
     left, bottom, right, top = squares.bounds
     if left >= x1 or bottom >= y1 or right <= x0 or top <= y0:
-        raise QueryError(
-            f"the arena, x {left:g} to {right:g}, y {bottom:g} to {top:g} m, lies beside the "
-            f"level: it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g} m"
-        )
+        own, other = f"x {left:g} to {right:g}, y {bottom:g} to {top:g}", f"x {x0:g} to {x1:g}"
+        text = f"the arena, {own} m, lies beside the level"
+        raise QueryError(f"{text}: it spans {other}, y {y0:g} to {y1:g} m")
     return squares
 
 
@@ -172,8 +167,8 @@ class ExploredMap:
         self._square_at(x, y)
         ways, lengths = _check_rays(angles, max_range), _numbers(ranges, "ranges [m]")
         if ways.shape != lengths.shape:
-            counts = f"{len(ways)} and {len(lengths)}"
-            raise QueryError(f"expected as many angles as ranges, got {counts}")
+            got = f"{len(ways)} and {len(lengths)}"
+            raise QueryError(f"expected as many angles as ranges, got {got}")
         if (lengths < 0).any():
             raise QueryError(f"expected ranges >= 0 m, got {np.nanmin(lengths):g}")
         passed, hit = np.zeros_like(self.explored), np.zeros_like(self.explored)

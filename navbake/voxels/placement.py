@@ -58,12 +58,10 @@ def place_grid(
         raise ConfigError("expected counts of cells or a size in metres beside the centre")
     if position is not None:
         center = check_three(position, "the centre to be x, y, z [m]")
-    elif bounds is None:
-        why = "only infinite planes count in the scene, so its box has no end"
-        raise ConfigError(f"{why}: give a centre, and counts of cells or a size")
-    elif not np.isfinite(bounds).all():
-        why = "the scene has geoms with a pose that is not finite"
-        raise ConfigError(f"{why}: give a centre and a size")
+    elif bounds is None or not np.isfinite(bounds).all():
+        why = "geoms have a pose that is not finite"
+        why = "only infinite planes count in the scene" if bounds is None else why
+        raise ConfigError(f"{why}, so its box has no end: give a centre, and counts or a size")
     else:
         center = bounds.mean(axis=0)
     if bounds is not None and covers:
@@ -73,9 +71,8 @@ def place_grid(
         return Placement(first * edge, edge, (nx, ny, nz))
     if cells is not None:
         counts = list(cells) if np.iterable(cells) else [cells]
-        if len(counts) != 3 or not all(
-            isinstance(n, int | np.integer) and n is not True and n > 0 for n in counts
-        ):
+        whole = [n for n in counts if isinstance(n, int | np.integer) and n is not True and n > 0]
+        if len(counts) != 3 or len(whole) != 3:
             raise ConfigError(f"expected 3 counts of cells, whole numbers >= 1, got {counts}")
         nx, ny, nz = map(int, counts)
     else:
