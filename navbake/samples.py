@@ -23,11 +23,7 @@ def names() -> list[str]:
 def path(name: str) -> Path:
     """The settings of a sample, a YAML file that `navbake.bake` takes.
 
-    Args:
-        name: one of `names`.
-
-    Raises:
-        ConfigError: there is no such sample.
+    Raises a ConfigError for a name that isn't one of `names`.
     """
     if name not in names():
         raise ConfigError(f"no sample {name!r}: {suggest(name, names())}")
@@ -49,11 +45,8 @@ def find(given: str | PathLike[str]) -> Path:
 def copy(name: str, folder: Path | str = ".") -> list[Path]:
     """Copy a sample to a folder, to change it: its settings and the files of its scene.
 
-    Returns:
-        The files written, the settings first. Those that were there with the same content stay.
-
-    Raises:
-        ConfigError: there is no such sample, or another file is there by one of the names.
+    Returns the files, the settings first; those that were there with the same content stay. Raises
+    a ConfigError if there is no such sample, or another file is there by one of the names.
     """
     settings, target = path(name), Path(folder)
     files = [settings, *_scene_files(name)]

@@ -50,13 +50,9 @@ def run_check(check: Callable[[Facts], Iterator[Found]], facts: Facts) -> Iterat
 
 
 def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
-    """Look at a grid of any program for what a person would notice, without its scene.
+    """Look at a grid of any program, or its file, for what a person would notice.
 
-    Args:
-        grid: a grid of one or several levels, or the path of its file.
-
-    Raises:
-        FormatError: it is neither a grid nor a path, or the file can't be read.
+    Raises a FormatError if it is neither a grid nor a path, or the file can't be read.
     """
     if not isinstance(grid, GridBase | str | PathLike):
         raise FormatError(f"expected a grid or the path of its file, got {shown_type(grid)}")

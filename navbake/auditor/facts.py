@@ -123,23 +123,18 @@ class Facts:
     """Layers and parts of a grid without its blocks.
 
     Tables that are broken count as empty, and `rooms` are None then: checks report them.
-
-    Attributes:
-        free: the free cells of each level.
-        floors: the floors of each level, NaN for none [m].
-        links: shape (n, 4).
     """
 
     def __init__(self, grid: GridBase) -> None:
         self.grid: GridBase = grid.without_blocks()
         self.levels: list[SceneGrid2D] = self.grid.levels
         self.free: list[Bool] = [level.free for level in self.levels]
-        self.floors: list[Float] = [level.floor for level in self.levels]
+        self.floors: list[Float] = [level.floor for level in self.levels]  # NaN for none [m]
         stated = self.grid.navbake.get("settings")
         self.settings: Json = stated if isinstance(stated, dict) else {}
         self.doors: tuple[Door, ...] = ()
         self.rooms: tuple[Room, ...] | None = None
-        self.links: Int = np.empty((0, 4), dtype=np.int64)
+        self.links: Int = np.empty((0, 4), dtype=np.int64)  # steps between levels
         with suppress(FormatError):
             self.doors = self.grid.doors
         with suppress(FormatError):

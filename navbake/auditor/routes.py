@@ -19,7 +19,7 @@ from navbake.auditor.report import ERROR, REMARK, AuditReport, Found, Remark, co
 from navbake.formats.route_files import read_routes
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed
-from navbake.types import Bool, Float
+from navbake.types import Bool, Float, Vector3
 
 LEAST_AREA = 4.0  # m² of an island that has to be reached
 SLACK = 1e-5  # metres by which a disc may overlap what it touches
@@ -31,13 +31,8 @@ def audit_routes(
 ) -> AuditReport:
     """Look at a graph of routes, or its file, for lanes that cross walls and what isn't reached.
 
-    Args:
-        graph: the graph.
-        grid: a grid of its scene, as a map of one level; inflated or not.
-        radius: of the agent [m]; that of the graph if None.
-
-    Raises:
-        FormatError: the file can't be read.
+    The grid is of the graph's scene, inflated or not, or a map of one level. The agent's `radius`
+    is that of the graph if None [m]. Raises a FormatError if the file can't be read.
     """
     if not isinstance(graph, RouteGraph):
         graph = read_routes(graph)
@@ -84,7 +79,7 @@ def _lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Found]:
 
 def lane_clearance(
     graph: RouteGraph, lane: Lane, facts: Facts, radius: float
-) -> tuple[float, tuple[float, float, float]]:
+) -> tuple[float, Vector3]:
     """The distance from a lane to the nearest occupied square within a radius [m], and where it is.
 
     Cells without a floor count as occupied. Squares where another level has a free cell, within

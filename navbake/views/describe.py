@@ -138,8 +138,7 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
 def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
     """Describe the cell at a world position [m] on each level that spans it, lowest first.
 
-    Raises:
-        QueryError: the position is no number, or beside all levels.
+    Raises a QueryError if the position is no number, or beside all levels.
     """
     check_positions((x, y), 1)
     found, beside = [], []

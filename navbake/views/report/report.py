@@ -107,11 +107,7 @@ def render_report(
 
 
 def read_verification(path: str | PathLike[str]) -> Json:
-    """Read a verification's JSON, see `navbake.verifier.report.VerifyReport.to_json`.
-
-    Raises:
-        FormatError: it is none, or can't be read.
-    """
+    """Read a verification's JSON, see `VerifyReport.to_json`; raises a FormatError."""
     report, name = read_object(path, expected=PRINTED)
     try:
         msgspec.convert(report, Verification)

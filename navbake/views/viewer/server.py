@@ -166,11 +166,7 @@ async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 def check_origin(text: str) -> str:
-    """An origin as a browser states it, such as ``https://lab.example.org:8443``.
-
-    Raises:
-        NavbakeError: it is none.
-    """
+    """An origin as a browser states it, as ``https://a.org:8443``; raises a NavbakeError."""
     parts = urlsplit(text)
     if parts.scheme not in ("http", "https") or f"{parts.scheme}://{parts.netloc}" != text:
         raise NavbakeError(f"expected an origin like https://example.org:8443, got {text!r}")
