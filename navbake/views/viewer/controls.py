@@ -192,8 +192,7 @@ class Controls:
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
         self._keep("opacity", opacity, _set("opacity"))
         self._keep("names", gui.add_checkbox("Names", chosen.with_names), _set("with_names"))
-        dark = gui.add_checkbox("Dark page", False)
-        dark.on_update(lambda event: set_theme(gui, dark=event.target.value))
+        self._keep("dark", gui.add_checkbox("Dark page", chosen.dark), _set("dark"))
 
     def show(self, chosen: Choices, route: Path | str | None, told: Json | None) -> None:
         """Bring what is said, and inputs that follow from others, up to date."""
@@ -219,6 +218,7 @@ class Controls:
             at["radius"].value = min(grid.agent_radius, float(at["radius"].max))
             at["clearance"].value = 0.0
         at["as baked"].disabled = chosen.inflation is None
+        at["dark"].value = chosen.dark
         if "level" in at:
             at["level"].value = _level(list(at["level"].options), chosen)
         for number in range(len(grid.levels) if "level 0" in at else 0):
@@ -241,12 +241,6 @@ class Controls:
 def _set(field: str) -> Callable[[Any], Change]:
     """Makes changes that set a field of the choices to a value."""
     return lambda value: lambda now: replace(now, **{field: value})
-
-
-def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
-    """How the page looks: without the marks of the library, and nothing that shares it."""
-    form: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
-    gui.configure_theme(dark_mode=dark, **form)
 
 
 def _level(names: list[str], chosen: Choices) -> str:

@@ -60,6 +60,7 @@ class Choices:
     with_hidden: bool = False  # what MuJoCo's viewers hide, too: the geom groups from 3 on
     with_names: bool = True  # of rooms and doors
     opacity: float = 0.9  # of the layer, above 0, up to 1
+    dark: bool = False  # the page
     click: str = INSPECT  # one of `CLICKS`
     start: Pick | None = None  # of the path
     goal: Pick | None = None

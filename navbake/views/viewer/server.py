@@ -12,7 +12,7 @@ import socket
 import sys
 import threading
 import urllib.request
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, redirect_stdout, suppress
 from email.message import Message
@@ -32,6 +32,9 @@ TITLE = b"<title>Viser</title>"
 MAX_HEAD, CHUNK = 1 << 16, 1 << 16  # of a request, and what is passed on at once [bytes]
 PATIENCE = 10.0  # for the head of a request [s]
 REFUSED = b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+NOTHING = b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
+# the page tells that its reader's system is dark
+DARK = b'<script>if (matchMedia("(prefers-color-scheme: dark)").matches) fetch("dark")</script>'
 PAGE = b"HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nConnection: close\r\n"
 
 
@@ -47,6 +50,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         viser: the viser.ViserServer.
         url: where the page is.
         title: of the page, for those that load it from now on.
+        on_dark: is called where a reader prefers dark pages.
 
     Raises:
         MissingDependencyError: viser is not installed.
@@ -64,6 +68,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         self._names |= {*LOCAL} if host in LOCAL else set()
         self._is_open, self._allowed = host in EVERYWHERE, {check_origin(one) for one in allowed}
         self.title = "navbake"
+        self.on_dark: Callable[[], None] = lambda: None
         self._inner, self._page = (HOST, 0), b""  # until viser is there
         listening: Future[int] = Future()
         serve = partial(asyncio.run, self._serve(host, port, listening))
@@ -142,9 +147,12 @@ class PageServer(AbstractContextManager["PageServer"]):
                 writer.write(REFUSED)
             elif request.startswith(b"GET / ") and "Upgrade" not in headers:
                 title = f"<title>{html.escape(self.title)}</title>".encode()
-                page = self._page.replace(TITLE, title, 1)
+                page = self._page.replace(TITLE, title + DARK, 1)
                 writer.write(PAGE + b"Content-Length: %d\r\n\r\n" % len(page) + page)
                 await writer.drain()
+            elif request.startswith(b"GET /dark "):
+                self.on_dark()
+                writer.write(NOTHING)
             else:
                 there, back = await asyncio.open_connection(*self._inner)
                 back.write(head)

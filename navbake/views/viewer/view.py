@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from os import PathLike
@@ -29,7 +30,7 @@ from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
 from navbake.types import Bool, Float, Json
-from navbake.views.viewer.controls import Change, Controls, say_error, set_theme
+from navbake.views.viewer.controls import Change, Controls, say_error
 from navbake.views.viewer.exhibit import (
     GOAL,
     LIT,
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     import viser
 
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
+# the page is without the marks of the library, and nothing on it shares it
+THEME: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
 PATH_LIFT = 0.06  # of a path over the floor [m]
 PATH_WIDTH = 5.0  # [pixels]
 MARK = 1 / 180  # radius of a mark, by the diagonal of the grid
@@ -95,13 +98,14 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._scene = self._server.scene
         self._shown: dict[str, tuple[Any, list[Any]]] = {}  # by name: what it shows, its nodes
         self._drawn: Any = None  # what the scene was drawn for
+        self._dark: bool | None = None  # how the page was drawn
         self._scene.set_up_direction("+z")
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
-        set_theme(self._server.gui, dark=False)
         self._set_up()
         self._place_camera(exhibit.bounds)
         self._scene.on_click()(self._click)
+        page.on_dark = lambda: self._changes.put(lambda chosen: replace(chosen, dark=True))
         forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
         forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
@@ -209,6 +213,9 @@ class Viewer(AbstractContextManager["Viewer"]):
         """Bring the page up to date; only what has changed is sent."""
         exhibit = self._exhibit
         route, told = exhibit.route(chosen), exhibit.tell(chosen)
+        if chosen.dark != self._dark:
+            self._dark = chosen.dark
+            self._server.gui.configure_theme(dark_mode=chosen.dark, **THEME)
         with self._server.atomic():
             self._draw(chosen, route, told)
             self._controls.show(chosen, route, told)

@@ -106,6 +106,16 @@ def test_a_click_tells_why(shown):
     page.wait_for("Click a cell or a thing", PATIENCE)
 
 
+def test_the_page_is_dark_where_the_system_is(shown):
+    page, *_ = shown
+    scheme = "return document.documentElement.getAttribute('data-mantine-color-scheme')"
+    assert page.driver.execute_script(scheme) == "light"
+    dark = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
+    page.driver.refresh()
+    wait_until(lambda: page.driver.execute_script(scheme) == "dark", "a dark page", PATIENCE)
+
+
 def rewrite(path, text):
     """Write a file as a later second would."""
     path.write_text(text)
