@@ -20,7 +20,7 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.views.links import Way, describe_area, find_ways
+from navbake.views.describe import Way, describe_area, find_ways
 
 if TYPE_CHECKING:
     from navbake.verifier.report import Finding

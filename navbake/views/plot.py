@@ -21,8 +21,8 @@ from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, DOORWAY, LINK, ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
+from navbake.views.describe import Way
 from navbake.views.layers import Label, Panel, color_kinds, make_panel, paint
-from navbake.views.links import Way
 
 # Functions import matplotlib when they draw: it is an extra, and takes half a second to load.
 

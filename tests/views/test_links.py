@@ -11,8 +11,8 @@ import navbake
 from color_vision import VISIONS, contrast, difference
 from navbake.navgrid import colors
 from navbake.navgrid.colors import rgb_of
+from navbake.views.describe import bend, find_ways, stair_table
 from navbake.views.layers import make_panel
-from navbake.views.links import bend, find_ways, stair_table
 from navbake.views.plot import render_picture
 from navbake.views.report.report import describe_map, render_report
 from navbake.views.viewer.exhibit import Choices, Exhibit

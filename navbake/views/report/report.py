@@ -19,9 +19,8 @@ from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables as made
-from navbake.views.describe import describe
+from navbake.views.describe import describe, stair_table
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.links import stair_table
 from navbake.views.page.page import make_page, pack, show_table
 from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
 from navbake.views.tables import Table, make_table, summarize

@@ -20,8 +20,8 @@ from navbake.runtime.paths import Path
 from navbake.runtime.place import place_at
 from navbake.scores import Trajectory
 from navbake.types import Bool, Float, Json
+from navbake.views.describe import bend, find_ways
 from navbake.views.layers import DISAGREEMENTS, LAYERS, Panel, make_panel, paint
-from navbake.views.links import bend, find_ways
 from navbake.views.viewer import meshes
 from navbake.views.viewer.meshes import Batch, Drawing, Pick, Surface
 
