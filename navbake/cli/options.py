@@ -34,6 +34,11 @@ def option(metavar: str, text: str, *names: str, default: Any = None, **more: An
     return Option(default, *names, metavar=metavar, help=text, **more)
 
 
+def argument(metavar: str, text: str, default: Any = ...) -> Any:
+    """An argument, which has to be given unless it has a default."""
+    return Argument(default, metavar=metavar, help=text)
+
+
 def flag(name: str, text: str, *names: str) -> Any:
     """An option without a value."""
     return Option(False, name, *names, help=text)
@@ -78,12 +83,13 @@ Overrides = Annotated[
 ]
 ModelPath = Annotated[
     list[Path] | None,
-    Option(
-        "--model-path",
-        metavar="FOLDER",
-        help="A folder of models of an SDF scene (model://…). May be repeated.",
-    ),
+    Option("--model-path", metavar="FOLDER", help="Models of an SDF scene. May be repeated."),
 ]
+BAKED_SCENE = option(
+    "SCENE|CONFIG",
+    "The scene of GRID, or the settings of its bake (YAML).  [default: the file that GRID names, "
+    "beside it or in the current folder, or in `scenes` there]",
+)
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 QUIET = flag("-q", "Print only what was asked for, warnings and errors.", "--quiet")
 VERBOSE = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
@@ -260,10 +266,8 @@ def parse_place(text: str, option: str) -> GivenPlace:
     if not found:
         name = text if text.isidentifier() else "NAME"
         hint = f"; a room is written room:{name}" if option != "--at" else ""
-        raise BadParameter(
-            f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}",
-            param_hint=option,
-        )
+        message = f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}"
+        raise BadParameter(message, param_hint=option)
     x, y, z = (None if number is None else float(number) for number in found.groups()[:3])
     if not all(math.isfinite(number or 0.0) for number in (x, y, z)):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
@@ -286,11 +290,10 @@ def position_of_place(grid: NavGrid, given: GivenPlace, option: str) -> list[flo
     if level is None and not floors:
         raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
     if level is None and len(floors) > 1:
-        raise BadParameter(
-            f"expected a place with a level or z, got {x:g},{y:g}, where {len(floors)} levels "
-            f"have a floor: write {' or '.join(f'{x:g},{y:g},L{number}' for number in floors)}",
-            param_hint=option,
-        )
+        got = f"{x:g},{y:g}, where {len(floors)} levels have a floor"
+        hint = " or ".join(f"{x:g},{y:g},L{number}" for number in floors)
+        message = f"expected a place with a level or z, got {got}: write {hint}"
+        raise BadParameter(message, param_hint=option)
     level = next(iter(floors)) if level is None else level
     z = float(floors.get(level, grid.levels[level].ground))
     found = grid.cell_at((x, y, z))

@@ -455,10 +455,8 @@ def parse_config(
     if not isinstance(data, Mapping):
         raise ConfigError(f"expected a mapping of settings in {source}: `scene: {{path: …}}`")
     if data.keys() >= MAP_KEYS:
-        raise ConfigError(
-            f"expected settings in {source}, got a map of nav2: `navbake convert` makes a grid of "
-            f"it, `navbake convert` to .xml a scene"
-        )
+        text = f"expected settings in {source}, got a map of nav2"
+        raise ConfigError(f"{text}: `navbake convert` makes a grid of it, to .xml a scene")
     # null is a section's defaults, so that a file without `scene` lacks `scene.path`
     data = {"scene": None, **apply_overrides(data, overrides)}
     context: dict[str, Any] = {"folder": folder, "inputs": []}

@@ -58,8 +58,8 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
     """
     done, broken = read_inflations(grid)
     if broken is not None:
-        text = "the metadata's `inflation` isn't as navbake writes it: what it closed has to touch"
-        notes.append(f"{text} something by itself")
+        note = "the metadata's `inflation` isn't as navbake writes it"
+        notes.append(f"{note}: what it closed has to touch something by itself")
     largest = max((one.radius for one in done), default=0.0)
     if any(one.mode == "minos" for one in done):
         if radius is not None:
@@ -67,10 +67,8 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
                 "the grid was inflated in the mode minos, whose cells promise nothing for a "
                 "radius: leave the radius out, or give the grid as it was before"
             )
-        notes.append(
-            "inflated in the mode minos, which measures from the centres of cells: free cells are "
-            "judged by the baked footprint"
-        )
+        note = "inflated in the mode minos, which measures from the centres of cells"
+        notes.append(f"{note}: free cells are judged by the baked footprint")
         return Inflated(grid, None, largest, by_centres=True)
     if radius is None:
         return Inflated(grid, largest if done else None, largest)

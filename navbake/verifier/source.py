@@ -90,10 +90,9 @@ def find_source(
     if digest is None:
         notes.append("the grid has no digest of its scene, so nothing says that it is this one")
     elif digest != scene.digest:
-        notes.append(
-            f"{config.scene.path} isn't the scene that the grid was baked from, or stands in "
-            f"another pose (their digests differ; the bake's MuJoCo was {version})"
-        )
+        why = f"their digests differ; the bake's MuJoCo was {version}"
+        note = f"{config.scene.path} isn't the scene that the grid was baked from"
+        notes.append(f"{note}, or stands in another pose ({why})")
         if not force:
             raise QueryError(f"{notes[0]}: --force, or force=True, compares them anyway")
     are_known = grid.navbake.get("settingsDigest") in (None, settings_digest(config))

@@ -126,10 +126,8 @@ def verify_scene(
     with_floors = [states_floors(level) for level in content.levels]
     content, cylinder, reach, by_centres = inflate_for(content, radius, notes)
     if reach > 0 and config is not None and config.grid.bounds is not None:
-        notes.append(
-            "`grid.bounds` cut the grid, which knows nothing of what lies beyond: a larger agent's "
-            "cylinder may touch it"
-        )
+        note = "`grid.bounds` cut the grid, which knows nothing of what lies beyond"
+        notes.append(f"{note}: a larger agent's cylinder may touch it")
     if grid.is_blocked:
         notes.append("what was blocked at run time is left out")
     num_cells, levels = sum(level.width * level.height for level in content.levels), []
@@ -166,10 +164,8 @@ def verify_scene(
             "shelf, or of a roof"
         )
     if check.num_groundless:
-        notes.append(
-            f"{check.num_groundless} blocked cells touch nothing, but the scene has no place to "
-            "stand there within a step of their level's ground"
-        )
+        why = "the scene has no place to stand there within a step of their level's ground"
+        notes.append(f"{check.num_groundless} blocked cells touch nothing, but {why}")
     swept, width = None, agent.radius if cylinder is None else cylinder
     if paths and width <= tolerance:
         notes.append("no paths were swept: the agent's radius isn't above the tolerance")
@@ -189,22 +185,18 @@ def verify_scene(
     if surfaces:
         names = sorted(obstacles.names[geom] for geom in surfaces)
         more = f" and {len(names) - 1} more count" if names[1:] else " counts"
-        notes.append(
-            f"{names[0]!r}{more} by the surface, where MuJoCo collides hulls, infinite "
-            "planes or nothing: FCL and MuJoCo's rays judge alone"
-        )
+        why = "where MuJoCo collides hulls, infinite planes or nothing: FCL and MuJoCo's rays judge"
+        notes.append(f"{names[0]!r}{more} by the surface, {why} alone")
     if any(item.kind == UNCLEAR for item in obstacles.items):
         notes.append("some meshes are nearly closed: what lies inside of them isn't judged")
     if report.total.disputed:
-        notes.append(
-            f"MuJoCo and FCL contradict each other over {report.total.disputed} cells, or they lie "
-            "in meshes that are nearly closed: these cells aren't counted"
-        )
+        note = f"MuJoCo and FCL contradict each other over {report.total.disputed} cells"
+        why = "or they lie in meshes that are nearly closed"
+        notes.append(f"{note}, {why}: these cells aren't counted")
     if doors.unknown:
         notes.append(f"the scene has no doors {', '.join(map(repr, doors.unknown[:5]))}")
     if not content.navbake:
-        notes.append(
-            f"the grid is of another program: an agent of {content.agent_height:g} m, radius "
-            f"{content.agent_radius:g} m, step {content.max_step:g} m"
-        )
+        sizes = f"radius {content.agent_radius:g} m, step {content.max_step:g} m"
+        note = f"the grid is of another program: an agent of {content.agent_height:g} m"
+        notes.append(f"{note}, {sizes}")
     return report

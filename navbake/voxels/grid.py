@@ -57,10 +57,10 @@ class VoxelGrid:
         with np.errstate(over="ignore"):
             is_near = np.abs(self.bounds).max() <= FARTHEST
         if not is_near or self.res < LEAST_EDGE:
-            raise FormatError(
-                f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin, "
-                f"got {self.res:g} m from {self.origin} on"
+            text = (
+                f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
             )
+            raise FormatError(f"{text}, got {self.res:g} m from {self.origin} on")
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from typer import Argument, BadParameter, Exit, Option
+from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, PLACE, PLACE_HELP, AsJson, GridFile, option
+from navbake.cli.options import OUTPUT, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_tables, print_warnings, say
 from navbake.errors import QueryError
 from navbake.views import tables
@@ -63,7 +63,7 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
 
 def why(
     grid: GridFile,
-    place: str | None = Argument(None, metavar=PLACE, help=f"World position, {PLACE_HELP}."),
+    place: str | None = argument(PLACE, f"World position, {PLACE_HELP}.", None),
     at: str | None = option(PLACE, "The same."),
     as_json: AsJson = False,
 ) -> None:
@@ -119,8 +119,7 @@ def path(
     ),
     goals: list[str] = option(
         f"{PLACE}|room:NAME|object:NAME",
-        "Goal: a position, a room, or an object to stop beside. Repeat it with several "
-        "positions to reach the cheapest of them.",
+        "A position, a room, or an object to stop beside. The cheapest of several positions.",
         "--to",
         "--goal",
         default=...,

@@ -7,13 +7,22 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from typer import Argument, BadParameter, Exit, Option
+from typer import BadParameter, Exit
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, AsJson, ModelPath, Overrides, SceneOrConfig, flag, option
+from navbake.cli.options import (
+    OUTPUT,
+    AsJson,
+    ModelPath,
+    Overrides,
+    SceneOrConfig,
+    argument,
+    flag,
+    option,
+)
 from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.convert import OCTREES, VOXELS
@@ -28,12 +37,8 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 
 def init(
-    scene: Path = Argument(
-        ..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh."
-    ),
-    output: Path | None = option(
-        "FILE", "YAML to write; - for stdout.  [default: ./<id>.yaml]", *OUTPUT
-    ),
+    scene: Path = argument("SCENE", "Scene file: MJCF, MJB, URDF, USD, SDF or a mesh."),
+    output: Path | None = option("FILE", "YAML; - for stdout.  [default: ./<id>.yaml]", *OUTPUT),
     force: bool = flag("--force", "Overwrite FILE if it exists."),
 ) -> None:
     """Write a YAML file with all settings, commented, for a scene.
@@ -51,9 +56,7 @@ def init(
 
 
 def samples(
-    names: list[str] | None = Argument(
-        None, metavar="NAME", help="Samples to copy.  [default: list them]"
-    ),
+    names: list[str] | None = argument("NAME", "Samples to copy.  [default: list them]", None),
     folder: Path = option("FOLDER", "Where to copy them to.", *OUTPUT, default=Path()),
 ) -> None:
     """Copy sample scenes and their settings here, to try navbake with.
@@ -121,21 +124,13 @@ class Layout(NamedTuple):
 
 def voxelize(
     config: SceneOrConfig,
-    outputs: Annotated[
-        list[Path],
-        Option(
-            *OUTPUT,
-            metavar="FILE",
-            help="File to write: .binvox, .bt, .ot or .npz. May be repeated.",
-        ),
-    ],
     box: Box,
     layout: Layout,
+    outputs: list[Path] = option(
+        "FILE", "File: .binvox, .bt, .ot or .npz. May be repeated.", *OUTPUT, default=...
+    ),
     segments: list[str] | None = option(
-        "WHAT",
-        "Give voxels the IDs of what fills them: geom, body, top (top-most body), or "
-        "PATTERN=ID, which may be repeated.",
-        "--segment",
+        "WHAT", "IDs by geom, body, top (top-most body) or PATTERN=ID, repeatedly.", "--segment"
     ),
     ignore: list[str] | None = option("PATTERN", "Leave out these bodies. May be repeated."),
     overrides: Overrides = None,
@@ -176,10 +171,8 @@ def voxelize(
     print_warnings(grid.notes[known:])
     low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
     ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
-    say_unless_quiet(
-        f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m: "
-        f"{grid.occupied.sum()} occupied{ids}"
-    )
+    line = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m:"
+    say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids}")
 
 
 def _write(grid: navbake.VoxelGrid, output: Path, layout: Layout) -> None:
@@ -230,23 +223,15 @@ class Isolation(NamedTuple):
 
 
 def bake(
-    configs: list[Path] = Argument(
-        ...,
-        metavar="CONFIG",
-        help="Settings (YAML), a scene file for default settings, or the name of a sample where "
-        "no file has it.",
-    ),
+    configs: list[Path] = argument("CONFIG", "Settings (YAML), a scene, or a sample's name."),
     output: str | None = option(
         "FILE|FOLDER",
-        "File to write (.json or .json.gz), - for stdout, or a folder: one that exists, or a "
-        "new one that ends in /.  [default: the settings' output, or <id>.grid.json in the "
-        "current folder]",
+        "File (.json or .json.gz), - for stdout, or a folder: one that exists, or a new one that "
+        "ends in /.  [default: the settings' output, or <id>.grid.json here]",
         *OUTPUT,
     ),
     name: str | None = option(
-        "NAME",
-        "What to call the files in the folder, without .grid.json: {id} is the scene's, "
-        "{stem} CONFIG's, {parent} that of its folder.  [default: {id}]",
+        "NAME", "Of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
     ),
     overrides: Overrides = None,
     radius: float | None = option("METRES", "The same as --set agent.radius=METRES [m]."),
@@ -295,10 +280,8 @@ def bake(
     for (path, config), target in zip(jobs, lay_out(jobs, output, name), strict=True):
         with _going_on(path, failed, len(configs)):
             if target.resolve() in written:
-                raise ConfigError(
-                    f"{target} was written for another scene: give each its own `scene.id`, or "
-                    "name files by --name, as in --name '{parent}-{stem}'"
-                )
+                text = f"{target} was written for another scene: give each its own `scene.id`"
+                raise ConfigError(f"{text}, or name files, as by --name '{{parent}}-{{stem}}'")
             is_own, inputs = target == config.output, (path, *config.inputs)
             suffixes, may_make = () if is_own else options.GRIDS, not (is_file or is_own)
             options.check_output(target, *suffixes, inputs=inputs, may_make_folder=may_make)

@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from typer import Argument, BadParameter, Exit
+from typer import BadParameter, Exit
 
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, STDOUT, Overrides, flag, option
+from navbake.cli.options import OUTPUT, STDOUT, Overrides, argument, flag, option
 from navbake.cli.printing import VOLUME, print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError
 
@@ -37,11 +37,7 @@ class Ways(NamedTuple):
     """Options of the run: as a whole, for one scene, and its machines."""
 
     jobs: int | None = option(
-        "N",
-        "Number of worker processes: 1 unless given, on a cluster one for each CPU.",
-        "-j",
-        "--jobs",
-        min=1,
+        "N", "Worker processes: 1 unless given, on a cluster one a CPU.", "-j", "--jobs", min=1
     )
     max_failures: int | None = option("N", "Stop when more than N scenes failed.", min=0)
     as_json: bool = flag("--json", "Print what happens as lines of JSON, as --log writes them.")
@@ -49,37 +45,25 @@ class Ways(NamedTuple):
     page: bool = flag("--page", "Write FOLDER/index.html: all scenes, their failures and times.")
     parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
     time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
-    memory_limit: float | None = option(
-        "GIB",
-        "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
-        min=0.01,
-    )
+    memory_limit: float | None = option("GIB", "Memory of a scene, on Linux [GiB].", min=0.01)
     retries: int = option("N", "How often a crash or a limit is tried again.", default=0, min=0)
     preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size.")
-    part: str | None = option(
-        "K/N",
-        "Bake every N-th scene from the K-th on, as task K of N of a job array; then --merge.",
-        "--slice",
-    )
+    part: str | None = option("K/N", "Every N-th scene from the K-th; then --merge.", "--slice")
     merge: bool = flag("--merge", "Bake nothing: merge the indexes of slices into one.")
     shards: int | None = option("N", "Pack the scenes into N tar files (WebDataset).", min=1)
     executor: Literal["embedded", "ray"] = option(
-        "embedded|ray",
-        "Where workers run: embedded, on this machine; ray, on a Ray cluster.",
-        default="embedded",
+        "embedded|ray", "Run workers on this machine, or on a Ray cluster.", default="embedded"
     )
     ray_address: str | None = option(
-        "ADDRESS",
-        "Of the Ray cluster; local starts one here. RAY_ADDRESS, else local, unless given.",
+        "ADDRESS", "Of the Ray cluster; local starts one here.  [default: RAY_ADDRESS, else local]"
     )
 
 
 def batch(
-    sources: list[str] = Argument(
-        ...,
-        metavar="SOURCE",
-        help="Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl, also "
-        "with .gz, or .parquet; paths or URLs such as s3://.",
+    sources: list[str] = argument(
+        "SOURCE",
+        "Scenes or settings (YAML), patterns in quotes, or lists: .txt, .csv, .jsonl, also with "
+        ".gz, or .parquet; paths or URLs such as s3://.",
     ),
     output: str = option(
         "FOLDER", "Folder to write into, with a folder of each scene.", *OUTPUT, default=...
@@ -87,15 +71,12 @@ def batch(
     config: str | None = option("YAML", "Settings that all scenes share."),
     make: list[str] | None = option(
         "WHAT",
-        "What to make of each scene besides its grid: inflated:RADIUS[:CLEARANCE], "
-        "nav2[:RADIUS], "
-        "voxels:EDGE[:ENDING], picture[:LAYER...], report, "
-        "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be repeated.",
+        "What to make of each scene, too: inflated:RADIUS[:CLEARANCE], nav2[:RADIUS], report, "
+        "voxels:EDGE[:ENDING], picture[:LAYER...], episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be "
+        "repeated.",
     ),
     column: list[str] | None = option(
-        "NAME=COLUMN",
-        "A list's column for scene, config, id or a setting; all others are then ignored. May be "
-        "repeated.",
+        "NAME=COLUMN", "A list's column of scene, config, id or a setting. May be repeated."
     ),
     allow_hosts: list[str] | None = option(
         "HOST", "Another host of the web to which lists and settings may lead. May be repeated."

@@ -19,7 +19,7 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options, printing
-from navbake.cli.options import OUTPUT, AsJson, GridFile, flag, option
+from navbake.cli.options import BAKED_SCENE, OUTPUT, AsJson, GridFile, flag, option
 from navbake.cli.printing import print_json, print_tables, say
 from navbake.errors import NavbakeError
 from navbake.formats.convert import read_as
@@ -52,22 +52,12 @@ class Sample(NamedTuple):
 def verify(
     grid: GridFile,
     which: Sample,
-    scene: Path | None = option(
-        "SCENE|CONFIG",
-        "The scene, or the settings of the bake (YAML).  [default: the file that the grid "
-        "names, beside it or in the current folder, or in `scenes` there]",
-    ),
+    scene: Path | None = BAKED_SCENE,
     radius: float | None = option(
-        "METRES",
-        "Radius of the agent on free cells and paths [m]; a grid that isn't inflated, or for "
-        "less, is inflated for it.  [default: that of the grid]",
+        "METRES", "Of the agent [m]; inflates the grid, if need be.  [default: that of the grid]"
     ),
     paths: int = option("N", "Sweep the agent along this many paths.", default=0, min=0),
-    tolerance: float = option(
-        "METRES",
-        "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
-        default=1e-4,
-    ),
+    tolerance: float = option("METRES", "What touches by less is free [m], > 0.", default=1e-4),
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
@@ -130,12 +120,8 @@ def audit(
     grid: GridFile,
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
-    on: Path | None = option(
-        "FILE", "GRID is a graph of routes on this grid, or map of nav2.", "--grid"
-    ),
-    radius: float | None = option(
-        "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
-    ),
+    on: Path | None = option("FILE", "GRID is a graph of routes on this grid or map.", "--grid"),
+    radius: float | None = option("METRES", "Of lanes [m].  [default: the radius of the graph]"),
 ) -> None:
     """Look at a grid of any program, or at a graph of routes, for what a person would notice.
 

@@ -63,9 +63,7 @@ def episodes(
     goals: Goals,
     drawn: Drawn,
     robot: Robot,
-    output: Path = option(
-        "SET", "File to write (.jsonl, .jsonl.gz or .parquet).", *OUTPUT, default=...
-    ),
+    output: Path = option("SET", "File: .jsonl, .jsonl.gz or .parquet.", *OUTPUT, default=...),
 ) -> None:
     """Draw solvable episodes on grids: starts, goals and distances.
 

@@ -11,7 +11,7 @@ from typer import Argument, BadParameter, Option
 import navbake
 from navbake.cli import options
 from navbake.cli.commands.episodes import SET_FORMATS, convert_set
-from navbake.cli.options import GRIDS, OUTPUT, STDOUT, AsJson, GridFile, option
+from navbake.cli.options import GRIDS, OUTPUT, STDOUT, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
@@ -49,9 +49,7 @@ class FormatOptions(NamedTuple):
     scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
     categories: Path | None = option("TXT", "room_categories.txt.  [default: one of these rooms]")
     route: list[str] | None = option(
-        "'START GOAL'",
-        "Path to plan and to write, between positions or to room:NAME or object:NAME. May be "
-        "repeated.",
+        "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
     )
     tolerance: float | None = option("METRES", "Of a mesh's floor [m].  [default: 0.001]", min=0)
     up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
@@ -155,35 +153,19 @@ def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
 
 def inflate(
     grid: GridFile,
-    metres: float | None = Argument(None, metavar="RADIUS", help="Radius of the agent [m]."),
+    metres: float | None = argument("RADIUS", "Radius of the agent [m].", None),
     radius: float | None = option("METRES", "The same."),
-    output: Path = option(
-        "FILE",
-        "File to write (.json or .json.gz), - for stdout; not GRID itself.",
-        *OUTPUT,
-        default=...,
-    ),
+    output: Path = option("FILE", ".json or .json.gz; - for stdout.", *OUTPUT, default=...),
     clearance: float | None = option(
-        "METRES",
-        "Distance beyond the radius within which cells cost more [m].  "
-        "[default: 0; with nav2 costs, up to where the cost falls to 1]",
+        "METRES", "Cells so near beyond the radius cost more [m].  [default: 0, or as nav2 does]"
     ),
-    mode: str = option(
-        "exact|minos",
-        "exact (its disc meets no occupied cell) or minos (the original client's).",
-        default="exact",
-    ),
+    mode: str = option("exact|minos", "By the agent's disc, or as MINOS' client.", default="exact"),
     costs: str = option(
-        "step|nav2",
-        "Cost of cells within the clearance: step (10), or nav2 (exponential).",
-        default="step",
+        "step|nav2", "Within the clearance: step (10), or nav2 (exponential).", default="step"
     ),
-    scaling: float | None = option(
-        "FACTOR", "How fast nav2 costs fall, its cost_scaling_factor [1/m].  [default: 10]"
-    ),
+    scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]"),
     ledges: str | None = option(
-        "avoid|ignore",
-        "avoid (no drop of more than a step within the radius) or ignore.  [default: avoid]",
+        "avoid|ignore", "No drops of more than a step within the radius, or any.  [default: avoid]"
     ),
 ) -> None:
     """Inflate the obstacles of a grid for an agent of another radius.
@@ -228,19 +210,15 @@ def inflate(
         count = f"{other.islands.count} islands where there {were} {closed}"
         print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
     with options.beside_output(output):
-        say_unless_quiet(
-            f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share} "
-            f"for an agent of radius {max(radius, held):g} m ({mode})"
-        )
+        line = f"{output}: {areas[1]:.2f} of {areas[0]:.2f} m² free{share}"
+        say_unless_quiet(f"{line} for an agent of radius {max(radius, held):g} m ({mode})")
 
 
 def routes(
     grid: GridFile,
     output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT, default=...),
     agent: str | None = option("NAME", "An agent that the grid names.  [default: the grid's own]"),
-    radius: float | None = option(
-        "METRES", "Radius of the agent [m].  [default: the agent's, else the grid's]"
-    ),
+    radius: float | None = option("METRES", "Of the agent [m].  [default: its own, or the grid's]"),
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
@@ -294,11 +272,9 @@ class Squares(NamedTuple):
 
 def map_descriptor(
     squares: Squares,
-    grid: Path | None = Argument(None, metavar="GRID", help="A NavGrid file."),
+    grid: Path | None = argument("GRID", "A NavGrid file.", None),
     decode: tuple[str, str] | None = option("P1 P2", "Draw this descriptor in place of a GRID."),
-    explored: Path | None = option(
-        "NPY", "Which squares are explored: an array [row, col], row 0 at the top.  [default: all]"
-    ),
+    explored: Path | None = option("NPY", "Explored squares, [row, col] from the top left."),
     as_json: AsJson = False,
 ) -> None:
     """Write a level as a map descriptor (two hex strings) and draw it.

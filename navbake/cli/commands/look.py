@@ -7,12 +7,22 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from typer import Argument, BadParameter
+from typer import BadParameter
 
 import navbake
 from navbake.cli import options, printing
 from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
-from navbake.cli.options import GRIDS, OUTPUT, STDOUT, GridFile, Overrides, flag, option
+from navbake.cli.options import (
+    BAKED_SCENE,
+    GRIDS,
+    OUTPUT,
+    STDOUT,
+    GridFile,
+    Overrides,
+    argument,
+    flag,
+    option,
+)
 from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 
@@ -26,13 +36,11 @@ ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
 
 def plot(
     grid: GridFile,
-    output: Path = option(
-        "PNG|SVG", "Picture to write; - for a PNG on stdout.", *OUTPUT, default=...
-    ),
+    output: Path = option("PNG|SVG", "Picture; - for a PNG on stdout.", *OUTPUT, default=...),
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     layers: list[str] | None = option(
         "LAYER",
-        "Draw occupancy, floor, rooms, doors, clearance, island, weights or links. May be "
+        "occupancy, floor, rooms, doors, clearance, island, weights, links or area. May be "
         "repeated.  [default: occupancy and floor]",
         "--layer",
     ),
@@ -58,17 +66,13 @@ def plot(
 
 
 def report(
-    grids: list[Path] = Argument(..., metavar="GRID|FOLDER", help="Grids, or a batch's folder."),
+    grids: list[Path] = argument("GRID|FOLDER", "Grids, or a batch's folder."),
     output: Path | None = option(
-        "HTML",
-        "Page to write; - for stdout. Of a batch, index.html in its folder unless given.",
-        *OUTPUT,
+        "HTML", "Page; - for stdout. Of a batch, index.html in its folder unless given.", *OUTPUT
     ),
     with_audit: bool = flag("--audit", "Audit the grids, and add what is found."),
     verifications: list[Path] | None = option(
-        "JSON",
-        "Add what `navbake verify --json` printed of a grid. Once for each GRID, in order.",
-        "--verify",
+        "JSON", "Add what `navbake verify --json` printed; once for each GRID.", "--verify"
     ),
 ) -> None:
     """Make a page that shows grids in a browser.
@@ -127,38 +131,25 @@ class Address(NamedTuple):
     """Options of the page's address."""
 
     host: str = option(
-        "HOST",
-        "Address of this machine to listen at. Only this machine can reach the default; "
-        "0.0.0.0 lets others in, too.",
-        default="127.0.0.1",
+        "HOST", "Address to listen at; 0.0.0.0 lets other machines in.", default="127.0.0.1"
     )
     port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535)
     no_open: bool = flag("--no-open", "Only print the link.")
     allow_origin: list[str] | None = option(
-        "URL",
-        "Another address at which browsers may show the page, as of a proxy. May be repeated.",
+        "URL", "Another address of the page, as of a proxy. May be repeated."
     )
 
 
 def view(
     address: Address,
-    source: Path = Argument(
-        ...,
-        metavar="GRID|SCENE|CONFIG",
-        help="A NavGrid file (.json or .json.gz), or a scene file, settings (YAML) or the "
-        "name of a sample to bake.",
+    source: Path = argument(
+        "GRID|SCENE|CONFIG", "A NavGrid file, or a scene, settings or a sample's name to bake."
     ),
-    scene: Path | None = option(
-        "SCENE|CONFIG",
-        "The scene of GRID, or the settings of its bake (YAML).  [default: the file that "
-        "GRID names, beside it or in the current folder, or in `scenes` there]",
-    ),
+    scene: Path | None = BAKED_SCENE,
     overrides: Overrides = None,
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
     episodes: Path | None = option("EPISODES", "A set of episodes to show."),
-    trajectories: Path | None = option(
-        "TRAJECTORIES", "Where an agent was in episodes: .jsonl or .npz."
-    ),
+    trajectories: Path | None = option("FILE", "Where an agent was: .jsonl or .npz."),
 ) -> None:
     """Show a grid in its scene, in the browser, until Ctrl-C.
 
