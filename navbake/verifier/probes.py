@@ -33,8 +33,8 @@ BEYOND = 1.0  # how far from all geometry a line begins [m]
 
 APART, TOUCHES, DISPUTED = 0, 1, 2  # a dispute counts as a touch where margins are measured
 SEPARATED = 1e-7  # least width of a gap that a plane proves [m]
-FARTHEST = 1.0  # how far from a column the nearest obstacle is looked for [m]
-HALVINGS = 14  # of an interval of at most `FARTHEST`: to a tenth of a millimetre
+REACH = 1.0  # how far from a column the nearest obstacle is looked for [m]
+HALVINGS = 14  # of an interval of at most `REACH`: to a tenth of a millimetre
 
 
 class Surface(NamedTuple):
@@ -262,9 +262,9 @@ class Probes:
         return -self._margin(column, center, number, -min(column[:3]), 0.0)
 
     def nearest(self, column: Column, center: Float) -> tuple[float, int] | None:
-        """By how much a column has to grow to touch anything within `FARTHEST` [m], and what."""
-        reach = np.array(column[:3]) + FARTHEST
-        nearest, gap = None, FARTHEST
+        """By how much a column has to grow to touch anything within `REACH` [m], and what."""
+        reach = np.array(column[:3]) + REACH
+        nearest, gap = None, REACH
         for number in self.obstacles.meeting(center - reach, center + reach):
             if self.touches(number, column, center, gap):
                 nearest, gap = number, self._margin(column, center, number, 0.0, gap)

@@ -18,7 +18,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Link
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
-from navbake.verifier.floors import rounding
+from navbake.verifier.cells import rounding
 from navbake.verifier.probes import TOUCHES, Column, Lines, Probes
 from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, PATH_TOUCHES, Finding, SweepCounts
 from navbake.verifier.sample import SLACK, Agent, Surroundings

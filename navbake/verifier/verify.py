@@ -16,9 +16,8 @@ from navbake.config.settings import BakeConfig
 from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
-from navbake.verifier.floors import FloorCheck
+from navbake.verifier.cells import FloorCheck, OccupancyCheck
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
-from navbake.verifier.occupancy import OccupancyCheck
 from navbake.verifier.probes import Lines, Probes
 from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (

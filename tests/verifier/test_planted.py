@@ -14,7 +14,7 @@ from navbake.errors import FormatError
 from navbake.navgrid.grid import MultiLevelGrid
 from navbake.testing import assert_true
 from navbake.verifier import report as kinds
-from navbake.verifier.occupancy import MEASURED
+from navbake.verifier.cells import MEASURED
 from verified_scenes import copy_of, kinds_at, mesh_room, walls, write
 
 
