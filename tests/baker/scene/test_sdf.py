@@ -258,7 +258,7 @@ def test_broken_worlds(tmp_path):
     loop = '<frame name="a" attached_to="b"/><frame name="b" attached_to="a"/>'
     fails(model(lost.replace("roof", "a") + loop), r"frame 'a' of m .*relative to itself")
     joint = '<joint name="j" type="fixed"><parent>l</parent><child>no</child></joint>'
-    fails(model(link(BOX) + joint, more=""), r"no link 'no' in model 'm'")
+    fails(model(link(BOX) + joint, more=""), r"no frame 'no' of m in .*w\.sdf: it has j, l")
     write(tmp_path, model("<include><uri>model://self</uri></include>"), "self/model.sdf")
     fails("<include><uri>model://self</uri></include>", r"self/model\.sdf includes itself")
 
