@@ -10,19 +10,15 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from navbake.baker.columns import (
-    Columns,
-    ColumnSource,
-    TiledShapes,
-    cast_columns,
-    tile_shapes,
-)
+from navbake.baker.columns import Columns, ColumnSource, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
+from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import EDGES, Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
@@ -157,15 +153,16 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
+    known = posed, extents, scene.model, lattice, reach
     with limit_threads(1):  # a door is too small to be worth more
-        return [_pose_leaf(one, posed, extents, scene, lattice, reach) for one in candidates]
+        return [_pose_leaf(one, *known) for one in candidates]
 
 
 def _pose_leaf(
     candidate: DoorCandidate,
     posed: dict[str, Shapes],
     extents: dict[str, Extents],
-    scene: Scene,
+    model: Any,
     lattice: Lattice,
     reach: float,
 ) -> Leaf:
@@ -189,7 +186,7 @@ def _pose_leaf(
     travel = ""
     if candidate.positions:
         by = abs(candidate.positions["open"] - candidate.positions["closed"])
-        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+        is_hinge = int(model.jnt_type[candidate.joint_id]) == HINGE
         travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
     sight = _lines_of_sight(extents["closed"], geoms, lattice)
     is_beside = "modelled" in windows and windows["modelled"] is None
@@ -327,12 +324,10 @@ def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
         top[np.abs(top - floor) <= step] = np.nan
     places = np.argwhere(~np.isnan(top))
     cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
-    known = around.columns.at(cells)
-    for (r, c), cell in zip(places.tolist(), cells.tolist(), strict=True):
-        above = known.z[known.start[cell] : known.start[cell + 1]]
-        above = above[above > top[r, c] + SLACK]
-        if len(above) and above[0] < top[r, c] + agent.height - SLACK:
-            top[r, c] = np.nan
+    tall, under = top[tuple(places.T)], np.zeros(len(cells), dtype=np.bool_)
+    band = tall + SLACK, tall + agent.height - SLACK
+    lines_blocked(cells, *band, around.columns.at(cells).crossings, under, 0, len(cells))
+    top[tuple(places[under].T)] = np.nan
     sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
     if not any((np.abs(top[a] - floor[b]) <= step).any() for floor in parts for a, b in sides):
         return 0.0
