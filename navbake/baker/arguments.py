@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import CompileLimits, OpenScene, is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import open_file
 from navbake.config.field_types import describe_errors

@@ -16,8 +16,7 @@ from navbake.baker.arguments import take_input
 from navbake.baker.boxes import written_ground
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.lattice import cut_cells
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene, mujoco_version
+from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look
 from navbake.baker.warn import collect_warnings

@@ -31,8 +31,7 @@ from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cell
 from navbake.baker.rooms.flags import ColumnFlags, RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.model import CompileLimits, OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.traffic.areas import PaintedAreas, paint_areas
 from navbake.baker.traffic.ground import Ground, Space

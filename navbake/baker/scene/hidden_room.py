@@ -71,15 +71,13 @@ class HiddenRoom:
         bounds = shapes[1].bounds
         if bounds is None or not np.isfinite(bounds).all():
             return False
-        x0, y0, x1, y1 = (float(v) for v in bounds[:, :2].ravel())
+        x0, y0, x1, y1 = bounds[:, :2].ravel().tolist()
         width, depth = x1 - x0, y1 - y0
         # a limit for a long and thin box, too
         by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
-        in_mesh, in_hull = (
-            cast_columns(tile_shapes(each, lattice, spacing / 2)) for each in shapes
-        )
+        in_mesh, in_hull = (cast_columns(tile_shapes(one, lattice, spacing / 2)) for one in shapes)
         has_room = _find_room(in_mesh, in_hull, self._agent.height)
         return is_large(lattice, self._floors, has_room)
 
@@ -91,13 +89,8 @@ def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
     up, hull_up = ((columns.normal[:, 2] > 0).astype(np.int64) for columns in (mesh, hull))
     turned = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * up)
     cells = [np.repeat(np.arange(len(c.start) - 1), np.diff(c.start)) for c in (hull, mesh)]
-    pairs = (
-        cells,
-        (hull.z, mesh.z),
-        (1 - hull_up, 2 * up),
-        (hull_up, 1 - up),
-        (np.zeros_like(hull_up), turned),
-    )
+    marks = (1 - hull_up, 2 * up), (hull_up, 1 - up), (np.zeros_like(hull_up), turned)
+    pairs = cells, (hull.z, mesh.z), *marks
     cell, z, starts, ends, turns = (np.concatenate(pair) for pair in pairs)
     order = np.lexsort((ends, z, cell))
     cell, z, starts, ends, turns = (a[order] for a in (cell, z, starts, ends, turns))

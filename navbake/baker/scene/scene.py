@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
 from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.mesh_scene import MeshPart, box_of
-from navbake.baker.scene.model import OpenScene, load_model
+from navbake.baker.scene.model import CompileLimits, OpenScene, load_isolated, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
@@ -98,11 +97,9 @@ def load_scene(
     if not own:
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(choice.counted for choice in own):
-        reasons = sorted({choice.reason for choice in own})
-        raise SceneError(
-            f"none of the {len(own)} geoms of {settings.path} counts "
-            f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
-        )
+        reasons = "; ".join(sorted({choice.reason for choice in own})[:3])
+        none = f"none of the {len(own)} geoms of {settings.path} counts"
+        raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
@@ -147,9 +144,7 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
     return [*notes, *([] if takes_frame else unused)]
 
 
-def _warn_size(
-    settings: SceneSettings, parts: dict[int, MeshPart], bounds: Float | None
-) -> list[str]:
+def _warn_size(settings: SceneSettings, parts: dict[int, MeshPart], bounds: Any) -> list[str]:
     """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
@@ -163,12 +158,11 @@ def _warn_size(
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
         if parts:
-            hint = "set `scene.unit` to the metres that one unit of it is, as 1000 for kilometres"
-            hint += " (1 silences this)"
+            unit = "the metres that one unit of it is, as 1000 for kilometres"
+            hint = f"set `scene.unit` to {unit} (1 silences this)"
         return [f"the {'mesh' if parts else 'scene'} is only {width:.6g} m large: {hint}"]
     if parts and (height > HIGH_MESH or width > WIDE_MESH):
-        is_high = height > HIGH_MESH
-        text = f"{height:.6g} m high" if is_high else f"{width:.6g} m large"
+        text = f"{height:.6g} m high" if height > HIGH_MESH else f"{width:.6g} m large"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
         return [f"the mesh is {text}: {hint} (1 silences this)"]
     return []

@@ -19,13 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from navbake.baker.scene.mesh_scene import (
-    MESH_SUFFIXES,
-    join_parts,
-    read_mesh_parts,
-    stated_up,
-)
-from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, check_count, tessellate
+from navbake.baker.scene.mesh_scene import MESH_SUFFIXES, join_parts, read_mesh_parts, stated_up
+from navbake.baker.scene.pieces import Gathered, Joint, Piece, Ties, check_count
+from navbake.baker.scene.tessellation import Mesh, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
 from navbake.formats.images import read_pixels

@@ -100,10 +100,7 @@ def fill_mesh(mesh: Any, vertices: Float, faces: Int | Int32) -> None:
 
 @contextmanager
 def catch_warnings() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which otherwise go to stderr and ./MUJOCO_LOG.TXT.
-
-    Each begins with `BY_MUJOCO`.
-    """
+    """Collect MuJoCo's warnings, each after `BY_MUJOCO`; else they go to ./MUJOCO_LOG.TXT."""
     with _WARNING_LOCK:
         before = mujoco.get_mju_user_warning()
         warnings: list[str] = []

@@ -53,9 +53,7 @@ Triple = tuple[float, float, float]  # navbake.types would load numpy
 
 def init(
     scene: Path = Argument(
-        ...,
-        metavar="SCENE",
-        help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh.",
+        ..., metavar="SCENE", help="Scene file: MJCF, MJB, URDF, USD, SDF or a mesh."
     ),
     output: Path | None = option(
         "FILE", "YAML to write; - for stdout.  [default: ./<id>.yaml]", *OUTPUT
@@ -384,7 +382,7 @@ def _bake_one(
     config: BakeConfig, target: Path, threads: int | None, isolation: Isolation, with_timings: bool
 ) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.baker.scene.isolated import CompileLimits
+    from navbake.baker.scene.model import CompileLimits
     from navbake.cli.progress import progress_bars
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
     from navbake.views.describe import describe
