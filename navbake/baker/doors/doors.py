@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -99,10 +98,7 @@ class Placing:
 
 
 def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: str) -> Door:
-    """The door in the wanted state, with cells counted on each level's own window of the lattice.
-
-    `width` is the lattice's.
-    """
+    """The door in a state, with cells on each level's window of the lattice, of a `width`."""
 
     def cut(levels: list[Int]) -> dict[int, Runs]:
         pairs = enumerate(zip(levels, windows, strict=True))
@@ -116,21 +112,17 @@ def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: st
 
 def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
-    stuck, fixed = list[str](), list[str]()
-    for door in doors:
-        name = door.candidate.id
-        if door.is_stuck:
-            stuck.append(
-                f"the open state of door {name!r} still closes its doorway, as its "
-                f"joint opens it by {door.leaf.travel} only: check its range, whether the file "
-                "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
-            )
-        if wanted == "open" and not door.candidate.positions:
-            fixed.append(
-                f"door {name!r} has no hinge or slide of its own: open, it is taken out of its "
-                "opening"
-            )
-    return stuck + fixed + [door.carried for door in doors if door.carried]
+    stuck = [
+        f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
+        f"opens it by {door.leaf.travel} only: check its range, whether the file means degrees or "
+        "radians (`<compiler angle>`), and `grid.cell_size`"
+        for door in doors
+        if door.is_stuck
+    ]
+    text = "has no hinge or slide of its own: open, it is taken out of its opening"
+    fixed = [f"door {door.candidate.id!r} {text}" for door in doors if not door.candidate.positions]
+    carried = [door.carried for door in doors if door.carried]
+    return stuck + (fixed if wanted == "open" else []) + carried
 
 
 @dataclass(frozen=True)
@@ -153,44 +145,38 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
-    known = posed, extents, scene.model, lattice, reach
+
+    def pose(candidate: DoorCandidate) -> Leaf:
+        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
+        boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
+        windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+        ends, box = np.array([*boxes.values()]), None
+        if len(ends):
+            box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+        near, state_at = dict[str, Near | None](), dict[float | None, str]()
+        for state, shapes in own.items():
+            # states at one position of the joint are found once
+            first = state_at.setdefault(candidate.position(state), state)
+            window = windows.get(state)
+            near[state] = near.get(first)
+            if first == state and window is not None:
+                tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+                near[state] = window, tiled, cast_columns(tiled)
+        # seen from above, most doors are too small, which is quickly found
+        geoms = candidate.geoms
+        sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
+        tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
+        travel = ""
+        if candidate.positions:
+            by = abs(candidate.positions["open"] - candidate.positions["closed"])
+            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
+        sight = _lines_of_sight(extents["closed"], geoms, lattice)
+        is_beside = "modelled" in windows and windows["modelled"] is None
+        return Leaf(candidate, box, is_beside, near, sight, tops, travel)
+
     with limit_threads(1):  # a door is too small to be worth more
-        return [_pose_leaf(one, *known) for one in candidates]
-
-
-def _pose_leaf(
-    candidate: DoorCandidate,
-    posed: dict[str, Shapes],
-    extents: dict[str, Extents],
-    model: Any,
-    lattice: Lattice,
-    reach: float,
-) -> Leaf:
-    own, geoms = {state: candidate.only(shapes) for state, shapes in posed.items()}, candidate.geoms
-    boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
-    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
-    ends, box = np.array([*boxes.values()]), None
-    if len(ends):
-        box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
-    near, state_at = dict[str, Near | None](), dict[float | None, str]()
-    for state, shapes in own.items():
-        # states at one position of the joint are found once
-        first, window = state_at.setdefault(candidate.position(state), state), windows.get(state)
-        near[state] = near.get(first)
-        if first == state and window is not None:
-            tiled = tile_shapes(shapes, lattice.cut(*window), reach)
-            near[state] = window, tiled, cast_columns(tiled)
-    # seen from above, most doors are too small, which is quickly found
-    sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
-    tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
-    travel = ""
-    if candidate.positions:
-        by = abs(candidate.positions["open"] - candidate.positions["closed"])
-        is_hinge = int(model.jnt_type[candidate.joint_id]) == HINGE
-        travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-    sight = _lines_of_sight(extents["closed"], geoms, lattice)
-    is_beside = "modelled" in windows and windows["modelled"] is None
-    return Leaf(candidate, box, is_beside, near, sight, tops, travel)
+        return [pose(candidate) for candidate in candidates]
 
 
 def _lines_of_sight(extents: Extents, geoms: Int, lattice: Lattice) -> Int | None:
@@ -242,11 +228,10 @@ def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, around)
         if area >= MIN_AREA - SLACK:
-            carried = (
-                f"door {candidate.id!r} carries {area:.1f} m² of floor {WHEN[state]}, which is "
-                "missing in the grid, because doors carry no floor: exclude it from `doors` if "
-                "agents walk on it"
-            )
+            missing = "which is missing in the grid, because doors carry no floor"
+            hint = "exclude it from `doors` if agents walk on it"
+            what = f"{area:.1f} m² of floor {WHEN[state]}"
+            carried = f"door {candidate.id!r} carries {what}, {missing}: {hint}"
             break
     return Placing(leaf, False, rooms or (None, None), cells, solid, closed, carried)
 

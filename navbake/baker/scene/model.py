@@ -28,16 +28,17 @@ from navbake.baker.scene.mesh_scene import (
     take_mesh_parts,
 )
 from navbake.baker.scene.names import name_at, unique_name
-from navbake.baker.scene.pieces import build_model, reading
-from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.scene.specs import (
+from navbake.baker.scene.pieces import (
+    build_model,
     catch_warnings,
     compile_geometry,
     compile_model,
     compile_spec,
     fill_mesh,
     model_of_parts,
+    reading,
 )
+from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, NavbakeError, SceneError

@@ -1,8 +1,8 @@
-"""Pieces of a scene as its reader finds them, and the model that is made of them.
+"""Pieces of a scene as its reader finds them, and how models of MuJoCo are made and compiled.
 
 USD and SDF become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates, checks and
 batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that never move
-are kept exact beside the model, see `specs.model_of_parts`.
+are kept exact beside the model, see `model_of_parts`.
 
 MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
 So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh, until
@@ -11,8 +11,10 @@ So of more than `MOST_PIECES` pieces, static ones that stand together become one
 
 from __future__ import annotations
 
+import threading
+import warnings as python_warnings
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,11 +26,15 @@ import numpy as np
 from navbake.baker.scene.mesh_scene import MeshPart, check_part
 from navbake.baker.scene.names import unique_name
 from navbake.baker.scene.shapes import hull_faces
-from navbake.baker.scene.specs import TETRAHEDRON, compile_geometry, compile_model, fill_mesh
 from navbake.baker.scene.tessellation import Mesh, tessellate
-from navbake.errors import NavbakeError, SceneError
-from navbake.types import Float
+from navbake.errors import ConfigError, NavbakeError, SceneError
+from navbake.processes import lacked_memory
+from navbake.types import Float, Int, Int32
 
+TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+"""Vertices and faces, counter-clockwise from outside."""
+BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
+_WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 MOST_PIECES, FEW_PIECES = 10_000, 3000
 MAX_PIECES = 2_000_000  # of a scene, instances counted each
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
@@ -307,3 +313,95 @@ def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
     mesh = _place(meshes, np.stack([piece.pose for piece in group]), decimals)
     rights = group[0].collides, group[0].drawn
     return Piece(name, name, "mesh", (), np.eye(4), mesh, None, "surface", *rights)
+
+
+# ---------------------------------------------------------------- specs
+
+
+def model_of_parts(
+    parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart]]:
+    """A model with mesh parts' names, and the parts by geom id.
+
+    Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would
+    compile the part's triangles for many seconds.
+    """
+
+    def build() -> Any:
+        spec = mujoco.MjSpec()
+        for part in parts:
+            fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
+            body = spec.worldbody.add_body(name=part.name)
+            geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
+            geom.meshname, geom.contype, geom.conaffinity = part.name, 0, 0
+        return compile_geometry(spec, ground, warnings)
+
+    model = compile_model(path, warnings, build)
+    return model, {int(model.geom(part.name).id): part for part in parts}
+
+
+def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
+    """Call `load`; MuJoCo's error is raised as a SceneError, with its warnings."""
+    try:
+        return load()
+    except (ConfigError, SceneError):
+        raise
+    except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
+        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)]
+        lines = dict.fromkeys(" ".join(line.split()) for line in said or [type(error).__name__])
+        reason = "; ".join(line for line in lines if line)  # each once, in order
+        reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
+        hint = "" if lacked_memory(error) else hint
+        raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
+
+
+def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
+    """Compile a spec; what MuJoCo warns of is added to `warnings`.
+
+    Endless ground is added at a height, under a name that nothing else has.
+    """
+    for mesh in spec.meshes:
+        # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
+        # to fill. They count by their triangles here. Older MuJoCos fill it always.
+        if hasattr(mesh, "octree_maxdepth"):
+            mesh.octree_maxdepth = 0
+    if ground is not None:
+        name = unique_name("ground", {thing.name for thing in (*spec.geoms, *spec.bodies)})
+        body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
+        # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
+    with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
+        python_warnings.simplefilter("always")
+        model = spec.compile()
+    texts = [f"{BY_MUJOCO}{each.message}" for each in said]
+    warnings.extend(text for text in texts if text not in warnings)
+    return model
+
+
+def compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
+    """Compile a spec with any masses and inertias, which a bake does not need."""
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
+    return compile_spec(spec, ground, warnings)
+
+
+def fill_mesh(mesh: Any, vertices: Float, faces: Int | Int32) -> None:
+    spare = np.repeat(vertices[-1:], max(0, 4 - len(vertices)), axis=0)  # MuJoCo wants four
+    mesh.uservert = np.concatenate([vertices, spare]).astype(np.float32).ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
+
+
+@contextmanager
+def catch_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, each after `BY_MUJOCO`; else they go to ./MUJOCO_LOG.TXT."""
+    with _WARNING_LOCK:
+        before = mujoco.get_mju_user_warning()
+        warnings: list[str] = []
+        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{BY_MUJOCO}{text}"))
+        try:
+            yield warnings
+        finally:
+            mujoco.set_mju_user_warning(before)
