@@ -1,7 +1,7 @@
-"""What an error about an unknown name adds: the nearest known name, and which ones there are."""
+"""What errors and warnings say of names: the nearest known one, and which ones there are."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 MAX_LISTED = 12
@@ -32,6 +32,12 @@ def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED) -> str:
     hint = f"did you mean {near[0]!r}? " if near else ""
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
     return f"{hint}it has {', '.join(names[:limit]) or 'none'}{more}"
+
+
+def list_first(names: Sequence[str], most: int = 1) -> str:
+    """The first names, and how many more there are, as in ``a, b and 3 more``."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _is_one_slip(name: str, other: str) -> bool:

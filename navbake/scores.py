@@ -11,6 +11,7 @@ SPL use the same distances.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -158,8 +159,8 @@ class Measures:
         self.share, self.radius = episode.goals[0].share, episode.goals[0].radius
         goals, in_order = episode.goals, episode.task == "sequence"
         # many episodes of a set have the goals of the last one
-        key, find = (goals, in_order), partial(find_stops, finder, goals, in_order=in_order)
-        stops = finder.search.keep("stops", key, find)
+        find = functools.partial(find_stops, finder, goals, in_order=in_order)
+        stops = finder.search.keep("stops", (goals, in_order), find)
         if stops is None:
             raise QueryError(f"no agent can stand at the goal of episode {episode.id!r}")
         self._stops, self._passed = stops, 0
@@ -216,8 +217,8 @@ class Measures:
     def scores(self, *, stopped: bool) -> Json:
         """`MEANS` and the length of the ``shortest`` path; NaN where one has no meaning."""
         way, places, times = np.array(self._positions), self._stops.places, self._times
-        known = path_length(way), self.distance, self.shortest
-        length, distance, shortest = map(np.array, known)
+        lengths = path_length(way), self.distance, self.shortest
+        length, distance, shortest = map(np.array, lengths)
         coverage = math.nan if self.share is None else self._coverage(way)
         if self.share is not None:
             ends_at = best_at = 0.0 if coverage >= self.share else math.inf
@@ -295,8 +296,8 @@ def read_trajectories(path: str | os.PathLike[str]) -> list[Trajectory]:
     wanted = "arrays episode (k), start (k + 1) and positions (n, 3)"
     with open_archive(os.fspath(path), wanted) as archive:
         ids, start, points = (archive.read(key, archive.top) for key in REQUIRED)
-        more = [archive.read(k, archive.top) if k in archive else None for k in ("stop", "times")]
-        stop, times = more
+        stop = archive.read("stop", archive.top) if "stop" in archive else None
+        times = archive.read("times", archive.top) if "times" in archive else None
         fits = start.shape == (len(ids) + 1,) and points.ndim == 2 and points.shape[1] == 3
         fits &= stop is None or stop.shape == ids.shape
         fits &= times is None or times.shape == points.shape[:1]
@@ -350,10 +351,10 @@ def score_set(
         raise QueryError(f"the set has no episode {min(unknown)!r} as a trajectory has")
     if len(chosen) < len(content) and not partial:
         first = next(e.id for e in content.episodes if e.id not in by_id)
+        missing = f"{len(content) - len(chosen)} of {len(content)} episodes have no trajectory"
+        hint = "or score a part of the set (--partial, partial=True)"
         raise QueryError(
-            f"{len(content) - len(chosen)} of {len(content)} episodes have no trajectory, as "
-            f"{first!r}: a run that failed counts as an empty one, or score a part of the set "
-            "(--partial, partial=True)"
+            f"{missing}, as {first!r}: a run that failed counts as an empty one, {hint}"
         )
     agent = content.header.agent
     finders: dict[str, PathFinder] = {}
@@ -404,8 +405,9 @@ def summarize(rows: Sequence[Mapping[str, Any]], by: str = "all", *, seed: int =
             groups.setdefault("all" if by == "all" else str(row[by]), []).append(row)
     summaries = []
     for name, members in groups.items():
-        columns = {key: np.array([row[key] for row in members], dtype=float) for key in MEANS}
-        finite = {key: np.where(np.isinf(v), np.nan, v) for key, v in columns.items()}
-        means = {key: bootstrap(values, seed=seed) for key, values in finite.items()}
+        means = {}
+        for key in MEANS:
+            column = np.array([row[key] for row in members], dtype=float)
+            means[key] = bootstrap(np.where(np.isinf(column), np.nan, column), seed=seed)
         summaries.append({"group": name, "episodes": len(members), **means})
     return summaries

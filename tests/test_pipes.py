@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from navbake.baker.scene.isolated import CompileLimits
+from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import open_file
 from navbake.batch.store import read_file
 from navbake.config.settings import load_config

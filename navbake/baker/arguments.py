@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene, is_in_memory, name_of, open_memory
+from navbake.baker.scene.model import CompileLimits, OpenScene, is_in_memory, name_of, open_memory
 from navbake.baker.scene.names import all_names
 from navbake.baker.scene.scene import open_file
 from navbake.config.field_types import describe_errors
@@ -59,9 +58,8 @@ def take_input(
     names, own = all_names(opened.model), config.scene.exclude
     given = {} if exclude is None else exclude
     if not isinstance(given, Mapping):
-        raise ConfigError(
-            f"expected `exclude` as {{'bodies': […], 'geoms': […]}}, got {type(given).__name__}"
-        )
+        wanted = "`exclude` as {'bodies': […], 'geoms': […]}"
+        raise ConfigError(f"expected {wanted}, got {type(given).__name__}")
     geoms = [geom.geom for geom in names.geoms]
     bodies = _patterns_of(given.get("bodies", []), names.bodies, "body", "exclude")
     bodies += _patterns_of([] if robot is None else robot, names.bodies, "body", "robot")
@@ -88,10 +86,8 @@ def _patterns_of(given: Any, names: Sequence[str], kind: str, keyword: str) -> l
         if not isinstance(name, str):
             index = name.__index__() if hasattr(name, "__index__") else -1
             if isinstance(name, bool) or not first <= index < len(names):
-                raise ConfigError(
-                    f"expected the name or id of a {kind} in `{keyword}`, {first} to "
-                    f"{len(names) - 1}, got {one!r}"
-                )
+                wanted = f"the name or id of a {kind} in `{keyword}`, {first} to {len(names) - 1}"
+                raise ConfigError(f"expected {wanted}, got {one!r}")
             name = names[index]
         elif name not in names[first:]:
             if keyword == "robot" or not WILDCARDS.search(name):

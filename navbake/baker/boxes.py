@@ -70,9 +70,8 @@ def find_level_boxes(
         agent_height: an agent on the highest floor is in the highest level's box [m].
     """
     written = [level.floor.astype(np.float32) for level in levels]
-    lowest, peaks = (
-        [float(end.reduce(floor, axis=None)) for floor in written] for end in (np.fmin, np.fmax)
-    )
+    lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in written]
+    peaks = [float(np.fmax.reduce(floor, axis=None)) for floor in written]
     highest = max(peaks)
     windows = [bounding_window(~np.isnan(floor)) for floor in written]
     sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
@@ -116,15 +115,7 @@ def _find_tops(
         last = _last_floor(own[~np.isnan(own)], others)
         # the box ends below what it doesn't hold: boxes, or floors of levels that interleave; cells
         # beside each other count, too: see the file's source
-        limits = [
-            bottoms[j]
-            for j in above
-            if bottoms[j] > last
-            and all(
-                a.start <= b.stop and b.start <= a.stop
-                for a, b in zip(window, windows[j], strict=True)
-            )
-        ]
+        limits = [bottoms[j] for j in above if bottoms[j] > last and _meet(window, windows[j])]
         limit = min([*limits, float(others[others > last].min(initial=np.inf)) - MARGIN])
         # a hair below, which stays below however large the two are
         below = min(round(limit - GAP, GAP_DIGITS), np.nextafter(limit, -np.inf))
@@ -134,6 +125,12 @@ def _find_tops(
             lost[j] += np.count_nonzero(is_lost)
             z[is_lost] = np.nan
     return tops, lost
+
+
+def _meet(one: Window, other: Window) -> bool:
+    """Whether two windows have cells in common, or beside each other."""
+    pairs = zip(one, other, strict=True)
+    return all(a.start <= b.stop and b.start <= a.stop for a, b in pairs)
 
 
 def _last_floor(own: Float, others: Float) -> float:
@@ -168,9 +165,8 @@ def _scene_box(
 ) -> Box:
     """The box of the only level: the scene's, and what of the grid lies outside of it."""
     if scene_box is None:
-        return _to_file(
-            sides, round(lowest - MARGIN, DIGITS), round(highest + agent_height, DIGITS)
-        )
+        bottom, top = round(lowest - MARGIN, DIGITS), round(highest + agent_height, DIGITS)
+        return _to_file(sides, bottom, top)
     scene = np.round(scene_box, DIGITS) + 0.0
     sides[:2] = np.minimum(sides[:2], scene[0, :2])
     sides[2:] = np.maximum(sides[2:], scene[1, :2])

@@ -43,10 +43,8 @@ def lay_lattice(scene: Scene, config: BakeConfig) -> Lattice:
     elif scene.bounds is not None:
         bounds = (*scene.bounds[0, :2].tolist(), *scene.bounds[1, :2].tolist())
     else:
-        raise ConfigError(
-            f"only infinite planes count in {config.scene.path}, so the grid has no end: "
-            f"set `grid.bounds` to [x_min, y_min, x_max, y_max]"
-        )
+        endless = f"only infinite planes count in {config.scene.path}, so the grid has no end"
+        raise ConfigError(f"{endless}: set `grid.bounds` to [x_min, y_min, x_max, y_max]")
     if not np.isfinite(bounds).all():
         raise SceneError(f"the scene {config.scene.path} has geoms whose pose is not finite")
     sides = [bounds[2] - bounds[0], bounds[3] - bounds[1]]

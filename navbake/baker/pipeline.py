@@ -16,8 +16,7 @@ from navbake.baker.arguments import take_input
 from navbake.baker.boxes import written_ground
 from navbake.baker.clock import Progress, StageClock
 from navbake.baker.lattice import cut_cells
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene, mujoco_version
+from navbake.baker.scene.model import CompileLimits, OpenScene, mujoco_version
 from navbake.baker.scene.scene import GeomReport
 from navbake.baker.stages import Stages, settle_doors, take_first_look
 from navbake.baker.warn import collect_warnings
@@ -257,6 +256,9 @@ def _level_grid(stages: Stages, number: int, doors: Sequence[Door], metadata: Js
 def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
     config, agent, levels = stages.config, stages.config.agent, stages.floors.levels
     warned = collect_warnings(stages)
+    agents = {name: Agent(name, **one.model_dump()) for name, one in config.agents.items()}
+    by_name = {name: one.to_json() for name, one in agents.items()}
+    traffic = {"areas": stages.areas.table, "agents": by_name}
     return {
         "sceneId": stages.scene.id,
         "cellAttributes": [
@@ -283,7 +285,7 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
             "maxSlope": agent.max_slope,
             "levels": [{"name": level.name, "ground": written_ground(level)} for level in levels],
             "links": [*_cut_steps(stages).tolist(), *_named_links(stages)],
-            **_traffic_tables(stages),
+            **{name: table for name, table in traffic.items() if table},
             "names": config.names.enabled,
             "rooms": stages.room_table,
             "doors": [_door_entry(door) for door in doors],
@@ -294,26 +296,12 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
 
 def _door_entry(door: Door) -> Json:
     """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
-    entry: Json = {
-        "id": door.id,
-        "joint": door.joint,
-        "rooms": list(door.rooms),
-        "state": door.state,
-    }
+    rooms = list(door.rooms)
+    entry: Json = {"id": door.id, "joint": door.joint, "rooms": rooms, "state": door.state}
     for name, by_state in (("cells", door.cells), ("solid", door.solid)):
         if by_state or name == "cells":
-            entry[name] = {
-                state: [[*runs] for runs in of.items()] for state, of in by_state.items()
-            }
+            entry[name] = {s: [[*runs] for runs in of.items()] for s, of in by_state.items()}
     return entry
-
-
-def _traffic_tables(stages: Stages) -> Json:
-    """The tables of areas and agents, of settings that have any."""
-    agents = stages.config.agents.items()
-    own = {name: Agent(name, **agent.model_dump()).to_json() for name, agent in agents}
-    tables = {"areas": stages.areas.table, "agents": own}
-    return {name: table for name, table in tables.items() if table}
 
 
 def _named_links(stages: Stages) -> list[Json]:

@@ -31,12 +31,11 @@ from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cell
 from navbake.baker.rooms.flags import ColumnFlags, RoomFlags, read_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.extents import Extents, measure_geoms
-from navbake.baker.scene.isolated import CompileLimits
-from navbake.baker.scene.model import OpenScene
+from navbake.baker.scene.model import CompileLimits, OpenScene
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.traffic.areas import PaintedAreas, paint_areas
 from navbake.baker.traffic.ground import Ground, Space
-from navbake.baker.traffic.links import Links, find_links
+from navbake.baker.traffic.links import BakedLinks, find_links
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
@@ -320,10 +319,10 @@ class Stages:
             return paint_areas(*known)
 
     @cached_property
-    def links(self) -> Links:
+    def links(self) -> BakedLinks:
         """The named links, those of the settings and those that are found."""
         if not self.config.links:
-            return Links([], [])
+            return BakedLinks([], [])
         columns, taken, placed = self.baked_columns, self.occupancy.levels, self.placed
         with self.clock.stage("links"):
             floors = np.stack([level.floor for level in self.floors.levels])

@@ -142,18 +142,12 @@ def _warn_patches(stages: Stages, texts: dict[str, tuple[float, str]]) -> Iterat
         if patches:
             first, more = patches[0], f", and {len(patches) - 1} more" if patches[1:] else ""
             x, y, z = first.place
-            what = (
-                f"{stages.scene.geoms[first.geom].name!r} ({first.area:.1f} m² at {z:.2f} m{more})"
-            )
-            keep = f"`floors.from: [[{x:.2f}, {y:.2f}, {z:.2f}]]` keeps it"
-            yield text.format(
-                what=what,
-                keep=keep,
-                cells=sum(len(one.cells) for one in patches),
-                area=f"{first.area:.1f}",
-                z=f"{z:.2f}",
-                name=repr(stages.scene.geoms[first.geom].name),
-            )
+            area, height = f"{first.area:.1f}", f"{z:.2f}"
+            on = repr(stages.scene.geoms[first.geom].name)
+            cells = sum(len(one.cells) for one in patches)
+            what = f"{on} ({area} m² at {height} m{more})"
+            keep = f"`floors.from: [[{x:.2f}, {y:.2f}, {height}]]` keeps it"
+            yield text.format(what=what, keep=keep, cells=cells, area=area, z=height, name=on)
 
 
 def _warn_high_grounds(stages: Stages) -> Iterator[str]:

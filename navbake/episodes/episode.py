@@ -146,17 +146,15 @@ class EpisodeSet(msgspec.Struct, frozen=True):
         scene, agent, radius = scene_of(grid), self.header.agent, grid.radius
         digests = {entry.scene: entry.digest for entry in self.header.grids}
         if not digests:
-            raise QueryError(
-                "the set doesn't say which grid it was made on, as sets of other programs: "
-                "--force takes its distances from the grid given"
-            )
+            force = "--force takes its distances from the grid given"
+            unknown = "the set doesn't say which grid it was made on, as sets of other programs"
+            raise QueryError(f"{unknown}: {force}")
         if scene not in digests:
             raise QueryError(f"the set has no episodes of {scene!r}: {suggest(scene, digests)}")
         if agent is not None and not np.isclose(agent.radius, radius):
-            raise QueryError(
-                f"the set is for an agent of radius {agent.radius:g} m, the grid of {scene!r} for "
-                f"{radius:g} m: inflate the grid it was made on, or force it"
-            )
+            sizes = f"radius {agent.radius:g} m, the grid of {scene!r} for {radius:g} m"
+            inflate = "inflate the grid it was made on, or force it"
+            raise QueryError(f"the set is for an agent of {sizes}: {inflate}")
         if digests[scene] != (given := digest_of(grid)):
             raise QueryError(
                 f"the set was made on another grid of {scene!r} (digest {digests[scene][:12]}, "

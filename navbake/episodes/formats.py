@@ -157,10 +157,9 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
             written.object_category = e.goals[0].category or e.goals[0].name
             key = written.goals_key
             if table.setdefault(key, e.goals) != e.goals:
-                raise FormatError(
-                    f"habitat-objectnav has one list of goals for {key!r}, episode {e.id!r} has "
-                    "another one: draw objects by category, and give scenes names of their own"
-                )
+                other = f"one list of goals for {key!r}, episode {e.id!r} has another one"
+                hint = "draw objects by category, and give scenes names of their own"
+                raise FormatError(f"habitat-objectnav has {other}: {hint}")
             continue
         written.goals = [_write_goal(goal) for goal in e.goals]
         if form == "habitat-vln":
@@ -185,25 +184,19 @@ def encode_habitat(content: EpisodeSet, form: str) -> bytes:
 
 def _write_goal(goal: Goal, number: int | None = None) -> _Goal:
     """A point; with a number, an object of ObjectNav's table."""
-    views = [
-        _View(_State(_to_yup(v.position), _rotation(v.heading)), v.iou) for v in goal.view_points
-    ]
-    return _Goal(
-        _to_yup(_position(goal)), goal.radius, number, goal.name, goal.category,
-        None if number is None else views,
-    )  # fmt: skip
+    states = ((_State(_to_yup(v.position), _rotation(v.heading)), v.iou) for v in goal.view_points)
+    views = None if number is None else [_View(*state) for state in states]
+    at = _to_yup(_position(goal))
+    return _Goal(at, goal.radius, number, goal.name, goal.category, views)
 
 
 def _read_goal(goal: _Goal, radius: float) -> Goal:
     """A goal, with a radius where it says none [m]."""
-    states = [(view.agent_state, view.iou) for view in goal.view_points or ()]
+    states = ((view.agent_state, view.iou) for view in goal.view_points or ())
+    views = (ViewPoint(_from_yup(s.position), _heading(s.rotation), iou) for s, iou in states)
     return Goal(
         position=_from_yup(goal.position), radius=radius if goal.radius is None else goal.radius,
-        name=goal.object_name, category=goal.object_category,
-        view_points=tuple(
-            ViewPoint(_from_yup(state.position), _heading(state.rotation), iou)
-            for state, iou in states
-        ),
+        name=goal.object_name, category=goal.object_category, view_points=tuple(views),
     )  # fmt: skip
 
 
@@ -359,9 +352,8 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
             "extra": {"success": "planar"},
         }  # fmt: skip
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        episodes.append(
-            (spec.navbake or foreign) | {"task": "object", "start": (x, y, z), "heading": heading}
-        )
+        own = {"task": "object", "start": (x, y, z), "heading": heading}
+        episodes.append((spec.navbake or foreign) | own)
     return Header(), episodes
 
 

@@ -18,7 +18,7 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.cells import check_positions
-from navbake.navgrid.user_data import Shared, UserData, names_in
+from navbake.navgrid.user_data import UserData, names_in
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap
 from navbake.types import Float, Int
@@ -102,8 +102,7 @@ def cells_of(finder: PathFinder, goal: Goal) -> Int:
     flat = finder.search.flat
     if goal.room is not None:
         return np.flatnonzero(finder.search.allowed(room=goal.room))
-    points = [view.position for view in goal.view_points]
-    points = points or [p for p in [goal.position] if p]
+    points = [view.position for view in goal.view_points] or [p for p in [goal.position] if p]
     if not points:
         return np.empty(0, dtype=np.int64)
     p, reach = check_positions(points, flat.num_levels), max(SNAP, goal.radius)
@@ -177,14 +176,12 @@ class GoalFinder:
         given, keys = getattr(self.task, f"{self.task.kind}s"), self.choices[label]
         category = label if isinstance(given, dict) else None
         if self.task.kind == "room":
+            reach, rooms = self.task.reach, self.finder.rooms.rooms
             return [
-                Goal(
-                    position=r.centroid, name=r.name, room=r.id, category=category,
-                    radius=self.task.reach,
-                )
-                for r in self.finder.rooms.rooms
+                Goal(position=r.centroid, name=r.name, room=r.id, category=category, radius=reach)
+                for r in rooms
                 if r.id in keys
-            ]  # fmt: skip
+            ]
         if label not in self._known:
             goals = [self._look_at(name, category or category_of(name)) for name in keys]
             self._known[label] = [goal for goal in goals if goal.view_points]
@@ -197,17 +194,14 @@ class GoalFinder:
         other: set[str] = set()
         grid, flat = self.finder.grid, self.finder.search.flat
         for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
-            source = UserData.of(level.user_data).source
-            if not isinstance(source, Shared):
-                cells = np.fromiter(source, dtype=np.int64, count=len(source))
-                source = Shared(cells, np.arange(len(cells)), list(source.values()))
-            order = np.argsort(source.number, kind="stable")
-            ends = np.cumsum(np.bincount(source.number, minlength=len(source.entries)))
-            parts = np.split(source.cells[order], ends[:-1])
-            for entry, cells in zip(source.entries, parts, strict=False):  # one part of no entries
+            cells, number, entries = UserData.of(level.user_data).shared()
+            order = np.argsort(number, kind="stable")
+            ends = np.cumsum(np.bincount(number, minlength=len(entries)))
+            parts = np.split(cells[order], ends[:-1])
+            for entry, own in zip(entries, parts, strict=False):  # one part of no entries
                 other.update(names_in(entry, "walls"), names_in(entry, "doors"))
                 for name in names_in(entry, "objects"):
-                    found.setdefault(name, []).append(start + cells)
+                    found.setdefault(name, []).append(start + own)
         return {n: np.unique(np.concatenate(found[n])) for n in sorted(found.keys() - other)}
 
     def _look_at(self, name: str, category: str) -> Goal:

@@ -30,7 +30,6 @@ from navbake.episodes.goals import GoalFinder, Stops, Task, find_stops, path_thr
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
-from navbake.navgrid import agents as navgrid_agents
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
@@ -194,9 +193,9 @@ def make_episodes(
     scenes = list(grids) if isinstance(grids, Sequence) else [grids]
     wanted = task if isinstance(task, Task) else make_task(task)
     rules, parts = make_rules(sampler), splits or Splits()
-    for name, value, least in (("count", count, 1), ("seed", seed, 0)):
+    for what, value, least in (("count", count, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < least:
-            raise QueryError(f"expected a {name} >= {least}, got {value!r}")
+            raise QueryError(f"expected a {what} >= {least}, got {value!r}")
     names = [scene_of(grid) for grid in scenes]
     if not scenes or len(set(names)) < len(names):
         got = ", ".join(sorted(names)) or "none"
@@ -206,9 +205,8 @@ def make_episodes(
     for k, (scene, given) in enumerate(zip(names, scenes, strict=True)):
         planner = named_agent(given, agent, radius, height)
         grid = fit_grid(given, planner)
-        draw = _Draw(
-            grid, wanted, rules, int(seed), parts, planner.of_any_size() if agent else None
-        )
+        any_size = planner.of_any_size() if agent else None
+        draw = _Draw(grid, wanted, rules, int(seed), parts, any_size)
         found += draw.run(count // len(scenes) + (k < count % len(scenes)))
         rejected.update(draw.rejected)
         file = files[k] if k < len(files) else None
@@ -223,12 +221,10 @@ def make_episodes(
         raise QueryError(f"no episode of {names[0]!r} keeps the rules: {why}")
     ((own_radius, own_height, own_speed),) = agents
     made_by = {"task": wanted, "rules": rules, "count": int(count), "splits": parts}
+    name = agent or msgspec.UNSET
     header = Header(
-        agent=Agent(
-            radius=own_radius, height=own_height, speed=own_speed, name=agent or msgspec.UNSET
-        ),
-        grids=tuple(entries),
-        sampler=msgspec.to_builtins(made_by), seed=int(seed),
+        agent=Agent(radius=own_radius, height=own_height, speed=own_speed, name=name),
+        grids=tuple(entries), sampler=msgspec.to_builtins(made_by), seed=int(seed),
         rejected=dict(sorted(rejected.items())),
     )  # fmt: skip
     numbered = (msgspec.structs.replace(e, id=str(k)) for k, e in enumerate(found))
@@ -239,13 +235,7 @@ class _Draw:
     """The draw of one scene's episodes."""
 
     def __init__(
-        self,
-        grid: NavGrid,
-        task: Task,
-        rules: Rules,
-        seed: int,
-        splits: Splits,
-        agent: navgrid_agents.Agent | None,
+        self, grid: NavGrid, task: Task, rules: Rules, seed: int, splits: Splits, agent: Any
     ) -> None:
         self.task, self.rules, self.seed, self.splits = task, rules, seed, splits
         self.scene, self.finder = scene_of(grid), PathFinder(grid, agent=agent)
@@ -306,9 +296,8 @@ class _Draw:
         rules, search = self.rules, self.finder.search
         flat, rooms = search.flat, search.rooms
         starts = self.finder.random_point(self.rng, count * rules.tries)
-        headings, chance = self.rng.uniform(
-            [[-math.pi], [0.0]], [[math.pi], [1.0]], (2, len(starts))
-        )
+        low, high = [[-math.pi], [0.0]], [[math.pi], [1.0]]
+        headings, chance = self.rng.uniform(low, high, (2, len(starts)))
         cells, goals = flat.cells_at(starts), starts
         distance = straight = np.full(len(starts), np.nan)
         if stops.places:
@@ -353,9 +342,8 @@ class _Draw:
     ) -> dict[str, Bool]:
         """Which starts each rule refuses, by its name, in the order in which they are counted."""
         rules, island = self.rules, self.finder.search.islands.number[cells]
-        farthest, steepest = (
-            math.inf if most is None else most for most in (rules.max_distance, rules.max_rise)
-        )
+        limits = rules.max_distance, rules.max_rise
+        farthest, steepest = (math.inf if most is None else most for most in limits)
         # 1 of a start at the goal, and on a stair, where the line through the air may be longer
         ratio = np.where(straight == 0, 1.0, np.nan)
         ratio = np.maximum(np.divide(distance, straight, out=ratio, where=straight > 0), 1.0)

@@ -121,6 +121,14 @@ class UserData(MutableMapping[int, Json]):
         with_none = [*entries, {}]
         return [with_none[k] for k in numbers.tolist()]
 
+    def shared(self) -> Shared:
+        """All entries and their cells, in the source's order. They must not be modified."""
+        source = self.source
+        if isinstance(source, Shared):
+            return source
+        cells = np.fromiter(source, dtype=np.int64, count=len(source))
+        return Shared(cells, np.arange(len(cells)), list(source.values()))
+
     def replaced(self, changed: Mapping[int, Json]) -> UserData:
         """User data with other entries in some cells, by ascending cell id; empty ones are removed.
 

@@ -33,8 +33,27 @@ def find_cuts(before: Search, after: Search) -> list[Cut]:
     is closed where none of its leaf's cells is free, a link where it is too narrow, or where fewer
     than two of its stops are. Both searches are on the same cells.
     """
-    parts = _closed_steps(before, after), _closed_links(before, after), _closed_doors(before, after)
-    return [cut for part in parts for cut in part]
+    flat, found = before.flat, list[Cut]()
+    for low, high, what, ends in group_steps(before):
+        was_open, is_open = (_lead_on(search, ends) for search in (before, after))
+        if was_open.any() and not is_open.any():
+            x, y, _ = flat.positions(ends).mean(axis=(0, 1))
+            name = f"the {what} between level {low} and {high} near ({x:.2f}, {y:.2f})"
+            found.append(Cut(name, ends.ravel()))
+    for link in before.grid.links:
+        cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
+        was_fit, is_fit = (
+            search.flat.free[cells].sum() > 1 and link.fits(search.radius)
+            for search in (before, after)
+        )
+        if was_fit and not is_fit:
+            found.append(Cut(f"the link {link.name!r} ({link.kind})", cells))
+    for door in before.grid.doors:
+        cells = find_leaf(door, flat)
+        cells = cells[flat.free[cells]]
+        if len(cells) and not after.flat.free[cells].any():
+            found.append(Cut(f"door {door.id!r}", cells))
+    return found
 
 
 class StepGroup(NamedTuple):
@@ -65,17 +84,6 @@ def group_steps(search: Search) -> list[StepGroup]:
     return found
 
 
-def _closed_steps(before: Search, after: Search) -> list[Cut]:
-    found = []
-    for low, high, what, ends in group_steps(before):
-        was_open, is_open = (_lead_on(search, ends) for search in (before, after))
-        if was_open.any() and not is_open.any():
-            x, y, _ = before.flat.positions(ends).mean(axis=(0, 1))
-            name = f"the {what} between level {low} and {high} near ({x:.2f}, {y:.2f})"
-            found.append(Cut(name, ends.ravel()))
-    return found
-
-
 def _lead_on(search: Search, ends: Int) -> Bool:
     """Whether each step, by flat ids of its ends, is free and leads to enough of both levels."""
     flat, islands = search.flat, search.islands
@@ -89,32 +97,8 @@ def _lead_on(search: Search, ends: Int) -> Bool:
     return leads
 
 
-def _closed_links(before: Search, after: Search) -> list[Cut]:
-    found = []
-    for link in before.grid.links:
-        start = before.flat.layout.start
-        cells = np.array([start[stop.level] + stop.cell for stop in link.stops])
-        was_open, is_open = (
-            search.flat.free[cells].sum() > 1 and link.fits(search.radius)
-            for search in (before, after)
-        )
-        if was_open and not is_open:
-            found.append(Cut(f"the link {link.name!r} ({link.kind})", cells))
-    return found
-
-
 def find_leaf(door: Door, flat: FlatGrid) -> Int:
     """The flat ids of the cells that a door's leaf takes when closed."""
     cells = door.solid_in if door.solid else door.cells_in
     pairs = zip(flat.layout.start, cells("closed", flat.num_levels), strict=False)
     return np.concatenate([start + ids for start, ids in pairs])
-
-
-def _closed_doors(before: Search, after: Search) -> list[Cut]:
-    found = []
-    for door in before.grid.doors:
-        cells = find_leaf(door, before.flat)
-        cells = cells[before.flat.free[cells]]
-        if len(cells) and not after.flat.free[cells].any():
-            found.append(Cut(f"door {door.id!r}", cells))
-    return found

@@ -23,7 +23,8 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.polygon import find_fault
+from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.polygon import find_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked
@@ -42,7 +43,6 @@ SCALING = 10.0  # [1/m], nav2's default in code
 STEEP = 1.001  # rise, in cells, over which neighbours are a step, not a slope
 MAX_HEADINGS = 720
 MAX_REACH = 1000  # [cells] of a footprint
-TOUCH = 1e-9  # [cells] by which a polygon may overlap a square that it touches
 
 
 def inflate(
@@ -282,47 +282,25 @@ def inflate_footprint(
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
     masks = []
     for number, level in enumerate(grid.levels):
-        radius = float(np.hypot(*outline.T).max())
-        reach = math.ceil(radius / level.lattice.cell_size) + 1
+        radius, cell = float(np.hypot(*outline.T).max()), level.lattice.cell_size
+        reach = math.ceil(radius / cell) + 1
         if reach > MAX_REACH:
             raise QueryError(f"expected a polygon within {MAX_REACH} cells, got one of {reach}")
         storeys, inside = surroundings.find_surroundings(grid, number, reach)
         free = np.empty((num_headings, *level.shape), dtype=np.bool_)
+        # the cells round the agent's, by which the polygon's squares are found in their unit
+        around = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
         for k in range(num_headings):
             angle = 2 * math.pi * k / num_headings
-            cos, sin, (x, y) = math.cos(angle), math.sin(angle), outline.T / level.lattice.cell_size
-            offsets = _footprint_offsets(cos * x - sin * y, -(sin * x + cos * y))
+            cos, sin, (x, y) = math.cos(angle), math.sin(angle), outline.T / cell
+            turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+            offsets = np.ascontiguousarray(np.argwhere(touch_cells([turned], around)) - reach)
             runs = _to_runs(offsets)
             blocked = count_runs(storeys.occupied[storeys.level] != 0, runs) > 0
             surroundings.block_by_others(grid, number, storeys, radius, offsets, ledges, blocked)
             free[k] = level.free_for_point & ~blocked[inside]
         masks.append(free)
     return masks
-
-
-def _footprint_offsets(x: Float, y: Float) -> Int:
-    """Steps (row, col) to the squares with an edge in them or their centre in the polygon."""
-    low, high = math.floor(min(y.min(), 0) - 0.5), math.ceil(max(y.max(), 0) + 0.5)
-    left, right = math.floor(min(x.min(), 0) - 0.5), math.ceil(max(x.max(), 0) + 0.5)
-    rows, cols = np.mgrid[low : high + 1, left : right + 1].astype(np.float64)
-    meets, inside = np.zeros((2, *rows.shape), dtype=np.bool_)
-    half = 0.5 - TOUCH
-    for k in range(len(x)):
-        x0, y0, x1, y1 = x[k - 1], y[k - 1], x[k], y[k]
-        spans = (y0 > rows) != (y1 > rows)  # inside by the parity of a ray's crossings
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inside ^= spans & (cols < x0 + (rows - y0) / (y1 - y0) * (x1 - x0))
-        # where the edge enters and leaves the inside of each square (Liang and Barsky 1984)
-        enters, leaves = np.zeros(rows.shape), np.ones(rows.shape)
-        for start, step, centre in ((x0, x1 - x0, cols), (y0, y1 - y0, rows)):
-            if abs(step) < TOUCH:
-                leaves = np.where(np.abs(start - centre) < half, leaves, -1.0)
-            else:
-                sides = (centre - half - start) / step, (centre + half - start) / step
-                enters = np.maximum(enters, np.minimum(*sides))
-                leaves = np.minimum(leaves, np.maximum(*sides))
-        meets |= enters < leaves
-    return np.ascontiguousarray(np.argwhere(meets | inside) + np.array([low, left]))
 
 
 def count_runs(mask: Bool, runs: Int) -> Int32:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.known_names import list_first
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
@@ -149,9 +150,9 @@ def with_weights(grid: NavGrid, weights: Float) -> NavGrid:
     )
 
 
-def find_route(grid: NavGrid, like: Search, origin: int, goals: Int, **options: Any) -> Int | None:
+def find_route(grid: NavGrid, like: Search, origin: int, goals: Int) -> Int | None:
     """The cells of the cheapest route on a grid, for the agent of a search whatever its size."""
-    found = search_as(grid, like, **options).route(origin, goals)
+    found = search_as(grid, like).route(origin, goals)
     return found and found.cells
 
 
@@ -257,8 +258,7 @@ def _why_not_free(search: Search, position: Float, cell: int) -> str:
         names = _names(search, np.array([cell]))
         what = f"is where something stands{f' ({names})' if names else ''}"
     else:
-        radius = f"{grid.radius:g} m"
-        what = f"is too near to what stands beside it for a radius of {radius}"
+        what = f"is too near to what stands beside it for a radius of {grid.radius:g} m"
     what = f"{_text(position)} {what}"
     free = np.flatnonzero(flat.free)
     if not len(free):
@@ -301,9 +301,8 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
     """Name the current blocks on the route that a grid without them has."""
     grid, flat = search.grid, search.flat
     clean = grid.without_blocks()
-    if clean is grid:
-        return None
-    if (route := find_route(clean, search, origin, goals)) is None:
+    route = None if clean is grid else find_route(clean, search, origin, goals)
+    if route is None:
         return None
     stops = np.flatnonzero(~flat.free[route])
     around = route[max(stops[0] - BESIDE, 0) : stops[-1] + BESIDE + 1]
@@ -435,11 +434,8 @@ def _barring_area(search: Search, cell: int) -> tuple[str, str] | None:
         return None
     level, row, col = search.flat.cell(cell)
     area = search.grid.areas[search.grid.levels[level].area_index[row, col] - 1]
-    is_named = agent is not None and math.isfinite(area.cost)
-    return (
-        f"area {area.name!r}",
-        f"bars {agent.name!r}" if agent and is_named else "bars all agents",
-    )
+    whom = repr(agent.name) if agent and math.isfinite(area.cost) else "all agents"
+    return f"area {area.name!r}", f"bars {whom}"
 
 
 def _steps(search: Search, origin: int, goals: Int) -> str | None:
@@ -478,8 +474,7 @@ def _names(search: Search, cells: Int) -> str:
     levels, (x, y, _) = flat.level_of(blocked), flat.positions(blocked).T
     ways = zip(x.tolist(), y.tolist(), levels.tolist(), strict=True)
     listed = list(dict.fromkeys(name for at in ways for name in grid.blockers(*at)))
-    more = f" and {len(listed) - MAX_NAMES} more" if len(listed) > MAX_NAMES else ""
-    return ", ".join(listed[:MAX_NAMES]) + more
+    return list_first(listed, MAX_NAMES)
 
 
 def _level(grid: NavGrid, number: int) -> str:

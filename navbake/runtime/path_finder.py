@@ -173,18 +173,15 @@ class PathFinder(DrawQuestions):
         With m `goals`, the distances from each start to each goal: shape (..., m). The fields of
         the last few goals are cached.
         """
-        if goal is not None and goals is None:
-            return self.distances(starts, goals=[goal], level=level, weighted=weighted, by=by)[
-                ..., 0
-            ]
-        if goal is not None or goals is None:
+        if (goal is None) == (goals is None):
             raise QueryError("expected a goal, or goals=[…], one of them")
+        asked: Sequence[Any] = [goal] if goals is None else goals
         cells = self.search.flat.cells_at(starts, level)
-        found = np.full((*cells.shape, len(goals)), np.inf)
-        for k, one in enumerate(goals):
+        found = np.full((*cells.shape, len(asked)), np.inf)
+        for k, one in enumerate(asked):
             field = find_field(self._search, one, level, weighted=weighted, by=by)
             found[..., k] = np.where(cells >= 0, field[cells], np.inf)
-        return found
+        return found[..., 0] if goals is None else found
 
     def max_radius(
         self, start: ArrayLike, goal: Goal, *, level: int | None = None, ledges: str = "avoid"

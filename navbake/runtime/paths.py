@@ -181,8 +181,8 @@ def find_path(
     goal: Goal,
     level: int | None,
     *,
-    by: str = "cost",
     smooth: bool,
+    by: str = "cost",
 ) -> Path | None:
     """`PathFinder.find_path`."""
     check_word(by, BY, "by")
@@ -204,6 +204,8 @@ def find_path(
     positions, levels, leads_to = lines.lay_route(
         route, by_link, p[:2], end, smooth, search.graph_by(by), flat.floors, search.off_center
     )
+    # the points before and after each link, by the cell that a link leads to after each point
+    stops = [np.flatnonzero(leads_to == at)[[0, -1]] + [0, 1] for at, _ in links]
     numbers = rooms.number[route]
     entered = numbers[np.append(True, numbers[1:] != numbers[:-1])]
     return Path(
@@ -217,15 +219,9 @@ def find_path(
         links=[name for _, name in links],
         seconds=seconds,
         by=by,
-        stops=_find_stops(leads_to, [at for at, _ in links]),
+        stops=np.array(stops, dtype=np.int64).reshape(-1, 2),
         grid=search.grid,
     )
-
-
-def _find_stops(leads_to: Int, taken: list[int]) -> Int:
-    """`Path.stops`, by the cell that a link leads to after each position, and those of links."""
-    stops = [np.flatnonzero(leads_to == at)[[0, -1]] + [0, 1] for at in taken]
-    return np.array(stops, dtype=np.int64).reshape(-1, 2)
 
 
 def find_field(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -81,14 +81,10 @@ class Search:
         self.free_diagonally, anywhere, by_squares = self._masks
         solid = [v.solid.ravel() != 0 for v in clean.levels] if self._room else [NO_CELLS]
         before = np.append(np.int32(0), np.cumsum(np.concatenate(solid), dtype=np.int32))
-        is_closed = len(grid.levels) > 1
-        self.off_center = arrays.OffCenter(
-            anywhere, by_squares, before, grid.inflated_radius, is_closed
-        )
-        weights = flat.weight[flat.free]
-        if weights.min(initial=0.0) < 0:
-            least = f"{weights.min():g}"
-            raise QueryError(f"expected weights >= 0, got {least}: no path is the cheapest then")
+        agent_disc = grid.inflated_radius, len(grid.levels) > 1
+        self.off_center = arrays.OffCenter(anywhere, by_squares, before, *agent_disc)
+        if (least := flat.weight[flat.free].min(initial=0.0)) < 0:
+            raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
         # the buckets fit the weights of all cells, blocked ones included
         self._moves = np.zeros(flat.num_cells, dtype=np.uint8)
         self.graph = self._make_graph("cost", False)
@@ -202,9 +198,8 @@ class Search:
     def islands(self) -> flat_grid.IslandMap:
         """The connected parts of the currently free cells."""
         moves = self.graph.moves if self.cut_corners else None
-        return self.keep(
-            "islands", None, lambda: flat_grid.map_islands(self.flat, self.radius, moves), 1
-        )
+        find = partial(flat_grid.map_islands, self.flat, self.radius, moves)
+        return self.keep("islands", None, find, 1)
 
     @property
     def occupied(self) -> Bool:
@@ -273,17 +268,13 @@ class Search:
         """By how much links may make a way to goals cheaper than the octile distance says."""
         flat, least = self.flat, self.graph_by(by).least_weight
 
-        def make() -> tuple[Float, Float]:
-            return flat.ways_by_links(self.radius, least, by_time=by == "time")
-
-        stops, ways = self.keep("ways by links", by, make)
+        find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
+        stops, ways = self.keep("ways by links", by, find)
         if not len(stops):
             return 0.0
         # to the box round the goals
         places = flat.positions(goals)[:, :2]
-        low = high = places[0]
-        if len(goals) > 1:
-            low, high = places.min(axis=0), places.max(axis=0)
+        low, high = places.min(axis=0), places.max(axis=0)
         direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
         return float((direct - (ways + direct).min(axis=1)).max())
 

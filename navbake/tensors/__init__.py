@@ -25,19 +25,6 @@ from navbake.tensors.questions import (
 )
 
 __all__ = [
-    "GridTensors",
-    "area",
-    "clearance",
-    "distance_to_goal",
-    "distances",
-    "floor",
-    "heights",
-    "is_navigable",
-    "island",
-    "level_at",
-    "make_tensors",
-    "patch",
-    "path_step",
-    "room",
-    "sample",
-]
+    "GridTensors", "area", "clearance", "distance_to_goal", "distances", "floor", "heights",
+    "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step", "room", "sample",
+]  # fmt: skip

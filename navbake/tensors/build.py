@@ -156,10 +156,8 @@ def _lattices(grids: list[NavGrid], shape: Shape, dtype: Floating) -> Made:
         x_min, y_max, size, width, height = grids[at[0]].levels[at[1]].lattice
         farthest = np.abs([x_min, x_min + width * size, y_max, y_max - height * size]).max()
         if np.spacing(farthest.astype(dtype)) > size / FINEST:
-            raise QueryError(
-                f"{dtype} can't tell cells of {size:g} m apart at x, y up to {farthest:g} m in "
-                f"{grids[at[0]].scene_id!r}: use float64"
-            )
+            where = f"at x, y up to {farthest:g} m in {grids[at[0]].scene_id!r}"
+            raise QueryError(f"{dtype} can't tell cells of {size:g} m apart {where}: use float64")
         x_edge = first_in_cell(x_min, size, width, dtype)
         y_edge = -first_in_cell(-y_max, size, height, dtype)  # the same formula, bit for bit
         found["x_edge"][at][: width + 1], found["y_edge"][at][: height + 1] = x_edge, y_edge
@@ -259,17 +257,15 @@ def smallest_true(
         false = np.where(is_open & ~found, middle, false)
 
 
-def first_in_cell(
-    least: float, cell_size: float, count: int, dtype: Floating
-) -> NDArray[np.floating]:
+def first_in_cell(least: float, size: float, count: int, dtype: Floating) -> NDArray[np.floating]:
     """The smallest x of `dtype` in each of some columns, and beyond the last; (count + 1,)."""
     edge = np.arange(count + 1, dtype=np.float64)
+    middle = least + edge * size
 
     def holds(x: Float) -> Bool:
-        return np.asarray(np.floor((x - least) / cell_size) >= edge)
+        return np.asarray(np.floor((x - least) / size) >= edge)
 
-    middle = least + edge * cell_size
-    return smallest_true(holds, middle - cell_size / 2, middle + cell_size / 2, dtype)
+    return smallest_true(holds, middle - size / 2, middle + size / 2, dtype)
 
 
 def lowest_reaching(floors: Float, max_step: float, dtype: Floating) -> NDArray[np.floating]:

@@ -360,8 +360,7 @@ def sample(
     low, high = group * base, (group + 1) * base
     if room is not None:
         number = check_numbers(t, room, "room", base, shape)
-        is_known = is_known & (number >= 0)
-        low = group * base + number
+        is_known, low = is_known & (number >= 0), group * base + number
         high = low + 1
 
     def find(keys: Array, wanted: Array) -> Array:
@@ -380,8 +379,7 @@ def sample(
         count = before[end] - before[begin]
     # the number's cell among `count`; the product may be rounded up
     rank = xp.astype(xp.floor(first * xp.astype(count, t.dtype)), t.index)
-    rank = xp.minimum(rank, count - 1)
-    rank = xp.where(rank < 0, 0, rank)
+    rank = bounded(xp, xp.minimum(rank, count - 1), 0, cells.shape[0])
     at = begin + rank if before is None else find(before[1:], before[begin] + rank + 1)
     cell = xp.astype(cells[bounded(xp, at, 0, cells.shape[0] - 1)], t.index)
     level, row, col = split(t, cell)

@@ -111,8 +111,7 @@ def find_candidates(scene: Scene, settings: DoorSettings) -> tuple[list[DoorCand
 
 def _find_leaves(scene: Scene, geoms: Mapping[int, Int]) -> dict[int, int]:
     """Bodies whose largest geom, in the modelled pose, is as tall, thin and wide as a door."""
-    mask = np.zeros(scene.model.ngeom, dtype=np.bool_)
-    mask[np.concatenate([np.empty(0, dtype=np.int64), *geoms.values()])] = True
+    mask = np.isin(np.arange(scene.model.ngeom), [k for own in geoms.values() for k in own])
     extents = measure_geoms(scene.shapes.only(mask), scene.model.ngeom)
     sides = {body: largest_side(extents, own) for body, own in geoms.items() if len(own)}
     return {

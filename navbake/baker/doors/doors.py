@@ -13,16 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from navbake.baker.columns import (
-    Columns,
-    ColumnSource,
-    TiledShapes,
-    cast_columns,
-    tile_shapes,
-)
+from navbake.baker.columns import Columns, ColumnSource, TiledShapes, cast_columns, tile_shapes
 from navbake.baker.doors.candidates import DoorCandidate, largest_side, pose_doors
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import HINGE, SLACK
+from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import EDGES, Window, cut_cells
 from navbake.baker.occupancy.occupancy import Footprint, Occupancy, look_at_cells
 from navbake.baker.rooms.rooms import RoomIds, Rooms
@@ -103,10 +98,7 @@ class Placing:
 
 
 def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: str) -> Door:
-    """The door in the wanted state, with cells counted on each level's own window of the lattice.
-
-    `width` is the lattice's.
-    """
+    """The door in a state, with cells on each level's window of the lattice, of a `width`."""
 
     def cut(levels: list[Int]) -> dict[int, Runs]:
         pairs = enumerate(zip(levels, windows, strict=True))
@@ -120,21 +112,17 @@ def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: st
 
 def warn_doors(doors: Sequence[Placing], wanted: str) -> list[str]:
     """Warn of doors that open nothing, are `wanted` open without a joint, or carry floor."""
-    stuck, fixed = list[str](), list[str]()
-    for door in doors:
-        name = door.candidate.id
-        if door.is_stuck:
-            stuck.append(
-                f"the open state of door {name!r} still closes its doorway, as its "
-                f"joint opens it by {door.leaf.travel} only: check its range, whether the file "
-                "means degrees or radians (`<compiler angle>`), and `grid.cell_size`"
-            )
-        if wanted == "open" and not door.candidate.positions:
-            fixed.append(
-                f"door {name!r} has no hinge or slide of its own: open, it is taken out of its "
-                "opening"
-            )
-    return stuck + fixed + [door.carried for door in doors if door.carried]
+    stuck = [
+        f"the open state of door {door.candidate.id!r} still closes its doorway, as its joint "
+        f"opens it by {door.leaf.travel} only: check its range, whether the file means degrees or "
+        "radians (`<compiler angle>`), and `grid.cell_size`"
+        for door in doors
+        if door.is_stuck
+    ]
+    text = "has no hinge or slide of its own: open, it is taken out of its opening"
+    fixed = [f"door {door.candidate.id!r} {text}" for door in doors if not door.candidate.positions]
+    carried = [door.carried for door in doors if door.carried]
+    return stuck + (fixed if wanted == "open" else []) + carried
 
 
 @dataclass(frozen=True)
@@ -157,43 +145,38 @@ def pose_leaves(
         return []
     posed = {state: pose_doors(scene, candidates, state) for state in STATES if state != "removed"}
     extents = {state: measure_geoms(shapes, scene.model.ngeom) for state, shapes in posed.items()}
+
+    def pose(candidate: DoorCandidate) -> Leaf:
+        own = {state: candidate.only(shapes) for state, shapes in posed.items()}
+        boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
+        windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
+        ends, box = np.array([*boxes.values()]), None
+        if len(ends):
+            box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+        near, state_at = dict[str, Near | None](), dict[float | None, str]()
+        for state, shapes in own.items():
+            # states at one position of the joint are found once
+            first = state_at.setdefault(candidate.position(state), state)
+            window = windows.get(state)
+            near[state] = near.get(first)
+            if first == state and window is not None:
+                tiled = tile_shapes(shapes, lattice.cut(*window), reach)
+                near[state] = window, tiled, cast_columns(tiled)
+        # seen from above, most doors are too small, which is quickly found
+        geoms = candidate.geoms
+        sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
+        tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
+        travel = ""
+        if candidate.positions:
+            by = abs(candidate.positions["open"] - candidate.positions["closed"])
+            is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
+            travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
+        sight = _lines_of_sight(extents["closed"], geoms, lattice)
+        is_beside = "modelled" in windows and windows["modelled"] is None
+        return Leaf(candidate, box, is_beside, near, sight, tops, travel)
+
     with limit_threads(1):  # a door is too small to be worth more
-        return [_pose_leaf(one, posed, extents, scene, lattice, reach) for one in candidates]
-
-
-def _pose_leaf(
-    candidate: DoorCandidate,
-    posed: dict[str, Shapes],
-    extents: dict[str, Extents],
-    scene: Scene,
-    lattice: Lattice,
-    reach: float,
-) -> Leaf:
-    own, geoms = {state: candidate.only(shapes) for state, shapes in posed.items()}, candidate.geoms
-    boxes = {state: box for state, shapes in own.items() if (box := shapes.bounds) is not None}
-    windows = {state: lattice.window(box, reach) for state, box in boxes.items()}
-    ends, box = np.array([*boxes.values()]), None
-    if len(ends):
-        box = np.stack([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
-    near, state_at = dict[str, Near | None](), dict[float | None, str]()
-    for state, shapes in own.items():
-        # states at one position of the joint are found once
-        first, window = state_at.setdefault(candidate.position(state), state), windows.get(state)
-        near[state] = near.get(first)
-        if first == state and window is not None:
-            tiled = tile_shapes(shapes, lattice.cut(*window), reach)
-            near[state] = window, tiled, cast_columns(tiled)
-    # seen from above, most doors are too small, which is quickly found
-    sizes = {state: np.nansum((one.thin * one.long)[geoms]) for state, one in extents.items()}
-    tops = {state: own[state] for state, size in sizes.items() if size >= MIN_AREA - SLACK}
-    travel = ""
-    if candidate.positions:
-        by = abs(candidate.positions["open"] - candidate.positions["closed"])
-        is_hinge = int(scene.model.jnt_type[candidate.joint_id]) == HINGE
-        travel = f"{np.degrees(by):.3g}°" if is_hinge else f"{by:.3g} m"
-    sight = _lines_of_sight(extents["closed"], geoms, lattice)
-    is_beside = "modelled" in windows and windows["modelled"] is None
-    return Leaf(candidate, box, is_beside, near, sight, tops, travel)
+        return [pose(candidate) for candidate in candidates]
 
 
 def _lines_of_sight(extents: Extents, geoms: Int, lattice: Lattice) -> Int | None:
@@ -245,11 +228,10 @@ def _place_door(leaf: Leaf, around: Surroundings) -> Placing:
     for state, shapes in leaf.tops.items():
         area = _walkable_area(shapes, around)
         if area >= MIN_AREA - SLACK:
-            carried = (
-                f"door {candidate.id!r} carries {area:.1f} m² of floor {WHEN[state]}, which is "
-                "missing in the grid, because doors carry no floor: exclude it from `doors` if "
-                "agents walk on it"
-            )
+            missing = "which is missing in the grid, because doors carry no floor"
+            hint = "exclude it from `doors` if agents walk on it"
+            what = f"{area:.1f} m² of floor {WHEN[state]}"
+            carried = f"door {candidate.id!r} carries {what}, {missing}: {hint}"
             break
     return Placing(leaf, False, rooms or (None, None), cells, solid, closed, carried)
 
@@ -327,12 +309,10 @@ def _walkable_area(shapes: Shapes, around: Surroundings) -> float:
         top[np.abs(top - floor) <= step] = np.nan
     places = np.argwhere(~np.isnan(top))
     cells = (places[:, 0] + rows.start) * lattice.width + places[:, 1] + cols.start
-    known = around.columns.at(cells)
-    for (r, c), cell in zip(places.tolist(), cells.tolist(), strict=True):
-        above = known.z[known.start[cell] : known.start[cell + 1]]
-        above = above[above > top[r, c] + SLACK]
-        if len(above) and above[0] < top[r, c] + agent.height - SLACK:
-            top[r, c] = np.nan
+    tall, under = top[tuple(places.T)], np.zeros(len(cells), dtype=np.bool_)
+    band = tall + SLACK, tall + agent.height - SLACK
+    lines_blocked(cells, *band, around.columns.at(cells).crossings, under, 0, len(cells))
+    top[tuple(places[under].T)] = np.nan
     sides = [(a, b) for one, other in EDGES for a, b in ((one, other), (other, one))]
     if not any((np.abs(top[a] - floor[b]) <= step).any() for floor in parts for a, b in sides):
         return 0.0

@@ -20,7 +20,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from navbake.baker.scene.pieces import Body, Gathered, Joint, Mesh, Piece, reading
+from navbake.baker.scene.pieces import Body, Gathered, Joint, Piece, reading
+from navbake.baker.scene.tessellation import Mesh
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.source import import_extra
@@ -102,7 +103,7 @@ class _Building:
         ]
         shared = [name for name in marks[0] if name in marks[1]]
         if len(shared) < 2:
-            self.found.warnings.append(
+            self._warn(
                 f"level {level!r} of {self.path} shares {len(shared)} fiducials with "
                 f"{self.reference!r}, expected 2 or more: its image lies over the other's as it is"
             )
@@ -137,9 +138,7 @@ class _Building:
                     with reading(f"{name} of {self.path}"):
                         mesh = make_slab(outline, holes, z)
                     if not len(mesh.faces):
-                        self.found.warnings.append(
-                            f"{name} of {self.path} left out: it has no area"
-                        )
+                        self._warn(f"{name} of {self.path} left out: it has no area")
                         continue
                     self.found.pieces.append(Piece(name, name, "mesh", (), np.eye(4), mesh))
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
@@ -153,6 +152,9 @@ class _Building:
             with reading(f"lift {name!r} of {self.path}"):
                 self._add_lift(str(name), lift)
         return self.found
+
+    def _warn(self, text: str) -> None:
+        self.found.warnings.append(text)
 
     def _add_box(self, name: str, size: tuple[float, ...], pose: Float, body: str = "") -> None:
         self.found.pieces.append(Piece(name, body or name, "box", size, pose))
@@ -168,7 +170,7 @@ class _Building:
         """Add a door's leaves, closed; each moves by a joint."""
         name, kind = str(values["name"]), str(values["type"])
         if kind not in SLIDING + HINGED:
-            self.found.warnings.append(
+            self._warn(
                 f"door {name!r} of {self.path} is of type {kind!r}, which is not known: it is left "
                 f"out; known are {', '.join(SLIDING + HINGED)}"
             )
@@ -178,9 +180,7 @@ class _Building:
         back = ends[0] - ends[1]  # x of the door's frame leads from its end to its start
         length, yaw = math.hypot(*back), math.atan2(back[1], back[0])
         if length == 0:
-            raise SceneError(
-                f"door {name!r} of {self.path} has no width: its two vertices coincide"
-            )
+            raise SceneError(f"door {name!r} of {self.path} has no width: its vertices coincide")
         ratio = float(values.get("right_left_ratio", 1.0))
         first = length * ratio / (1 + ratio) if kind.startswith("double") else length
         # leaves at the start and at the end of the door: name, sign of x, length
@@ -208,11 +208,9 @@ class _Building:
     def _passes(self, lift: Json, z: float) -> bool:
         """Whether a lift's shaft leads through the floors at a height."""
         low, high = lift.get("lowest_floor"), lift.get("highest_floor")
-        return bool(lift.get("level_doors")) and (
-            (self._elevation(low) if low else -math.inf)
-            <= z
-            <= (self._elevation(high) if high else math.inf)
-        )
+        is_above = not low or z >= self._elevation(low)
+        is_below = not high or z <= self._elevation(high)
+        return bool(lift.get("level_doors")) and is_above and is_below
 
     def _pose_of_lift(self, lift: Json, z: float) -> Float:
         factor, shift = self.maps[lift.get("reference_floor_name") or self.reference]
@@ -230,10 +228,8 @@ class _Building:
         """Add a lift's car at its first floor: floor and walls, open where it has doors."""
         stops = [self._elevation(level) for level in lift.get("level_doors") or {}]
         if len(stops) < 2:
-            self.found.warnings.append(
-                f"lift {name!r} of {self.path} opens on {len(stops)} levels, expected 2 or more: "
-                "it is left out"
-            )
+            opens = f"opens on {len(stops)} levels, expected 2 or more"
+            self._warn(f"lift {name!r} of {self.path} {opens}: it is left out")
             return
         first = lift.get("initial_floor_name") or next(iter(lift["level_doors"]))
         z = self._elevation(first)
@@ -300,9 +296,8 @@ def make_slab(outline: Float, holes: list[Float], z: float) -> Mesh:
     faces[turned] = faces[turned][:, ::-1]
     # an edge of one triangle alone is the outline's, and gets a wall down
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    _, place, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
-    )
+    ends = np.sort(edges, axis=1)
+    _, place, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
     one, other = edges[place[count == 1]].T
     low = np.int32(len(flat))
     sides = [np.stack([one, one + low, other], 1), np.stack([other, one + low, other + low], 1)]

@@ -49,13 +49,12 @@ def choose_geoms(
     rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
     if ground is not None:
         rules[ground] = (True, "added by `scene.ground`")
-    modes: list[str] = [settings.meshes] * len(names) if isinstance(settings.meshes, str) else []
-    if isinstance(settings.meshes, dict):
-        by_pattern = settings.meshes
-        modes = [
-            next((mode for p, mode in by_pattern.items() if _matches(p, name)), "auto")
-            for name in names
-        ]
+    by_pattern = settings.meshes
+    if isinstance(by_pattern, str):
+        modes: list[str] = [by_pattern] * len(names)
+    else:
+        pairs = by_pattern.items()
+        modes = [next((mode for p, mode in pairs if _matches(p, name)), "auto") for name in names]
         of_meshes = np.flatnonzero(np.isin(model.geom_type, (MESH, SDF)))
         known = [text for geom in of_meshes for text in names[geom]]
         notes += _unused("scene.meshes", by_pattern, known, "no mesh")
@@ -70,11 +69,9 @@ def choose_geoms(
     choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
     if opened:
         more = f", and {len(opened) - 1} more" if opened[1:] else ""
-        notes.append(
-            f"mesh geom {opened[0]!r}{more} counts by its triangles, because its convex hull hides "
-            "room to stand in; MuJoCo collides the hull: set `scene.meshes` to surface or hull to "
-            "say which"
-        )
+        because = "because its convex hull hides room to stand in; MuJoCo collides the hull"
+        which = "set `scene.meshes` to surface or hull to say which"
+        notes.append(f"mesh geom {opened[0]!r}{more} counts by its triangles, {because}: {which}")
     return choices, notes
 
 

@@ -118,11 +118,10 @@ def collect_shapes(
     for geom in range(len(choices)) if only is None else only:
         if not choices[geom].counted:
             continue
-        (name, mesh, _), kind, shape, mode = names[geom], types[geom], shapes[geom], ""
+        (name, mesh, _), kind, shape = names[geom], types[geom], shapes[geom]
         if not is_placed[geom]:
-            raise SceneError(
-                f"geom {name!r} has a pose or size that is no number, or beyond {LARGEST:g} m"
-            )
+            what = f"a pose or size that is no number, or beyond {LARGEST:g} m"
+            raise SceneError(f"geom {name!r} has {what}")
         if kind in SOLIDS:
             solids.append(geom)
             kinds[geom] = "solid"
@@ -142,16 +141,12 @@ def collect_shapes(
             found = _one_part(_height_field(model, shape), None, constants.SOLID, "solid")
         else:
             mode = choices[geom].mesh
-            if geom in parts:
-                found = count_mesh(parts[geom].vertices, parts[geom].faces, mode)
-            else:
-                found = meshes.count(shape, mode)
+            exact = parts.get(geom)
+            counted = exact and count_mesh(exact.vertices, exact.faces, mode)
+            found = counted or meshes.count(shape, mode)
             if mode == "hull" and found.kind != "hull":
-                notes.setdefault(
-                    mesh,
-                    f"mesh {mesh!r} of geom {name!r} is flat, so it has no convex hull: "
-                    f"it counts by its triangles",
-                )
+                flat = f"mesh {mesh!r} of geom {name!r} is flat, so it has no convex hull"
+                notes.setdefault(mesh, f"{flat}: it counts by its triangles")
         kinds[geom] = found.kind
         if geom not in parts:
             vertices = found.vertices @ data.geom_xmat[geom].reshape(3, 3).T
@@ -167,10 +162,10 @@ def collect_shapes(
         taken = one.vertices, one.faces, corners[first:end]
         run_in_bands(take_rows, end - first, *taken, least=4096)
     index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
-    own = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
-    size = model.geom_size[index]
+    of_solids = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
+    own = *of_solids, model.geom_size[index]
     gathered = Shapes(
-        solids=Solids(index, *own, size, solid_bounds(*own, size)),
+        solids=Solids(index, *own, solid_bounds(*own)),
         planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
         triangles=Triangles(owner, part, closed, corners),
         endless=endless,
@@ -184,9 +179,8 @@ def _height_field(model: Any, hfield: int) -> Float:
     heights = model.hfield_data[first : first + shape[0] * shape[1]].reshape(shape)
     if not (np.isfinite(heights).all() and (np.abs(size) <= LARGEST).all()):
         name = name_at(model, model.name_hfieldadr[hfield])
-        raise SceneError(
-            f"hfield {name!r} has heights or a size that are no numbers, or beyond {LARGEST:g} m"
-        )
+        what = f"heights or a size that are no numbers, or beyond {LARGEST:g} m"
+        raise SceneError(f"hfield {name!r} has {what}")
     return height_field_triangles(heights.astype(np.float64), size)
 
 

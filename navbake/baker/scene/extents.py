@@ -57,10 +57,8 @@ def _measure_solids(solids: Solids, out: Extents) -> None:
         length = np.hypot(way[:, 0], way[:, 1])
         way = np.where(length[:, None] > 1e-6, way / np.maximum(length, 1e-6)[:, None], [1.0, 0.0])
         turned = np.stack([-way[:, 1], way[:, 0]], axis=1)
-        one, other = (
-            find_reach(solids.kind, np.einsum("nij,ni->nj", axes[:, :2], along), solids.size)
-            for along in (way, turned)
-        )
+        ways = (np.einsum("nij,ni->nj", axes[:, :2], along) for along in (way, turned))
+        one, other = (find_reach(solids.kind, along, solids.size) for along in ways)
         area = one * other
         smaller = area < best * (1 - 1e-9)  # rounding alone never picks another axis
         best[smaller] = area[smaller]

@@ -44,7 +44,6 @@ PLAIN: dict[str, Any] = {"skip_materials": True}
 OPTIONS = {".glb": PLAIN, ".gltf": PLAIN}
 OPTIONS[".obj"] = PLAIN | {"split_objects": True, "split_groups": True, "group_material": False}
 
-
 Direction: TypeAlias = str | Sequence[float] | Float
 """One of `AXES` by its name, or a vector of any length, in the frame of a file."""
 
@@ -125,28 +124,22 @@ def _read_parts(path: Path) -> list[MeshPart]:
     if (plain := read_plain(data, suffix)) is not None:
         return [MeshPart("", *plain)]
     source: Any = io.BytesIO(data) if suffix in PREPARE else path
-    options = OPTIONS.get(suffix, {})
+    options = {"file_type": suffix[1:], "process": False, **OPTIONS.get(suffix, {})}
     try:
         with _silence():
-            parts = _parts_of(
-                trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
-            )
+            parts = _parts_of(trimesh.load_scene(source, **options))
     except Exception as error:  # trimesh passes on whatever its parsers raise
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SceneError(
-            f"cannot read the mesh {path}, it is broken or cut off: {reason}"
-        ) from error
+        text = f"cannot read the mesh {path}, it is broken or cut off: {reason}"
+        raise SceneError(text) from error
     if suffix == ".ply":  # of one that is cut off, trimesh finds fewer than its header says
         header = data[:MOST_HEADER].partition(b"end_header")[0]
-        for name, count in (
-            ("vertex", sum(len(part.vertices) for part in parts)),
-            ("face", sum(len(part.faces) for part in parts)),
-        ):
-            said = re.search(rf"element {name} (\d+)".encode(), header)
+        for name, field in ((b"vertex", "vertices"), (b"face", "faces")):
+            count = sum(len(getattr(part, field)) for part in parts)
+            said = re.search(rb"element %s (\d+)" % name, header)
             if said and int(said[1]) > count:
-                raise SceneError(
-                    f"{path} is cut off: expected {int(said[1])} {name} elements, got {count}"
-                )
+                expected = f"expected {int(said[1])} {name.decode()} elements"
+                raise SceneError(f"{path} is cut off: {expected}, got {count}")
     return parts
 
 
@@ -255,10 +248,8 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
             kept.append(MeshPart(part.name, vertices, faces))
     if not kept or not dropped:
         return parts
-    warnings.append(
-        f"{dropped} pieces of the scan, each smaller than {SPECK} m² and {lost:.2f} m² in all, are "
-        "left out (`scene.scan`)"
-    )
+    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
+    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
     return kept
 
 
@@ -266,23 +257,21 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
     """Turn parts into the world frame, with unique names."""
     turn = scale * turn_up(up)
     taken = {"world"}  # MuJoCo's own body
-    parts = [_clean(part, turn, path) for part in found]
-    named = [part._replace(name=unique_name(part.name, taken)) for part in parts if len(part.faces)]
-    if not named:
+    parts = []
+    for part in found:
+        name = "".join(char if char.isprintable() else "_" for char in part.name)
+        if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
+            name = stem_of(path)
+        name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
+        vertices, faces = _only_used(part.vertices, part.faces)
+        with np.errstate(all="ignore"):
+            vertices = _turn(vertices, turn)
+        part = check_part(MeshPart(name, vertices, faces), path)
+        if len(part.faces):
+            parts.append(part._replace(name=unique_name(name, taken)))
+    if not parts:
         raise SceneError(f"no triangles in {path}: expected a mesh with at least one")
-    return named
-
-
-def _clean(part: MeshPart, turn: Float, path: Path) -> MeshPart:
-    """Turn a part into the world frame; leave out empty triangles and unused vertices."""
-    name = "".join(char if char.isprintable() else "_" for char in part.name)
-    if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
-        name = stem_of(path)
-    name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-    vertices, faces = _only_used(part.vertices, part.faces)
-    with np.errstate(all="ignore"):
-        vertices = _turn(vertices, turn)
-    return check_part(MeshPart(name, vertices, faces), path)
+    return parts
 
 
 def check_part(part: MeshPart, path: Path) -> MeshPart:
@@ -293,9 +282,8 @@ def check_part(part: MeshPart, path: Path) -> MeshPart:
     if not np.isfinite([low, high]).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
     if max(-low, high) > MAX_COORDINATE:
-        raise SceneError(
-            f"mesh {name!r} in {path} reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
-        )
+        beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
+        raise SceneError(f"mesh {name!r} in {path} {beyond}")
     has_area = measure_areas(vertices, faces) > NO_AREA
     used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
@@ -333,8 +321,8 @@ def prepare_obj(path: Path) -> bytes:
             indices = [int(word) if re.fullmatch(rb"[-+]?\d{1,18}", word) else 0 for word in words]
             indices = [index + (index < 0) * (num_vertices + 1) for index in indices]
             if min(indices, default=1) <= 0:
-                where = f"line {number + 1} of {path}"
-                raise SceneError(f"expected numbers of vertices, counted from 1, in {where}")
+                wanted = "expected numbers of vertices, counted from 1"
+                raise SceneError(f"{wanted}, in line {number + 1} of {path}")
             lines[number] = b"f " + " ".join(map(str, indices)).encode()
     return b"\n".join(lines)
 
@@ -350,10 +338,8 @@ def prepare_stl(path: Path) -> bytes:
     count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
     size = STL_HEADER + STL_TRIANGLE * count
     if len(data) < max(size, STL_HEADER):
-        raise SceneError(
-            f"{path} is cut off or no STL: expected {size} bytes for the {count} triangles of "
-            f"its header, got {len(data)}"
-        )
+        wanted = f"expected {size} bytes for the {count} triangles of its header"
+        raise SceneError(f"{path} is cut off or no STL: {wanted}, got {len(data)}")
     return data[:size]  # trimesh takes no more, some writers append something
 
 

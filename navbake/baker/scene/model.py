@@ -1,7 +1,15 @@
 """The compiled MuJoCo model of any scene: MJCF, URDF, MJB, a mesh, a scene of pieces (USD, SDF or a
 building of Open-RMF), or one in memory.
+
+A crash of MuJoCo's compiler ends its process, and Python can't stop it while it is busy. In a child
+process both become errors, see `load_isolated`.
 """
 
+import os
+import pickle
+import signal
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from functools import cache, partial
@@ -20,19 +28,21 @@ from navbake.baker.scene.mesh_scene import (
     take_mesh_parts,
 )
 from navbake.baker.scene.names import name_at, unique_name
-from navbake.baker.scene.pieces import build_model, reading
-from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.scene.specs import (
+from navbake.baker.scene.pieces import (
+    build_model,
     catch_warnings,
     compile_geometry,
     compile_model,
     compile_spec,
     fill_mesh,
     model_of_parts,
+    reading,
 )
+from navbake.baker.scene.pose import data_with_joints
 from navbake.baker.scene.upright import stand_up
 from navbake.config.settings import SceneSettings
-from navbake.errors import ConfigError, SceneError
+from navbake.errors import ConfigError, NavbakeError, SceneError
+from navbake.files import scratch_folder
 from navbake.formats.scene_files import (
     BUILDING_SUFFIXES,
     SDF_SUFFIXES,
@@ -42,7 +52,9 @@ from navbake.formats.scene_files import (
     mesh_places,
     suffix_of,
 )
+from navbake.known_names import list_first
 from navbake.lazy import resolve
+from navbake.processes import end_with_parent, ending_of, lacked_memory, limit_memory
 
 MJB_SUFFIX = ".mjb"
 # Readers of scenes that become pieces, see `navbake.baker.scene.pieces`; and of what has none, what
@@ -58,6 +70,17 @@ BROKEN_XML = (ElementTree.ParseError, ValueError, LookupError)
 NO_NAME = "MuJoCo Model"  # what MuJoCo calls a model that was given no name
 # What decides where a model's geoms stand: a data fits a model that is the same in these
 SIZES = ("nq", "nmocap", "nbody", "ngeom")
+
+# The child gets this process's module path first of all: with -c, Python would look in the current
+# folder, which is as little to be trusted as the scene.
+CHILD = (
+    "import sys; sys.path[:] = {path!r}; "
+    "from navbake.baker.scene.model import compile_job; compile_job(sys.argv[1])"
+)
+IMPORT_SECONDS = 120.0  # what the child may take besides, to start and to end, on a busy machine
+ALARM = int(getattr(signal, "SIGALRM", 14))
+JOB, MODEL, RESULT = "job.pickle", "model.mjb", "result.pickle"
+STARTED = "started"  # what the child writes when it begins to compile
 
 
 def mujoco_version() -> str:
@@ -102,10 +125,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
                 raise ConfigError(
                     f"`scene.ground` can't be added to an MJB: bake the XML that {path} was made of"
                 )
-            hint = (
-                f" (an MJB fits only the MuJoCo that wrote it, this is {mujoco_version()}: save it "
-                f"again, or bake its XML)"
-            )
+            this = f"this is {mujoco_version()}: save it again, or bake its XML"
+            hint = f" (an MJB fits only the MuJoCo that wrote it, {this})"
             load = partial(mujoco.MjModel.from_binary_path, str(path))
             model = compile_model(path, warnings, load, hint)
         elif suffix in XML_SUFFIXES:
@@ -123,6 +144,72 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
     return OpenScene(model, parts, ground_of(model, settings), warnings)
+
+
+class CompileLimits(NamedTuple):
+    """What MuJoCo may take to compile a scene; memory is limited on Linux only."""
+
+    seconds: float = 60.0
+    memory: float = 4.0  # that it may reserve beyond what the process starts with [GiB]
+
+
+def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list[str]) -> OpenScene:
+    """`load_model` in a child process, whose model comes back as a file (MJB)."""
+    scene = Path(settings.path)
+    with scratch_folder() as place:
+        (place / JOB).write_bytes(pickle.dumps((settings, limits)))
+        path = [entry or os.getcwd() for entry in sys.path]
+        command = [sys.executable, "-c", CHILD.format(path=path), str(place)]
+        streams: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        longest = limits.seconds + IMPORT_SECONDS  # the child ends itself, but on Windows
+        try:
+            status = subprocess.run(command, **streams, timeout=longest).returncode
+        except subprocess.TimeoutExpired:
+            status = -ALARM
+        if status == -ALARM:
+            raise SceneError(
+                f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
+                "smaller, or give it more time"
+            )
+        if not (place / STARTED).exists():
+            raise NavbakeError(
+                f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
+                f"{sys.executable!r} find navbake?"
+            )
+        if not (place / RESULT).exists():
+            raise SceneError(
+                f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
+                f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+            )
+        warned, error, parts = pickle.loads((place / RESULT).read_bytes())
+        warnings += warned
+        if error is not None:
+            raise error
+        model = mujoco.MjModel.from_binary_path(str(place / MODEL))
+    return OpenScene(model, parts, ground_of(model, settings), warnings)
+
+
+def compile_job(folder: str) -> None:
+    """Compile the scene of a job, in the child, and write the model or the error."""
+    place = Path(folder)
+    settings, limits = pickle.loads((place / JOB).read_bytes())
+    limit_memory(limits.memory)
+    end_with_parent()
+    (place / STARTED).touch()
+    if hasattr(signal, "setitimer"):  # whose signal ends this process, whatever MuJoCo does
+        signal.setitimer(signal.ITIMER_REAL, limits.seconds)
+    failed: Exception | None = None
+    parts: dict[int, MeshPart] = {}
+    with catch_warnings() as warned:
+        try:
+            model, parts, *_ = load_model(settings, warned)
+            mujoco.mj_saveModel(model, str(place / MODEL), None)
+        except Exception as error:
+            if not lacked_memory(error) and not isinstance(error, NavbakeError):
+                raise
+            lacks = f"{settings.path} needs more than {limits.memory:g} GiB of memory"
+            failed = SceneError(lacks) if lacked_memory(error) else error
+    (place / RESULT).write_bytes(pickle.dumps((warned, failed, parts)))
 
 
 def limit_mesh_cache(num_bytes: int) -> None:
@@ -143,8 +230,18 @@ def _load_xml(settings: SceneSettings, warnings: list[str]) -> Any:
     with suppress(*BROKEN_XML):
         root = str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
     if root == "robot":
-        text, meshes = read_urdf(path, settings.geoms, warnings)
-        return compile_model(path, warnings, lambda: _build_urdf(text, meshes, ground, warnings))
+        text, files = read_urdf(path, settings.geoms, warnings)
+
+        def build() -> Any:
+            """The model, its meshes read as mesh scenes are, whatever their format."""
+            spec = mujoco.MjSpec.from_string(text)
+            read = cache(lambda file: read_mesh_parts(files[file]))
+            for mesh in spec.meshes:
+                parts, mesh.file = read(mesh.file), ""
+                fill_mesh(mesh, *join_parts(parts))
+            return compile_geometry(spec, ground, warnings)
+
+        return compile_model(path, warnings, build)
     if root not in ("mujoco", ""):
         raise SceneError(f"expected <mujoco> or <robot> in {path}, got <{root[:40]}>")
 
@@ -181,20 +278,8 @@ def _drop_missing_textures(spec: Any, path: Path, warnings: list[str]) -> None:
             texture.file, texture.cubefiles = "", [""] * len(texture.cubefiles)
             texture.builtin, texture.width, texture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 1, 1
     if missing:
-        more = f" and {len(missing) - 1} more" if missing[1:] else ""
-        warnings.append(f"texture {missing[0]!r}{more} of {path} not found: drawn plain")
-
-
-def _build_urdf(
-    text: str, files: dict[str, Path], ground: float | None, warnings: list[str]
-) -> Any:
-    """A model of a URDF, its meshes read as mesh scenes are, whatever their format."""
-    spec = mujoco.MjSpec.from_string(text)
-    read = cache(lambda file: read_mesh_parts(files[file]))
-    for mesh in spec.meshes:
-        parts, mesh.file = read(mesh.file), ""
-        fill_mesh(mesh, *join_parts(parts))
-    return compile_geometry(spec, ground, warnings)
+        listed = list_first(list(map(repr, missing)))
+        warnings.append(f"texture {listed} of {path} not found: drawn plain")
 
 
 def read_urdf(
@@ -233,11 +318,9 @@ def read_urdf(
                 if missing(visual):
                     link.remove(visual)
             if left_out and warnings is not None:
-                more = f" and {len(left_out) - 1} more" if left_out[1:] else ""
-                warnings.append(
-                    f"mesh {left_out[0]!r}{more} of {path} not found: left out, as it is only "
-                    "drawn, and visuals don't count here"
-                )
+                because = "as it is only drawn, and visuals don't count here"
+                listed = list_first(list(map(repr, left_out)))
+                warnings.append(f"mesh {listed} of {path} not found: left out, {because}")
         for name in missing(root):
             raise SceneError(_not_found(path, name))
         taken: set[str] = set()

@@ -1,8 +1,8 @@
-"""Pieces of a scene as its reader finds them, and the model that is made of them.
+"""Pieces of a scene as its reader finds them, and how models of MuJoCo are made and compiled.
 
 USD and SDF become a model of MuJoCo, so that doors, poses, `scene.geoms`, updates, checks and
 batches work on them as on MJCF. Solids and height fields are MuJoCo's own; meshes that never move
-are kept exact beside the model, see `specs.model_of_parts`.
+are kept exact beside the model, see `model_of_parts`.
 
 MjSpec adds a body in time proportional to those that it has: 1.4 s for 10,000, minutes for 100,000.
 So of more than `MOST_PIECES` pieces, static ones that stand together become one mesh, until
@@ -11,9 +11,10 @@ So of more than `MOST_PIECES` pieces, static ones that stand together become one
 
 from __future__ import annotations
 
-import math
+import threading
+import warnings as python_warnings
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,43 +26,27 @@ import numpy as np
 from navbake.baker.scene.mesh_scene import MeshPart, check_part
 from navbake.baker.scene.names import unique_name
 from navbake.baker.scene.shapes import hull_faces
-from navbake.baker.scene.specs import (
-    TETRAHEDRON,
-    compile_geometry,
-    compile_model,
-    fill_mesh,
-)
-from navbake.errors import NavbakeError, SceneError
-from navbake.types import Float, Int32
+from navbake.baker.scene.tessellation import Mesh, tessellate
+from navbake.errors import ConfigError, NavbakeError, SceneError
+from navbake.processes import lacked_memory
+from navbake.types import Float, Int, Int32
 
+TETRAHEDRON = np.eye(4, 3), np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+"""Vertices and faces, counter-clockwise from outside."""
+BY_MUJOCO = "MuJoCo: "  # what its warnings begin with
+_WARNING_LOCK = threading.Lock()  # MuJoCo has one hook for warnings, whatever the thread
 MOST_PIECES, FEW_PIECES = 10_000, 3000
 MAX_PIECES = 2_000_000  # of a scene, instances counted each
-SIDES = 32  # of a round solid that is drawn by triangles
 STAND_IN = "mesh"  # the name of the tetrahedron in place of meshes that are kept exact
-GEOM = mujoco.mjtGeom
+# MuJoCo's types by the names that they have in its XML
 KINDS = {
-    "plane": GEOM.mjGEOM_PLANE,
-    "hfield": GEOM.mjGEOM_HFIELD,
-    "sphere": GEOM.mjGEOM_SPHERE,
-    "capsule": GEOM.mjGEOM_CAPSULE,
-    "ellipsoid": GEOM.mjGEOM_ELLIPSOID,
-    "cylinder": GEOM.mjGEOM_CYLINDER,
-    "box": GEOM.mjGEOM_BOX,
-    "mesh": GEOM.mjGEOM_MESH,
+    name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}")
+    for name in ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 }
 JOINTS = {
-    "hinge": mujoco.mjtJoint.mjJNT_HINGE,
-    "slide": mujoco.mjtJoint.mjJNT_SLIDE,
-    "ball": mujoco.mjtJoint.mjJNT_BALL,
-    "free": mujoco.mjtJoint.mjJNT_FREE,
+    name: getattr(mujoco.mjtJoint, f"mjJNT_{name.upper()}")
+    for name in ("hinge", "slide", "ball", "free")
 }
-
-
-class Mesh(NamedTuple):
-    """Triangles that several pieces may have in common, counter-clockwise from outside."""
-
-    vertices: Float
-    faces: Int32
 
 
 class Piece(NamedTuple):
@@ -112,10 +97,8 @@ class Gathered:
 def check_count(count: int, path: Path) -> None:
     """Refuse more pieces than a few lines of instances in instances should make."""
     if count > MAX_PIECES:
-        raise SceneError(
-            f"{path} has more than {MAX_PIECES:,} pieces and models, each instance counted, the "
-            "most that navbake reads: bake a part of it"
-        )
+        most = f"more than {MAX_PIECES:,} pieces and models, each instance counted"
+        raise SceneError(f"{path} has {most}, the most that navbake reads: bake a part of it")
 
 
 @contextmanager
@@ -191,8 +174,7 @@ def build_model(
         if piece.mesh is not None:
             # a mesh that moves is in the frame of its body
             body = found.bodies.get(piece.body)
-            own = _own_pose(piece.pose, body)
-            mesh = _place([piece.mesh], own[None], found.decimals)
+            mesh = _place([piece.mesh], _own_pose(piece.pose, body)[None], found.decimals)
             part = check_part(MeshPart(piece.name, *mesh, piece.mode), path)
             if not len(part.faces):
                 continue
@@ -209,8 +191,15 @@ def build_model(
             own = _own_pose(body.pose, found.bodies.get(body.parent))
             holder = holders[body.parent].add_body(name=body.name, **_place_of(own))
             holders[body.name] = holder
-            if body.joint is not None:
-                _add_joint(holder, body.joint, body.pose)
+            if (joint := body.joint) is None:
+                continue
+            made = holder.add_joint(name=joint.name, type=JOINTS[joint.kind])
+            if joint.kind != "free":  # the others are in the body's frame
+                turn = body.pose[:3, :3]
+                made.pos, made.axis = (joint.anchor - body.pose[:3, 3]) @ turn, joint.axis @ turn
+                made.ref = joint.position
+            if joint.limits is not None:
+                made.range, made.limited = joint.limits, mujoco.mjtLimited.mjLIMITED_TRUE
         if parts:
             fill_mesh(spec.add_mesh(name=STAND_IN), *TETRAHEDRON)
         for piece in pieces:
@@ -252,18 +241,6 @@ def _place_of(pose: Float) -> dict[str, Float]:
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
     return {"pos": pose[:3, 3], "quat": quat}
-
-
-def _add_joint(holder: Any, joint: Joint, pose: Float) -> None:
-    """Add a joint to a body; MuJoCo wants it in the body's frame."""
-    made = holder.add_joint(name=joint.name, type=JOINTS[joint.kind])
-    if joint.kind == "free":
-        return
-    made.pos = (joint.anchor - pose[:3, 3]) @ pose[:3, :3]
-    made.axis = joint.axis @ pose[:3, :3]
-    made.ref = joint.position
-    if joint.limits is not None:
-        made.range, made.limited = joint.limits, mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _place(meshes: Sequence[Mesh], poses: Float, decimals: int | None) -> Mesh:
@@ -313,10 +290,9 @@ def merge_pieces(found: Gathered, path: Path, warnings: list[str]) -> list[Piece
         group[0] if len(key) == 1 else _merge(str(key[0]), group, found.decimals)
         for key, group in groups.items()
     ]
-    warnings.append(
-        f"{path} has {len(pieces)} pieces of geometry: of more than {MOST_PIECES}, those that "
-        f"stand together count as one mesh, by the name that they share; {len(merged)} are left"
-    )
+    what = f"of more than {MOST_PIECES}, those that stand together count as one mesh"
+    text = f"{what}, by the name that they share; {len(merged)} are left"
+    warnings.append(f"{path} has {len(pieces)} pieces of geometry: {text}")
     return merged
 
 
@@ -335,49 +311,97 @@ def _merge(name: str, group: Sequence[Piece], decimals: int | None) -> Piece:
             known[key] = mesh if hull is None else Mesh(mesh.vertices, hull)
         meshes.append(known[key])
     mesh = _place(meshes, np.stack([piece.pose for piece in group]), decimals)
-    only = group[0]
-    return only._replace(
-        name=name, body=name, kind="mesh", size=(), pose=np.eye(4), mesh=mesh, mode="surface"
-    )
+    rights = group[0].collides, group[0].drawn
+    return Piece(name, name, "mesh", (), np.eye(4), mesh, None, "surface", *rights)
 
 
-def tessellate(kind: str, size: Sequence[float]) -> Mesh:
-    """A solid as triangles; round ones, and cones, with `SIDES` sides.
+# ---------------------------------------------------------------- specs
 
-    Sizes are MuJoCo's; a cone's are the radius of its base and half its height, its tip is up.
+
+def model_of_parts(
+    parts: list[MeshPart], path: Path, ground: float | None, warnings: list[str]
+) -> tuple[Any, dict[int, MeshPart]]:
+    """A model with mesh parts' names, and the parts by geom id.
+
+    Each is a static body with one geom, which can't collide. It is a tetrahedron, as MuJoCo would
+    compile the part's triangles for many seconds.
     """
-    if kind == "plane":
-        corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-        halves = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-        return Mesh(corners * (*size[:2], 1.0), halves)
-    if kind == "box":
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
-        hull = hull_faces(corners.astype(np.float64))
-        assert hull is not None
-        return Mesh(corners, hull)
-    radius, half = size[0], size[1] if len(size) > 1 else 0.0
-    arc = np.linspace(-math.pi / 2, 0.0, SIDES // 4 + 1)
-    if kind == "cylinder":
-        profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
-    elif kind == "cone":
-        profile = [(0.0, -half), (radius, -half), (0.0, half)]
-    else:
-        lift = half if kind == "capsule" else 0.0
-        lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
-        profile = lower + [(r, -z) for r, z in lower[::-1][lift == 0 :]]
-    ends, rings = (profile[0], profile[-1]), profile[1:-1]
-    turn = np.arange(SIDES) * (2 * math.pi / SIDES)
-    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    layers = [np.column_stack([r * around, np.full(SIDES, z)]) for r, z in rings]
-    vertices = np.concatenate([*layers, [[0.0, 0.0, ends[0][1]], [0.0, 0.0, ends[1][1]]]])
-    here, beside = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
-    low, high = len(vertices) - 2, len(vertices) - 1
-    top = (len(rings) - 1) * SIDES
-    faces = [np.column_stack([np.full(SIDES, low), beside, here])]
-    for start in range(0, top, SIDES):
-        a, b = start + here, start + beside
-        faces += [np.column_stack([a, b, b + SIDES]), np.column_stack([a, b + SIDES, a + SIDES])]
-    faces.append(np.column_stack([top + here, top + beside, np.full(SIDES, high)]))
-    if kind == "ellipsoid":
-        vertices = vertices / radius * np.asarray(size)
-    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
+
+    def build() -> Any:
+        spec = mujoco.MjSpec()
+        for part in parts:
+            fill_mesh(spec.add_mesh(name=part.name), *TETRAHEDRON)
+            body = spec.worldbody.add_body(name=part.name)
+            geom = body.add_geom(name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH)
+            geom.meshname, geom.contype, geom.conaffinity = part.name, 0, 0
+        return compile_geometry(spec, ground, warnings)
+
+    model = compile_model(path, warnings, build)
+    return model, {int(model.geom(part.name).id): part for part in parts}
+
+
+def compile_model(path: Path, warnings: list[str], load: Callable[[], Any], hint: str = "") -> Any:
+    """Call `load`; MuJoCo's error is raised as a SceneError, with its warnings."""
+    try:
+        return load()
+    except (ConfigError, SceneError):
+        raise
+    except Exception as error:  # mujoco raises ValueError, FatalError and UnexpectedError
+        said = [*str(error).splitlines(), *(w.removeprefix(BY_MUJOCO) for w in warnings)]
+        lines = dict.fromkeys(" ".join(line.split()) for line in said or [type(error).__name__])
+        reason = "; ".join(line for line in lines if line)  # each once, in order
+        reason = reason.removeprefix("Error: ").removeprefix("XML Error: ")
+        hint = "" if lacked_memory(error) else hint
+        raise SceneError(f"MuJoCo cannot load {path}: {reason[:400]}{hint}") from error
+
+
+def compile_spec(spec: Any, ground: float | None, warnings: list[str]) -> Any:
+    """Compile a spec; what MuJoCo warns of is added to `warnings`.
+
+    Endless ground is added at a height, under a name that nothing else has.
+    """
+    for mesh in spec.meshes:
+        # Geoms of type sdf collide by a field of distances in an octree, which takes 0.2 s a mesh
+        # to fill. They count by their triangles here. Older MuJoCos fill it always.
+        if hasattr(mesh, "octree_maxdepth"):
+            mesh.octree_maxdepth = 0
+    if ground is not None:
+        name = unique_name("ground", {thing.name for thing in (*spec.geoms, *spec.bodies)})
+        body = spec.worldbody.add_body(name=name, pos=(0.0, 0.0, ground))
+        # it collides with nothing, so that `scene.geoms: auto` judges the scene's own geoms
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        body.add_geom(name=name, type=plane, size=(0, 0, 1), contype=0, conaffinity=0)
+    with python_warnings.catch_warnings(record=True) as said:  # MjSpec warns by Python's means
+        python_warnings.simplefilter("always")
+        model = spec.compile()
+    texts = [f"{BY_MUJOCO}{each.message}" for each in said]
+    warnings.extend(text for text in texts if text not in warnings)
+    return model
+
+
+def compile_geometry(spec: Any, ground: float | None, warnings: list[str]) -> Any:
+    """Compile a spec with any masses and inertias, which a bake does not need."""
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-6)
+    return compile_spec(spec, ground, warnings)
+
+
+def fill_mesh(mesh: Any, vertices: Float, faces: Int | Int32) -> None:
+    spare = np.repeat(vertices[-1:], max(0, 4 - len(vertices)), axis=0)  # MuJoCo wants four
+    mesh.uservert = np.concatenate([vertices, spare]).astype(np.float32).ravel()
+    mesh.userface = faces.astype(np.int32).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
+
+
+@contextmanager
+def catch_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, each after `BY_MUJOCO`; else they go to ./MUJOCO_LOG.TXT."""
+    with _WARNING_LOCK:
+        before = mujoco.get_mju_user_warning()
+        warnings: list[str] = []
+        mujoco.set_mju_user_warning(lambda text: warnings.append(f"{BY_MUJOCO}{text}"))
+        try:
+            yield warnings
+        finally:
+            mujoco.set_mju_user_warning(before)

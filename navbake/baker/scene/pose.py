@@ -12,6 +12,7 @@ from navbake.baker.kernels.constants import BALL, FREE, HINGE, SLIDE
 from navbake.baker.scene.names import names_at
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
+from navbake.known_names import list_first
 from navbake.types import Int32
 
 # How far beyond its range a joint may go, for rounded angles [rad or m]
@@ -32,20 +33,15 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
         named = [known for known in names_at(model, addresses.tolist()) if known]
         if name in named:
             return int(mujoco.mj_name2id(model, code, name))
-        listed = ", ".join(named[:20]) + (f" and {len(named) - 20} more" if named[20:] else "")
-        raise ConfigError(
-            f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has "
-            f"{listed or 'none with a name'}"
-        )
+        listed = list_first(named, 20) or "none with a name"
+        raise ConfigError(f"no {kind} {name!r} for `scene.{setting}`: {settings.path} has {listed}")
 
     data, kinds = mujoco.MjData(model), mujoco.mjtObj
     with _errors_of(f"pose {settings.path}"):
         key = settings.keyframe
         if isinstance(key, int) and key >= model.nkey:
-            raise ConfigError(
-                f"no keyframe {key} for `scene.keyframe`: {settings.path} has {model.nkey} of "
-                "them, counted from 0"
-            )
+            has = f"{settings.path} has {model.nkey} of them, counted from 0"
+            raise ConfigError(f"no keyframe {key} for `scene.keyframe`: {has}")
         if isinstance(key, str):
             key = id_of(key, "keyframe", "keyframe", kinds.mjOBJ_KEY, model.name_keyadr)
         if key is not None:
@@ -54,12 +50,11 @@ def pose_model(model: Any, settings: SceneSettings) -> Any:
             joint = id_of(name, "joint", "joints", kinds.mjOBJ_JOINT, model.name_jntadr)
             expected = EXPECTED[int(model.jnt_type[joint])]
             values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+            where = f"at `scene.joints.{name}`"
             if len(values) != int(expected[0]):
-                raise ConfigError(
-                    f"expected {expected} at `scene.joints.{name}`, got {len(values)}"
-                )
+                raise ConfigError(f"expected {expected} {where}, got {len(values)}")
             if len(values) >= 4 and not values[-4:].any():
-                raise ConfigError(f"expected a quaternion that is not 0 at `scene.joints.{name}`")
+                raise ConfigError(f"expected a quaternion that is not 0 {where}")
             address = int(model.jnt_qposadr[joint])
             data.qpos[address : address + len(values)] = values
         mujoco.mj_kinematics(model, data)
@@ -86,21 +81,21 @@ def warn_out_of_range(model: Any, settings: SceneSettings) -> list[str]:
         is_within = low - RANGE_SLACK <= position <= high + RANGE_SLACK
         kind = int(model.jnt_type[joint])
         if kind in unit and model.jnt_limited[joint] and not is_within:
-            notes.append(
-                f"joint {name!r} ranges from {low:.6g} to {high:.6g} {unit[kind]}, got "
-                f"{position:.6g} at `scene.joints.{name}`: it is posed there anyway"
-            )
+            ranges = f"ranges from {low:.6g} to {high:.6g} {unit[kind]}, got {position:.6g}"
+            posed = f"at `scene.joints.{name}`: it is posed there anyway"
+            notes.append(f"joint {name!r} {ranges} {posed}")
     return notes
 
 
 def data_of_qpos(model: Any, qpos: ArrayLike) -> Any:
     """A model's data with all joints at positions of shape (nq,), and all geoms placed."""
+    wanted = f"expected {model.nq} joint positions (nq)"
     try:
         positions = np.asarray(qpos, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"expected {model.nq} joint positions (nq), got {qpos!r}") from error
+        raise ConfigError(f"{wanted}, got {qpos!r}") from error
     if positions.shape != (model.nq,):
-        raise ConfigError(f"expected {model.nq} joint positions (nq), got {positions.shape}")
+        raise ConfigError(f"{wanted}, got {positions.shape}")
     data = mujoco.MjData(model)
     data.qpos[:] = positions
     mujoco.mj_kinematics(model, data)

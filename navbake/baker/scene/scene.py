@@ -1,6 +1,7 @@
 """A scene as the bake sees it: which geoms count, as what, and where."""
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,27 +10,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.columns import Columns, cast_columns, tile_shapes
+from navbake.baker.floors.sheets import is_large
+from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
 from navbake.baker.scene.choice import Choice, choose_geoms
 from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
-from navbake.baker.scene.hidden_room import HiddenRoom
-from navbake.baker.scene.isolated import CompileLimits, load_isolated
 from navbake.baker.scene.mesh_scene import MeshPart, box_of
-from navbake.baker.scene.model import OpenScene, load_model
+from navbake.baker.scene.model import CompileLimits, OpenScene, load_isolated, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
+from navbake.baker.scene.pieces import catch_warnings
 from navbake.baker.scene.pose import pose_model, warn_out_of_range
 from navbake.baker.scene.shapes import Shapes
-from navbake.baker.scene.specs import catch_warnings
 from navbake.config.settings import AgentSettings, FloorSettings, SceneSettings, stem_of
 from navbake.errors import SceneError
 from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import collector_off
 from navbake.threads import run_beside
-from navbake.types import Float
+from navbake.types import Bool, Float
 
 LARGE_ARRAY = 1 << 20  # arrays of more bytes are hashed where they are
 WORTH_THREAD = 1 << 17  # hashing so many bytes takes longer than starting a thread
 # A mesh that is higher or wider, and any scene that is smaller, is probably not in metres [m]
 HIGH_MESH, WIDE_MESH, SMALL = 100.0, 5000.0, 0.5
+# The spacing of the lines by which room in a hull is found, unless there would be too many [m]
+SPACING, MOST_LINES = 0.1, 10_000
 
 
 @dataclass(frozen=True)
@@ -98,11 +103,9 @@ def load_scene(
     if not own:
         raise SceneError(f"{settings.path} has no geoms: nothing to bake")
     if not any(choice.counted for choice in own):
-        reasons = sorted({choice.reason for choice in own})
-        raise SceneError(
-            f"none of the {len(own)} geoms of {settings.path} counts "
-            f"(`scene.geoms` is {settings.geoms}): {'; '.join(reasons[:3])}"
-        )
+        reasons = "; ".join(sorted({choice.reason for choice in own})[:3])
+        none = f"none of the {len(own)} geoms of {settings.path} counts"
+        raise SceneError(f"{none} (`scene.geoms` is {settings.geoms}): {reasons}")
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
@@ -147,9 +150,7 @@ def _warn_geometry(model: Any, settings: SceneSettings, parts: dict[int, MeshPar
     return [*notes, *([] if takes_frame else unused)]
 
 
-def _warn_size(
-    settings: SceneSettings, parts: dict[int, MeshPart], bounds: Float | None
-) -> list[str]:
+def _warn_size(settings: SceneSettings, parts: dict[int, MeshPart], bounds: Any) -> list[str]:
     """Warn of a scene whose size says that its unit is not the metre."""
     if bounds is None or "unit" in settings.model_fields_set:
         return []
@@ -163,12 +164,11 @@ def _warn_size(
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
         if parts:
-            hint = "set `scene.unit` to the metres that one unit of it is, as 1000 for kilometres"
-            hint += " (1 silences this)"
+            unit = "the metres that one unit of it is, as 1000 for kilometres"
+            hint = f"set `scene.unit` to {unit} (1 silences this)"
         return [f"the {'mesh' if parts else 'scene'} is only {width:.6g} m large: {hint}"]
     if parts and (height > HIGH_MESH or width > WIDE_MESH):
-        is_high = height > HIGH_MESH
-        text = f"{height:.6g} m high" if is_high else f"{width:.6g} m large"
+        text = f"{height:.6g} m high" if height > HIGH_MESH else f"{width:.6g} m large"
         hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
         return [f"the mesh is {text}: {hint} (1 silences this)"]
     return []
@@ -236,3 +236,90 @@ def _digest_arrays(
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)
     for geom in sorted(parts):
         yield from (np.array([geom]), parts[geom].vertices, parts[geom].faces)
+
+
+# ---------------------------------------------------------------- hulls of buildings
+
+
+class HiddenRoom:
+    """Finds the meshes of a posed model whose hulls hide room for an agent."""
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        meshes: MeshTriangles,
+        agent: AgentSettings,
+        floors: FloorSettings,
+    ) -> None:
+        self._model, self._data, self._meshes = model, data, meshes
+        self._agent, self._floors = agent, floors
+        self._answers: dict[tuple[int, bytes], bool] = {}
+
+    def is_in_hull(self, geom: int) -> bool:
+        """Whether a mesh's hull hides room for an agent to stand in.
+
+        Room is a free stretch of a vertical line inside of the hull, at least as long as the agent
+        is high: over a surface that faces up, or under one that faces down, or where the mesh has
+        none; but not inside of the mesh's closed parts. It has to be as large as a floor
+        (`floors.min_area` after `floors.shrink`).
+        """
+        if not self.is_large(geom):
+            return False
+        key = int(self._model.geom_dataid[geom]), self._data.geom_xmat[geom].tobytes()
+        if key not in self._answers:
+            self._answers[key] = self._look(geom)
+        return self._answers[key]
+
+    def is_large(self, geom: int) -> bool:
+        """Whether the box of a mesh is large enough for room."""
+        mat = self._data.geom_xmat[geom].reshape(3, 3)
+        if not np.isfinite(mat).all():
+            return False
+        x, y, z = 2 * np.abs(mat) @ self._model.geom_aabb[geom, 3:]
+        # floats of Python: NumPy's warn of an area beyond all floats
+        left = [float(side) - 2 * self._floors.shrink for side in (x, y)]
+        if min(left) < 0 or z < self._agent.height - SLACK:
+            return False
+        return left[0] * left[1] >= self._floors.min_area - SLACK
+
+    def _look(self, geom: int) -> bool:
+        chosen = [{geom: Choice(True, "", mode)} for mode in ("surface", "hull")]
+        shapes = [
+            collect_shapes(self._model, self._data, one, {}, one, self._meshes).shapes
+            for one in chosen
+        ]
+        bounds = shapes[1].bounds
+        if bounds is None or not np.isfinite(bounds).all():
+            return False
+        x0, y0, x1, y1 = bounds[:, :2].ravel().tolist()
+        width, depth = x1 - x0, y1 - y0
+        # a limit for a long and thin box, too
+        by_area, by_length = math.sqrt(width * depth / MOST_LINES), max(width, depth) / MOST_LINES
+        spacing = max(SPACING, by_area, by_length)
+        lattice = Lattice.cover((x0, y0, x1, y1), spacing)
+        in_mesh, in_hull = (cast_columns(tile_shapes(one, lattice, spacing / 2)) for one in shapes)
+        has_room = _find_room(in_mesh, in_hull, self._agent.height)
+        return is_large(lattice, self._floors, has_room)
+
+
+def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:
+    """Mark the cells on whose line there is room; see `HiddenRoom.is_in_hull`."""
+    # a line enters the hull (starts = 1) and leaves it (ends = 1), which turns nothing inside; in
+    # the mesh, room is over what faces up (starts = 2) and under what faces down (ends = 1)
+    up, hull_up = ((columns.normal[:, 2] > 0).astype(np.int64) for columns in (mesh, hull))
+    turned = np.where(mesh.crossings.closed == OPEN_SURFACE, 0, 1 - 2 * up)
+    cells = [np.repeat(np.arange(len(c.start) - 1), np.diff(c.start)) for c in (hull, mesh)]
+    marks = (1 - hull_up, 2 * up), (hull_up, 1 - up), (np.zeros_like(hull_up), turned)
+    pairs = cells, (hull.z, mesh.z), *marks
+    cell, z, starts, ends, turns = (np.concatenate(pair) for pair in pairs)
+    order = np.lexsort((ends, z, cell))
+    cell, z, starts, ends, turns = (a[order] for a in (cell, z, starts, ends, turns))
+    inside = np.cumsum(turns)
+    inside -= np.concatenate([[0], inside])[np.searchsorted(cell, cell)]  # what went on before it
+    is_gap = (cell[1:] == cell[:-1]) & (np.diff(z) >= height - SLACK) & (inside[:-1] <= 0)
+    lower, upper = starts[:-1], ends[1:]
+    is_room = is_gap & ((lower == 2) | ((lower == 1) & (upper >= 1)))
+    marked = np.zeros(len(mesh.start) - 1, dtype=np.bool_)
+    marked[cell[:-1][is_room]] = True
+    return marked

@@ -5,18 +5,16 @@ and populations are passed by. Meshes count by their triangles, as Gazebo collid
 model is one body by its name; of others, the canonical link has the model's name, and further ones
 are called ``model::link``.
 
-Source: SDFormat specification 1.12, sdformat.org, and its chapter on the semantics of poses.
+Source: SDFormat specification 1.12, sdformat.org.
 """
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ElementTree
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from navbake.baker.scene.mesh_scene import (
@@ -24,8 +22,11 @@ from navbake.baker.scene.mesh_scene import (
     join_parts,
     read_mesh_parts,
     stated_up,
+    turn_up,
 )
-from navbake.baker.scene.pieces import Gathered, Joint, Mesh, Piece, Ties, check_count, tessellate
+from navbake.baker.scene.pieces import Gathered, Joint, Piece, Ties, check_count
+from navbake.baker.scene.sdf_frames import WORLD, Element, Scope, is_true, numbers_of, text_of
+from navbake.baker.scene.tessellation import Mesh, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
 from navbake.formats.images import read_pixels
@@ -35,12 +36,13 @@ from navbake.types import Float
 BASE = 0.1  # of a height field, below its lowest point [m]
 FLAT = 1e-6  # the least height of one [m]
 ENDLESS = 1e10  # of a joint's limits, which SDF states as 1e16 [m or rad]
+# Of solids: the element with the numbers of their size, how many, and times what they are MuJoCo's
+SOLIDS = {"box": ("size", 3, 0.5), "sphere": ("radius", 1, 1.0), "ellipsoid": ("radii", 3, 1.0)}
 HINGES = ("revolute", "continuous")
 MOST_NESTED = 50  # models in models
 LAST_IN_MODEL = 1, 4  # the last version of SDF whose axes are in the frame of the model
 # Models that come with Gazebo itself, where they aren't found
 SUN, GROUND = "sun", "ground_plane"
-Element = ElementTree.Element
 
 
 def read_world(path: Path, settings: SceneSettings) -> Gathered:
@@ -55,155 +57,15 @@ def read_world(path: Path, settings: SceneSettings) -> Gathered:
     return _Reader(path, settings).read()
 
 
-class _Scope:
-    """A world or a model: the frames that have a name in it, and where they are.
-
-    Poses are found when they are needed, so that an element may name a later one.
-
-    Attributes:
-        name: with those of the models round it, as ``house::door``; empty for a world.
-        own: the same without them.
-        file: in which it stands.
-        is_merged: whether it is part of the model round it, by ``<include merge="true">``.
-    """
-
-    def __init__(
-        self, reader: _Reader, element: Element, placing: Element, file: Path, above: _Scope | None
-    ) -> None:
-        self._reader, self.element, self._placing = reader, element, placing
-        self.file, self.above = file, above
-        self._frames = {
-            str(each.get("name")): each
-            for each in element
-            if each.tag in ("link", "joint", "frame") and each.get("name")
-        }
-        self._poses: dict[str, Float] = {} if above is not None else {"": np.eye(4)}
-        self._open: list[str] = []
-        self.name = self.own = ""
-        self.depth, self.is_static, self.is_merged = 0, False, False
-        if above is None:
-            return
-        # a model's name, pose and static are those of an include, where it has them
-        self.own = str(element.get("name", "model"))
-        if placing is not element:
-            self.own = _text(placing, "name") or self.own
-            self.is_merged = above.above is not None and _is_true(placing.get("merge", ""))
-        self.name = f"{above.name}::{self.own}" if above.name else self.own
-        self.depth, self.is_static = above.depth + 1, above.is_static
-        if self.is_merged:
-            self.name = above.name
-            return
-        stated = [each for each in (placing, element) if each.find("static") is not None]
-        self.is_static |= bool(stated) and _is_true(_text(stated[0], "static"))
-
-    @cached_property
-    def models(self) -> list[_Scope]:
-        """The models in it, those of includes too."""
-        return self._reader.find_models(self)
-
-    @cached_property
-    def inner(self) -> dict[str, _Scope]:
-        """The models in it that go by their own name."""
-        return {model.own: model for model in self.models if not model.is_merged}
-
-    def full(self, name: str) -> str:
-        """A name with those of the models round it."""
-        return f"{self.name}::{name}" if self.name else name
-
-    def find(self, name: str) -> tuple[_Scope, Element] | None:
-        """A link, joint or frame of this scope, or of a model that is merged with it."""
-        if name in self._frames:
-            return self, self._frames[name]
-        merged = (model.find(name) for model in self.models if model.is_merged)
-        return next((found for found in merged if found is not None), None)
-
-    def lead(self, name: str) -> tuple[_Scope, str] | None:
-        """The scope that a name leads into, and the rest of the name; None where it is no model."""
-        first, _, rest = name.partition("::")
-        if first == "__parent__" and self.above is not None:
-            return self.above, rest
-        for scope in (self, *(model for model in self.models if model.is_merged)):
-            if first in scope.inner:
-                return scope.inner[first], rest
-        return None
-
-    def canonical(self) -> str:
-        """The link that stands for the model, which it names, or the first; empty for none."""
-        if self.is_merged and self.above is not None:
-            return self.above.canonical()
-        return self.element.get("canonical_link") or self._first_link()
-
-    def _first_link(self) -> str:
-        named = (str(link.get("name")) for link in self.element.findall("link"))
-        for name in named:
-            return name
-        for model in self.models:
-            if first := model._first_link():
-                return first if model.is_merged else f"{model.own}::{first}"
-        return ""
-
-    def pose_of(self, name: str) -> Float:
-        """Where a frame is, (4, 4); empty is the scope's own."""
-        name = "" if name == "__model__" else name
-        if name in ("world", "__root__"):
-            return np.eye(4)
-        if name not in self._poses:
-            where = f"of {self.name or 'the world'} in {self.file}"
-            if name in self._open:
-                raise SceneError(f"frame {name!r} {where} is relative to itself, by {self._open}")
-            self._open.append(name)
-            self._poses[name] = self._find_pose(name, where)
-            self._open.pop()
-        return self._poses[name]
-
-    def _find_pose(self, name: str, where: str) -> Float:
-        if not name:
-            return self._own_pose()
-        found = self._frames.get(name)
-        if found is None:
-            if (led := self.lead(name)) is not None:
-                return led[0].pose_of(led[1])
-            if (merged := self.find(name)) is not None:
-                return merged[0].pose_of(name)
-            if self.is_merged and self.above is not None:
-                return self.above.pose_of(name)
-            known = ", ".join(sorted({*self._frames, *self.inner})[:20]) or "none"
-            raise SceneError(f"no frame {name!r} {where}: it has {known}")
-        default = ""
-        if found.tag == "joint":
-            default = _text(found, "child")
-        elif found.tag == "frame":
-            default = found.get("attached_to", "")
-        return self.place(found, default)
-
-    def _own_pose(self) -> Float:
-        assert self.above is not None
-        is_placed = self._placing.find("pose") is not None
-        place = self.above.place(self._placing if is_placed else self.element)
-        frame = _text(self._placing, "placement_frame") or self.element.get("placement_frame", "")
-        if frame:  # which is to be where the pose says
-            alone = _Scope(self._reader, self.element, self._placing, self.file, self.above)
-            alone._poses[""] = np.eye(4)
-            place = place @ np.linalg.inv(alone.pose_of(frame))
-        return place
-
-    def place(self, element: Element, default: str = "") -> Float:
-        """Where an element with a ``<pose>`` is, (4, 4), relative to `default` or as it says."""
-        pose = element.find("pose")
-        relative = default if pose is None else pose.get("relative_to", "") or default
-        return self.pose_of(relative) @ read_pose(pose, self.file)
-
-
 class _Reader:
     def __init__(self, path: Path, settings: SceneSettings) -> None:
         self._path, self._folders = path, settings.model_path
         self._result = Gathered()
         self._poses: dict[str, Float] = {}  # of bodies that may move
         self._bodies: dict[str, str] = {}  # by link with its scope's names, its body
-        self._joints: list[tuple[_Scope, Element]] = []
-        self._meshes: dict[Any, Mesh | None] = {}
-        self._roots: dict[Path, Element] = {}
-        self._files: dict[tuple[str, Path], Path | None] = {}  # of includes
+        self._joints: list[tuple[Scope, Element]] = []
+        self._meshes: dict[Any, Mesh] = {}
+        self._parse, self._find_model = cache(parse_sdf), cache(self._search_model)
         self._count = 0  # of models and pieces
 
     def read(self) -> Gathered:
@@ -212,7 +74,7 @@ class _Reader:
         if len(worlds) > 1:
             self._warn(f"{len(worlds)} worlds in {self._path}: the first one is taken")
         element = worlds[0] if worlds else root
-        world = _Scope(self, element, element, self._path, None)
+        world = Scope(self.find_models, element, element, self._path, None)
         if world.element.find("state/model") is not None:
             self._warn(
                 f"<state> of {self._path} is passed by, as in today's Gazebo; Gazebo classic "
@@ -231,91 +93,66 @@ class _Reader:
 
     # ------------------------------------------------------------ models
 
-    def _parse(self, file: Path) -> Element:
-        if file not in self._roots:
-            self._roots[file] = _parse(file)
-        return self._roots[file]
-
     def _add_to_count(self) -> None:
         self._count += 1
         check_count(self._count, self._path)
 
-    def find_models(self, scope: _Scope) -> list[_Scope]:
+    def find_models(self, scope: Scope) -> list[Scope]:
         """The models in a world or a model, in order."""
         if scope.depth > MOST_NESTED:
             raise SceneError(f"{scope.file} includes itself, by model {scope.name!r}")
         models = []
         for element in scope.element:
-            model: Element | None = element
             file: Path | None = scope.file
+            model = element if element.tag == "model" else None
             if element.tag == "include":
-                file = self._find_model(_text(element, "uri"), scope.file)
+                file = self._find_model(text_of(element, "uri"), scope.file)
                 model = None if file is None else self._parse(file).find("model")
-            elif element.tag != "model":
-                continue
             if model is not None and file is not None:
                 self._add_to_count()
-                models.append(_Scope(self, model, element, file, scope))
+                models.append(Scope(self.find_models, model, element, file, scope))
         return models
 
-    def _find_model(self, uri: str, file: Path) -> Path | None:
+    def _search_model(self, uri: str, file: Path) -> Path | None:
         """The file of an included model; None where Gazebo has it itself."""
-        if (uri, file) in self._files:
-            return self._files[uri, file]
         places = list(sdf_places(uri, file, self._folders))
         found = next((one for one in map(model_file, places) if one.is_file()), None)
         if found is None and _model_name(uri) not in (SUN, GROUND):
-            folder = next((place for place in places if place.is_dir()), None)
-            empty = "" if folder is None else f" ({folder} has no {model_file(folder).name})"
-            raise SceneError(
-                f"{uri!r} of {file} not found in {_listed(places)}{empty}: name the folder that "
-                "holds it by `--model-path`, `scene.model_path` or GZ_SIM_RESOURCE_PATH"
-            )
-        self._files[uri, file] = found
+            raise _not_found(f"{uri!r} of {file}", places)
         return found
 
-    def _read_inner(self, scope: _Scope) -> None:
+    def _read_inner(self, scope: Scope) -> None:
         """Read the models in a world or a model."""
         for element in scope.element:
             if element.tag == "population":
                 name = element.get("name")
                 self._warn(f"population {name!r} of {scope.file} is left out: name its models")
             elif element.tag == "include":
-                uri = _text(element, "uri")
-                is_ground = _model_name(uri) == GROUND
-                if is_ground and self._find_model(uri, scope.file) is None:
-                    self._warn(
-                        f"{uri} of {scope.file} not found: taken as Gazebo's own, endless ground"
-                    )
-                    name = _text(element, "name") or GROUND
-                    pose = scope.place(element)
+                uri = text_of(element, "uri")
+                if _model_name(uri) == GROUND and self._find_model(uri, scope.file) is None:
+                    text = "taken as Gazebo's own, endless ground"
+                    self._warn(f"{uri} of {scope.file} not found: {text}")
+                    name, pose = text_of(element, "name") or GROUND, scope.place(element)
                     self._add(name, name, "plane", (0.0, 0.0), pose, is_visual=False)
         for model in scope.models:
             self._read_model(model)
 
-    def _read_model(self, scope: _Scope) -> None:
+    def _read_model(self, scope: Scope) -> None:
         self._read_inner(scope)
         first = scope.canonical()
         for link in scope.element.findall("link"):
-            name = str(link.get("name"))
-            body = scope.name if scope.is_static or name == first else scope.full(name)
-            self._read_link(scope, link, body)
+            own = str(link.get("name"))
+            name = scope.full(own)
+            body = scope.name if scope.is_static or own == first else name
+            self._bodies[name] = "" if scope.is_static else body
+            if not scope.is_static:
+                self._poses[body] = scope.pose_of(own)
+            for element in link:
+                if element.tag in ("collision", "visual"):
+                    shape = f"{name}::{element.get('name')}"
+                    self._read_shape(scope, element, shape, body, scope.place(element, own))
         if not scope.is_static:
             self._joints += [(scope, joint) for joint in scope.element.findall("joint")]
-
-    def _read_link(self, scope: _Scope, link: Element, body: str) -> None:
-        name = f"{scope.name}::{link.get('name')}"
-        place = scope.pose_of(str(link.get("name")))
-        self._bodies[name] = "" if scope.is_static else body
-        if not scope.is_static:
-            self._poses[body] = place
-        for element in link:
-            if element.tag in ("collision", "visual"):
-                pose = element.find("pose")
-                relative = "" if pose is None else pose.get("relative_to", "")
-                own = scope.pose_of(relative) if relative else place
-                own = own @ read_pose(pose, scope.file)
-                self._read_shape(scope, element, f"{name}::{element.get('name')}", body, own)
 
     # ------------------------------------------------------------ geometry
 
@@ -330,7 +167,7 @@ class _Reader:
         )
 
     def _read_shape(
-        self, scope: _Scope, element: Element, name: str, body: str, pose: Float
+        self, scope: Scope, element: Element, name: str, body: str, pose: Float
     ) -> None:
         is_visual = element.tag == "visual"
         geometry = element.find("geometry")
@@ -339,42 +176,36 @@ class _Reader:
             return
         where = f"{element.tag} {name!r} of {scope.file}"
 
-        def number(key: str, count: int = 1) -> list[float]:
-            return _numbers(_text(shape, key), count, f"<{key}> of {where}")
+        def numbers(key: str, count: int = 1, default: list[float] | None = None) -> list[float]:
+            if default is not None and shape.find(key) is None:
+                return default
+            return numbers_of(text_of(shape, key), count, f"<{key}> of {where}")
 
         mesh, heights, size = None, None, tuple[float, ...]()
         kind = shape.tag
-        if kind == "box":
-            size = tuple(side / 2 for side in number("size", 3))
-        elif kind == "sphere":
-            size = tuple(number("radius"))
+        if kind in SOLIDS:
+            key, count, share = SOLIDS[kind]
+            size = tuple(value * share for value in numbers(key, count))
         elif kind in ("cylinder", "capsule", "cone"):
-            size = number("radius")[0], number("length")[0] / 2
+            size = numbers("radius")[0], numbers("length")[0] / 2
             if kind == "cone":
                 kind, size, mesh = "mesh", (), tessellate(kind, size)
-        elif kind == "ellipsoid":
-            size = tuple(number("radii", 3))
         elif kind == "plane":
-            normal = np.array([0.0, 0.0, 1.0])
-            if shape.find("normal") is not None:
-                normal = np.array(number("normal", 3))
-            pose = pose @ _turned_to(normal)
+            turn, pose = turn_up(np.array(numbers("normal", 3, [0.0, 0.0, 1.0]))).T, pose.copy()
+            pose[:3, :3] = pose[:3, :3] @ turn
             # what collides is endless, what is drawn has a size
-            is_sized = is_visual and shape.find("size") is not None
-            size = tuple(side / 2 for side in number("size", 2)) if is_sized else (0.0, 0.0)
+            sides = numbers("size", 2, [0.0, 0.0]) if is_visual else [0.0, 0.0]
+            size = sides[0] / 2, sides[1] / 2
         elif kind in ("mesh", "heightmap"):
-            file = self._find(_text(shape, "uri"), scope.file, where, is_drawn=is_visual)
+            file = self._find(text_of(shape, "uri"), scope.file, where, is_drawn=is_visual)
             if file is None:
                 return
             if kind == "mesh":
                 mesh = self._read_mesh(file, shape, where)
-                scale = number("scale", 3) if shape.find("scale") is not None else [1.0] * 3
-                pose = pose @ np.diag([*scale, 1.0])
+                pose = pose @ np.diag([*numbers("scale", 3, [1.0] * 3), 1.0])
             else:
-                kind = "hfield"
-                sides = number("size", 3) if shape.find("size") is not None else [1.0] * 3
-                shift = number("pos", 3) if shape.find("pos") is not None else [0.0] * 3
-                heights, size, lift = _read_heights(file, sides)
+                kind, shift = "hfield", numbers("pos", 3, [0.0] * 3)
+                heights, size, lift = _read_heights(file, numbers("size", 3, [1.0] * 3))
                 pose = pose.copy()
                 pose[:3, 3] += pose[:3, :3] @ np.add(shift, [0.0, 0.0, lift])
         else:
@@ -389,16 +220,13 @@ class _Reader:
         if found is None and is_drawn:
             self._warn(f"{uri!r} of {where} not found: left out, as it is only drawn")
         elif found is None:
-            raise SceneError(
-                f"{uri!r} of {where} not found in {_listed(places)}: name the folder that holds it "
-                "by `--model-path`, `scene.model_path` or GZ_SIM_RESOURCE_PATH"
-            )
+            raise _not_found(f"{uri!r} of {where}", places)
         return found
 
     def _read_mesh(self, file: Path, shape: Element, where: str) -> Mesh:
         """A mesh in metres, z up: a DAE by its own unit and axis, glTF y up, others as they are."""
-        submesh = _text(shape, "submesh/name")
-        is_centered = _text(shape, "submesh/center").lower() in ("1", "true")
+        submesh = text_of(shape, "submesh/name")
+        is_centered = is_true(text_of(shape, "submesh/center"))
         key = file, submesh, is_centered
         if key not in self._meshes:
             if file.suffix.lower() not in MESH_SUFFIXES:
@@ -413,55 +241,46 @@ class _Reader:
             if is_centered:
                 vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
             self._meshes[key] = Mesh(vertices, faces)
-        mesh = self._meshes[key]
-        assert mesh is not None
-        return mesh
+        return self._meshes[key]
 
     # ------------------------------------------------------------ joints
 
-    def _body_of(self, scope: _Scope, name: str) -> str:
+    def _body_of(self, scope: Scope, name: str) -> str:
         """The body that a joint's end belongs to, by a link's or a frame's name; empty for none."""
-        end, at = name, scope
+        at, end = scope, name
         for _ in range(MOST_NESTED):  # frames may be attached to frames
-            if end in ("world", "__root__"):
+            if end in WORLD:
                 return ""
-            if end in ("", "__model__"):
+            at, end = at.resolve(end)
+            if not end:
                 if at.above is None:
                     return ""
                 end = at.canonical()
-            if (led := at.lead(end)) is not None:
-                at, end = led
                 continue
-            found = at.find(end) or (at.above.find(end) if at.is_merged and at.above else None)
-            if found is None or (found[1].tag == "link" and at.full(end) not in self._bodies):
-                break
-            at, element = found
+            element = at.frame(end)
             if element.tag == "link":
                 return self._bodies[at.full(end)]
-            end = _text(element, "child") if element.tag == "joint" else ""
+            end = text_of(element, "child") if element.tag == "joint" else ""
             end = end or element.get("attached_to", "")
-        raise SceneError(
-            f"no link {name!r} in {f'model {scope.name!r}' if scope.name else 'the world'} of "
-            f"{scope.file}"
-        )
+        raise SceneError(f"no link {name!r} of {scope.name or 'the world'} in {scope.file}")
 
-    def _tie(self, ties: Ties, scope: _Scope, element: Element) -> None:
+    def _tie(self, ties: Ties, scope: Scope, element: Element) -> None:
         kind, name = str(element.get("type")), scope.full(str(element.get("name")))
-        parent, child = (self._body_of(scope, _text(element, key)) for key in ("parent", "child"))
+        parent, child = (self._body_of(scope, text_of(element, key)) for key in ("parent", "child"))
         where, joint = f"joint {name!r} of {scope.file}", None
         place, axis = scope.pose_of(str(element.get("name"))), element.find("axis")
         if kind == "ball":
             joint = Joint(name, "ball", place[:3, 3], np.zeros(3))
         elif kind in (*HINGES, "prismatic") and axis is not None:
             xyz = axis.find("xyz")
-            way = np.array(_numbers(_text(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
+            way = np.array(numbers_of(text_of(axis, "xyz") or "0 0 1", 3, f"<xyz> of {where}"))
             frame = "" if xyz is None else xyz.get("expressed_in", "")
             turn = scope.pose_of(frame) if frame else place
             is_old = _version_of(self._parse(scope.file)) <= LAST_IN_MODEL
-            if is_old or _is_true(_text(axis, "use_parent_model_frame")):
+            if is_old or is_true(text_of(axis, "use_parent_model_frame")):
                 turn = scope.pose_of("")
             low, high = (
-                _numbers(_text(axis, f"limit/{key}") or default, 1, f"<{key}> of {where}")[0]
+                numbers_of(text_of(axis, f"limit/{key}") or default, 1, f"<{key}> of {where}")[0]
                 for key, default in (("lower", "-1e16"), ("upper", "1e16"))
             )
             is_limited = low < high and max(-low, high) < ENDLESS and kind != "continuous"
@@ -474,10 +293,7 @@ class _Reader:
             self._warn(f"{where} is left out: its bodies don't move, or hang on other joints")
 
 
-# ---------------------------------------------------------------- XML
-
-
-def _parse(file: Path) -> Element:
+def parse_sdf(file: Path) -> Element:
     """The <sdf> element of a file."""
     try:
         root = ElementTree.parse(file).getroot()
@@ -494,61 +310,8 @@ def _version_of(root: Element) -> tuple[int, ...]:
     return tuple(map(int, words)) if all(word.isdecimal() for word in words) else (2,)
 
 
-def _is_true(text: str) -> bool:
-    return text.strip().lower() in ("1", "true")
-
-
 def _model_name(uri: str) -> str:
     return Path(uri.partition("://")[2] or uri).name
-
-
-def _text(element: Element, path: str) -> str:
-    return (element.findtext(path) or "").strip()
-
-
-def _numbers(text: str, count: int, where: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        expected = "a number" if count == 1 else f"{count} numbers"
-        raise SceneError(f"expected {expected} at {where}, got {text[:80]!r}")
-    return numbers
-
-
-def read_pose(pose: Element | None, file: Path) -> Float:
-    """A ``<pose>``, (4, 4): x, y, z, and roll, pitch, yaw or a quaternion x, y, z, w."""
-    place = np.eye(4)
-    text = "" if pose is None else (pose.text or "").strip()
-    if pose is None or not text:
-        return place
-    is_quat = pose.get("rotation_format", "euler_rpy") == "quat_xyzw"
-    numbers = _numbers(text, 7 if is_quat else 6, f"<pose> of {file}")
-    place[:3, 3], turn = numbers[:3], np.empty(9)
-    if is_quat:
-        x, y, z, w = numbers[3:]
-        mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]) / (math.hypot(w, x, y, z) or 1.0))
-        place[:3, :3] = turn.reshape(3, 3)
-        return place
-    angles = np.radians(numbers[3:]) if pose.get("degrees") in ("1", "true") else numbers[3:]
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles).tolist(), np.sin(angles).tolist()
-    place[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return place
-
-
-def _turned_to(normal: Float) -> Float:
-    """The pose, (4, 4), whose z axis is a normal, by the least turn."""
-    place, quat, turn = np.eye(4), np.empty(4), np.empty(9)
-    if normal.any():
-        mujoco.mju_quatZ2Vec(quat, normal / np.linalg.norm(normal))
-        mujoco.mju_quat2Mat(turn, quat)
-        place[:3, :3] = turn.reshape(3, 3)
-    return place
 
 
 def _read_heights(file: Path, sides: list[float]) -> tuple[Float, tuple[float, ...], float]:
@@ -567,6 +330,13 @@ def _read_heights(file: Path, sides: list[float]) -> tuple[Float, tuple[float, .
     return heights, (sides[0] / 2, sides[1] / 2, rise, BASE), low * sides[2]
 
 
-def _listed(places: list[Path]) -> str:
-    folders = dict.fromkeys(str(place) for place in places)
-    return ", ".join(list(folders)[:4]) + (", …" if len(folders) > 4 else "")
+def _not_found(what: str, places: list[Path]) -> SceneError:
+    """The error of a file or model that is in none of its possible places."""
+    folders = list(dict.fromkeys(str(place) for place in places))
+    listed = ", ".join(folders[:4]) + (", …" if len(folders) > 4 else "")
+    folder = next((place for place in places if place.is_dir()), None)
+    empty = "" if folder is None else f" ({folder} has no {model_file(folder).name})"
+    return SceneError(
+        f"{what} not found in {listed}{empty}: name the folder that holds it by `--model-path`, "
+        "`scene.model_path` or GZ_SIM_RESOURCE_PATH"
+    )

@@ -72,9 +72,8 @@ def stand_up(
     ups, is_clear = find_up(parts)
     if is_level:
         if not is_clear:
-            warnings.append(
-                f"{UNCLEAR}: `scene.up: {_name(-ups[0].direction)}` turns the mesh over"
-            )
+            other = _name(-ups[0].direction)
+            warnings.append(f"{UNCLEAR}: `scene.up: {other}` turns the mesh over")
         return _turned(parts, ups[0].direction)
     turn = turn_up(up).T
     best = turn @ ups[0].direction
@@ -102,8 +101,7 @@ def stand_up(
 
 
 def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
-    turn = turn_up(up)
-    return [part._replace(vertices=part.vertices @ turn.T) for part in parts]
+    return [part._replace(vertices=part.vertices @ turn_up(up).T) for part in parts]
 
 
 def lies_on_side(parts: Collection[MeshPart]) -> bool:

@@ -22,20 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.scene.mesh_scene import turn_up
-from navbake.baker.scene.pieces import (
-    Gathered,
-    Joint,
-    Mesh,
-    Piece,
-    Ties,
-    check_count,
-    reading,
-    tessellate,
-)
-from navbake.baker.scene.polygons import triangulate
+from navbake.baker.scene.pieces import Gathered, Joint, Piece, Ties, check_count, reading
+from navbake.baker.scene.tessellation import Mesh, tessellate, triangulate
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.source import import_extra
+from navbake.known_names import list_first
 from navbake.lazy import lazy
 from navbake.types import Float
 
@@ -47,6 +39,7 @@ DECIMALS = 6  # of lengths [m]; of turns three more
 FRAMES = {"X": np.eye(3)[:, [1, 2, 0]], "Y": np.eye(3)[:, [2, 0, 1]], "Z": np.eye(3)}
 ORDERS = np.array(list(permutations(range(3))))
 SKEW = 1e-6  # of a turn that is none
+SOLIDS = "Cube", "Sphere", "Cylinder", "Capsule", "Cone", "Plane"  # types of prims
 JOINT_KINDS = {"PhysicsRevoluteJoint": "hinge", "PhysicsPrismaticJoint": "slide"}
 JOINT_KINDS |= {"PhysicsSphericalJoint": "ball", "PhysicsFixedJoint": "fixed"}
 
@@ -117,27 +110,19 @@ class _Reader:
         self._meshes: dict[Any, Mesh | None] = {}
         self._open: list[Any] = []  # point instancers whose prototypes are read
         self._left_out: dict[str, list[str]] = {}
-        self._readers = {
-            "Mesh": self._read_mesh, "Cube": self._read_cube, "Sphere": self._read_sphere,
-            "Cylinder": self._read_round, "Capsule": self._read_round, "Cone": self._read_round,
-            "Plane": self._read_plane,
-        }  # fmt: skip
 
     def read(self) -> Gathered:
         for error in self._stage.GetCompositionErrors():
             where = re.findall(r"<([^>]*)>", str(error.rootSite))
             text = re.sub(r",@anon:[^@]*@", "", " ".join(str(error).split()))[:300]
-            self._result.warnings.append(
-                f"prim {where[-1] if where else '/'} of {self._path}: {text}"
-            )
+            prim = where[-1] if where else "/"
+            self._result.warnings.append(f"prim {prim} of {self._path}: {text}")
         self._walk(self._stage.GetPseudoRoot(), _State(Gf.Matrix4d(1.0)))
         self._tie_bodies()
         self._place()
         for reason, names in self._left_out.items():
-            more = f" and {len(names) - 1} more" if names[1:] else ""
-            self._result.warnings.append(
-                f"prim {names[0]}{more} of {self._path} left out: {reason}"
-            )
+            text = f"prim {list_first(names)} of {self._path} left out: {reason}"
+            self._result.warnings.append(text)
         return self._result
 
     # ------------------------------------------------------------ prims
@@ -161,7 +146,7 @@ class _Reader:
         if kind == "PointInstancer":
             self._read_instancer(prim, name, state)
             return False  # the prototypes below it aren't drawn by themselves
-        if kind in self._readers:
+        if kind in (*SOLIDS, "Mesh"):
             self._take(prim, name, kind, state)
         elif kind.startswith("Physics") and kind.endswith("Joint"):
             self._joints.append(prim)
@@ -193,9 +178,8 @@ class _Reader:
                     if rigid.GetKinematicEnabledAttr().Get(self._time):
                         self._kinematic.add(name)
             if prim.HasAPI(UsdPhysics.CollisionAPI):
-                collides = bool(
-                    UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get(self._time)
-                )
+                enabled = UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr()
+                collides = bool(enabled.Get(self._time))
             if prim.HasAPI(UsdPhysics.MeshCollisionAPI):
                 approximation = str(UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get())
         return _State(matrix, visible, purpose, body, component, collides, approximation)
@@ -207,7 +191,10 @@ class _Reader:
             return
         is_hull = state.collides and state.approximation in ("convexHull", "boundingCube")
         mode = "hull" if is_hull else "surface"
-        if (read := self._readers[kind](prim, kind, state)) is not None:
+        read = (
+            self._read_mesh(prim, state) if kind == "Mesh" else self._read_solid(prim, kind, state)
+        )
+        if read is not None:
             body = state.body or state.component or name
             more = state.matrix, mode, state.collides, drawn
             self._found.append(_Found(name, body, *read, *more))
@@ -225,36 +212,28 @@ class _Reader:
             raise SceneError(f"expected X, Y or Z as {where}, got {axis[:40]!r}")
         return axis
 
-    def _read_cube(self, prim: Any, kind: str, state: _State) -> _Read | None:
-        half = float(self._get(prim, "size")) / 2
-        return "box", (half, half, half), np.eye(3), None
-
-    def _read_sphere(self, prim: Any, kind: str, state: _State) -> _Read | None:
-        radius = float(self._get(prim, "radius"))
-        return "ellipsoid", (radius, radius, radius), np.eye(3), None
-
-    def _read_round(self, prim: Any, kind: str, state: _State) -> _Read | None:
-        """A cylinder, capsule or cone; of two radii, the larger one."""
+    def _read_solid(self, prim: Any, kind: str, state: _State) -> _Read:
+        """A solid; of two radii, the larger one; a plane is endless where it collides."""
+        if kind == "Cube":
+            return "box", (float(self._get(prim, "size")) / 2,) * 3, np.eye(3), None
+        if kind == "Sphere":
+            return "ellipsoid", (float(self._get(prim, "radius")),) * 3, np.eye(3), None
+        axis = self._axis_of(prim, "axis")
+        if kind == "Plane":
+            width, length = (float(self._get(prim, key)) / 2 for key in ("width", "length"))
+            sides = (width, length) if axis == "Z" else (length, width)
+            return "plane", (0.0, 0.0) if state.collides else sides, FRAMES[axis], None
         radii = [prim.GetAttribute(key) for key in ("radius", "radiusBottom", "radiusTop")]
         radius = max(float(each.Get(self._time)) for each in radii if each)
-        half = float(self._get(prim, "height")) / 2
-        return kind.lower(), (radius, half), FRAMES[self._axis_of(prim, "axis")], None
+        return kind.lower(), (radius, float(self._get(prim, "height")) / 2), FRAMES[axis], None
 
-    def _read_plane(self, prim: Any, kind: str, state: _State) -> _Read | None:
-        """A plane, endless where it collides."""
-        axis = self._axis_of(prim, "axis")
-        width, length = (float(self._get(prim, key)) / 2 for key in ("width", "length"))
-        sides = (width, length) if axis == "Z" else (length, width)
-        return "plane", (0.0, 0.0) if state.collides else sides, FRAMES[axis], None
-
-    def _read_mesh(self, prim: Any, kind: str, state: _State) -> _Read | None:
+    def _read_mesh(self, prim: Any, state: _State) -> _Read | None:
         shared = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         key = shared.GetPath(), state.collides and state.approximation == "boundingCube"
         if key not in self._meshes:
             self._meshes[key] = self._triangles_of(prim, is_box=key[1])
-        if (mesh := self._meshes[key]) is not None:
-            return "mesh", (), np.eye(3), mesh
-        return None
+        mesh = self._meshes[key]
+        return None if mesh is None else ("mesh", (), np.eye(3), mesh)
 
     def _triangles_of(self, prim: Any, is_box: bool) -> Mesh | None:
         """A mesh in its own frame, counter-clockwise; None for an empty one."""
@@ -266,15 +245,12 @@ class _Reader:
         counts, indices = np.array(counts), np.array(indices if indices is not None else [], int)
         where = f"mesh {prim.GetPath()} of {self._path}"
         if counts.min() < 0 or counts.sum() != len(indices):
-            raise SceneError(
-                f"{where} is broken: its faces have {counts.sum()} corners, but "
-                f"faceVertexIndices {len(indices)}"
-            )
+            corners = f"{counts.sum()} corners, but faceVertexIndices {len(indices)}"
+            raise SceneError(f"{where} is broken: its faces have {corners}")
         if len(indices) and not 0 <= indices.min() <= indices.max() < len(vertices):
-            raise SceneError(
-                f"{where} is broken: expected faceVertexIndices from 0 to {len(vertices) - 1}, got "
-                f"{indices.min()} to {indices.max()}"
-            )
+            expected = f"expected faceVertexIndices from 0 to {len(vertices) - 1}"
+            got = f"got {indices.min()} to {indices.max()}"
+            raise SceneError(f"{where} is broken: {expected}, {got}")
         if is_box:
             box = tessellate("box", (0.5, 0.5, 0.5))
             low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -323,12 +299,9 @@ class _Reader:
                 samples[proto] = self._find_sample(roots[proto], state)
             matrix, own = place * state.matrix, f"{name}/{number}"
             check_count(len(self._found) + len(samples[proto]), self._path)
-            self._found += [
-                one._replace(
-                    name=own + one.name, body=state.body or own, matrix=one.matrix * matrix
-                )
-                for one in samples[proto]
-            ]
+            for one in samples[proto]:
+                place, body = one.matrix * matrix, state.body or own
+                self._found.append(one._replace(name=own + one.name, body=body, matrix=place))
         self._open.pop()
 
     def _find_sample(self, root: Any, state: _State) -> list[_Found]:
@@ -356,11 +329,9 @@ class _Reader:
             is_turned = not child or (ties.has(child) and bool(parent) and not ties.has(parent))
             if is_turned:
                 parent, child = child, parent
-            if not kind:
-                self._leave_out(f"{prim.GetTypeName()} is no joint that navbake reads", name)
-                continue
-            if not child:
-                self._leave_out("it ties no rigid body", name)
+            if not kind or not child:
+                unknown = f"{prim.GetTypeName()} is no joint that navbake reads"
+                self._leave_out("it ties no rigid body" if kind else unknown, name)
                 continue
             with reading(f"joint {name} of {self._path}"):
                 made = self._read_joint(joint, prim, kind, frames, is_turned)
@@ -449,10 +420,8 @@ class _Reader:
             elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
                 kind, size = "sphere", size[:1]
             drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")
-            self._result.pieces.append(
-                Piece(one.name, one.body, kind, size or (), pose, mesh, None, one.mode,
-                      one.collides, drawn)
-            )  # fmt: skip
+            shape, rights = (kind, size or (), pose, mesh, None), (one.mode, one.collides, drawn)
+            self._result.pieces.append(Piece(one.name, one.body, *shape, *rights))
 
 
 def _straighten(kinds: NDArray[np.str_], turns: Float, scales: Float) -> tuple[Float, Float]:

@@ -13,6 +13,7 @@ from navbake.baker.columns import cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
+from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.rooms.rooms import Rooms
 from navbake.baker.scene.choice import Choice
@@ -46,12 +47,8 @@ class PaintedAreas(NamedTuple):
     warnings: list[str]
 
 
-class Marked(NamedTuple):
-    """The cells of an area by level, how wide it is [m], NaN if unknown, and warnings."""
-
-    masks: list[Bool]
-    width: float
-    warnings: Sequence[str] = ()
+Marked = tuple[list[Bool], float, list[str]]
+"""The cells of an area by level, how wide it is [m], NaN if unknown, and warnings."""
 
 
 def paint_areas(
@@ -69,23 +66,23 @@ def paint_areas(
     table, warnings = list[Json](), list[str]()
     for number, area in enumerate(config.areas, 1):
         if area.room is not None:
-            found = _mark_room(area, rooms)
+            masks, width, notes = _mark_room(area, rooms)
         elif area.geoms:
-            found = _mark_geoms(area, scene, lattice, levels, config.agent.height)
+            masks, width, notes = _mark_geoms(area, scene, lattice, levels, config.agent.height)
         else:
-            found = _mark_outline(area, lattice, levels)
+            masks, width, notes = _mark_outline(area, lattice, levels)
         count = 0
-        for layer, level, mask in zip(layers, levels, found.masks, strict=True):
+        for layer, level, mask in zip(layers, levels, masks, strict=True):
             mask &= ~np.isnan(level.floor)
             layer[mask] = number
             count += int(np.count_nonzero(mask))
-        warnings += found.warnings
-        if not count and not found.warnings:
+        warnings += notes
+        if not count and not notes:
             warnings.append(f"area {area.name!r} covers no cell with a floor")
-        elif count and found.width < lattice.cell_size * (1 - SLACK):
+        elif count and width < lattice.cell_size * (1 - SLACK):
             takes = "it takes each cell that it touches, so it is wider in the grid"
             takes = takes if area.keeps_out else "it takes cells by their centres, so it has gaps"
-            size = f"{found.width:.3g} m wide, thinner than a cell of {lattice.cell_size:g} m"
+            size = f"{width:.3g} m wide, thinner than a cell of {lattice.cell_size:g} m"
             warnings.append(f"area {area.name!r} is only {size}: {takes}")
         agents = None if area.agents is None else tuple(area.agents)
         table.append(Area(area.name, float(area.cost), area.speed, agents).to_json())
@@ -99,7 +96,7 @@ def _mark_room(area: AreaSettings, rooms: Rooms) -> Marked:
         masks[room.level] |= rooms.index[room.level] == room.index
     known = [room.name or room.id for room in rooms.table]
     why = f"no room {area.room!r} for area {area.name!r}: {suggest(area.room, known)}"
-    return Marked(masks, np.nan, [] if own else [why])
+    return masks, np.nan, [] if own else [why]
 
 
 def _mark_outline(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFloor]) -> Marked:
@@ -110,7 +107,7 @@ def _mark_outline(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
         mask = cover([[(x0, y0), (x1, y0), (x1, y1), (x0, y1)]], lattice)
         floors = [level.floor for level in levels]
         within = [(low - SLACK <= floor) & (floor <= high + SLACK) for floor in floors]
-        return Marked([mask & inside for inside in within], min(x1 - x0, y1 - y0))
+        return [mask & inside for inside in within], min(x1 - x0, y1 - y0), []
     on = [k for k, level in enumerate(levels) if area.level in (k, level.name)]
     if not on:
         listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
@@ -121,19 +118,15 @@ def _mark_outline(area: AreaSettings, lattice: Lattice, levels: Sequence[LevelFl
     sides = np.roll(corners, -1, axis=0) - corners
     length = np.hypot(*sides.T)
     normals = np.stack([-sides[:, 1], sides[:, 0]])[:, length > 0] / length[length > 0]
-    return Marked(masks, float(np.ptp(corners @ normals, axis=0).min()))
+    return masks, float(np.ptp(corners @ normals, axis=0).min()), []
 
 
 def _mark_geoms(
-    area: AreaSettings,
-    scene: Scene,
-    lattice: Lattice,
-    levels: Sequence[LevelFloor],
-    agent_height: float,
+    area: AreaSettings, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], high: float
 ) -> Marked:
-    """The cells over whose floors matching geoms stand or hang lower than the agent's head.
+    """The cells over whose floors geoms, left out or not, stand or hang lower than an agent's head.
 
-    Geoms that the bake leaves out count as well.
+    The agent is `high` [m].
     """
     names = [geom.geom for geom in all_names(scene.model).geoms]
     masks, warnings = [np.zeros(lattice.shape, np.bool_) for _ in levels], list[str]()
@@ -145,23 +138,21 @@ def _mark_geoms(
             text = warn_unmatched("geoms", pattern, names)
             warnings.append(f"of area {area.name!r}, {text}")
     if not chosen.any():
-        return Marked(masks, np.nan, warnings)
+        return masks, np.nan, warnings
     geoms, known = np.flatnonzero(chosen).tolist(), scene.choices
     modes = {geom: known[geom].mesh if known[geom].counted else "surface" for geom in geoms}
     choices = {geom: Choice(True, "marks an area", modes[geom]) for geom in geoms}
     shapes = collect_shapes(scene.model, scene.data, choices, scene.parts, geoms).shapes
-    bounds = None if len(shapes.planes.geom) or shapes.endless.any() else shapes.bounds
-    window = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
-    if bounds is not None:
-        near = lattice.window(bounds)
-        if near is None:
-            return Marked(masks, np.nan, warnings)
-        window = near
+    window: Window | None = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
+    if not len(shapes.planes.geom) and not shapes.endless.any():
+        window = None if shapes.bounds is None else lattice.window(shapes.bounds)
+    if window is None:
+        return masks, np.nan, warnings
     tiled = tile_shapes(shapes, lattice.cut(*window), lattice.cell_size)
     columns = cast_columns(tiled)
     # surfaces that enclose nothing are looked for in squares wider by 2 * TOUCH
     square = lattice.cell_size / 2 - 3 * TOUCH
-    touching = Footprint(square, 0.0, -BELOW, agent_height - TOUCH)
+    touching = Footprint(square, 0.0, -BELOW, high - TOUCH)
     for mask, level in zip(masks, levels, strict=True):
         floor = level.floor[window].ravel()
         cells = np.flatnonzero(~np.isnan(floor))
@@ -169,10 +160,10 @@ def _mark_geoms(
         if area.keeps_out:
             inside = look_at_cells(columns, tiled, touching, cells, floors).occupied
         else:
-            band: tuple[Float, Float] = (floors - BELOW, floors + agent_height)
+            band: tuple[Float, Float] = (floors - BELOW, floors + high)
             lines_blocked(cells, *band, columns.crossings, inside, 0, len(cells))
         part = np.zeros(len(floor), dtype=np.bool_)
         part[cells[inside]] = True
         mask[window] = part.reshape(mask[window].shape)
     thin = measure_geoms(shapes, len(names)).thin[geoms]
-    return Marked(masks, float(np.nanmin(thin, initial=np.inf)), warnings)
+    return masks, float(np.nanmin(thin, initial=np.inf)), warnings

@@ -29,7 +29,6 @@ NUMBERS = ("way", "level", "cell", "other_level", "other_cell", "between")
 LEAP = np.dtype([(name, np.int64) for name in NUMBERS] + [("z", "f8"), ("other_z", "f8")])
 """Index into `WAYS`, both ends, how many cells lie between, and the floors of both ends [m]."""
 
-
 Landing = Callable[[Int, Int, Float, int], tuple[Int, Bool, Bool]]
 """Of rows, columns, floors at the starts, and how many cells lie between, returns the levels to
 land on, whether one lands, and whether else one goes on."""
@@ -97,17 +96,9 @@ class Ground(NamedTuple):
         return self.stop(level, row * cols + col)
 
     def look_out(
-        self,
-        starts: tuple[int, Bool],
-        ways: Iterable[int],
-        gap: float,
-        land: Landing,
+        self, starts: tuple[int, Bool], ways: Iterable[int], gap: float, land: Landing
     ) -> Leaps:
-        """Go straight from marked cells of a level until `land` finds where one lands.
-
-        Args:
-            gap: the widest between two cells [m].
-        """
+        """Go straight from marked cells of a level over a gap [m] until `land` lands."""
         level, marked = starts
         parts, (rows, cols) = [np.empty(0, dtype=LEAP)], self.lattice.shape
         for way in ways:
@@ -161,8 +152,7 @@ class Ground(NamedTuple):
 
         Returns each group, its middle one, and how wide it is for discs [m].
         """
-        groups, cols = [], self.lattice.width
-        size = self.lattice.cell_size
+        groups, cols, size = [], self.lattice.width, self.lattice.cell_size
         for key in np.unique(found[["level", "other_level", "way"]]):
             own = found[found[["level", "other_level", "way"]] == key]
             own = own[np.argsort(own["cell"], kind="stable")]

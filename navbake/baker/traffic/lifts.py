@@ -15,7 +15,6 @@ from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.names import all_names, find_subtree_ends, geoms_of_bodies
 from navbake.baker.scene.pose import data_with_joints
-from navbake.baker.scene.scene import Scene
 from navbake.baker.traffic.ground import WAYS, Ground, Landing, MadeLink, Space
 from navbake.config.traffic import LinkSettings
 from navbake.navgrid.links import Stop
@@ -49,8 +48,9 @@ def find_ladders(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     links = []
     for name, mask in things:
         box = ground.scene.shapes.only(mask).bounds
-        stops = [] if box is None else list(_stops_beside(box, gap, ground))
-        if box is not None and len(stops) > 1:
+        if box is None:
+            continue
+        if len(stops := list(_stops_beside(box, gap, ground))) > 1:
             width = round(float(np.diff(box[:, :2], axis=0).max()), 6)
             links.append(MadeLink(stops, {"name": name, "width": width}))
     return links
@@ -102,7 +102,6 @@ def find_lifts(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
     links, gap = [], LIFT_GAP if rule.gap is None else rule.gap
     for car in _find_cars(ground, rule.patterns or ("*",), gap):
         stops, width = list[Stop](), car.width
-
         for level in range(len(ground.floors)):
             land = _landing(car, level, ground)
             found = ground.look_out((level, car.floor), range(len(WAYS)), gap, land)
@@ -138,20 +137,17 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
     scene, lattice, model = ground.scene, ground.lattice, ground.scene.model
     names, ends = all_names(model).bodies, find_subtree_ends(model)
     slides = (model.jnt_type == SLIDE) & np.asarray(model.jnt_limited, np.bool_)
-    slides &= (model.body_jntnum[model.jnt_bodyid] == 1) & (
-        np.abs(scene.data.xaxis[:, 2]) > UPRIGHT
-    )
+    slides &= model.body_jntnum[model.jnt_bodyid] == 1
+    slides &= np.abs(scene.data.xaxis[:, 2]) > UPRIGHT
     for joint in np.flatnonzero(slides).tolist():
         body, axis = int(model.jnt_bodyid[joint]), float(scene.data.xaxis[joint, 2])
+        if not any(fnmatchcase(names[body], pattern) for pattern in patterns):
+            continue
         own = _mark_body(model, body, int(ends[body]))
         shapes = scene.shapes.only(own)
         bounds = shapes.bounds
         window = None if bounds is None else lattice.window(bounds, gap + lattice.cell_size)
-        if (
-            bounds is None
-            or window is None
-            or not any(fnmatchcase(names[body], pattern) for pattern in patterns)
-        ):
+        if bounds is None or window is None:
             continue
         part = lattice.cut(*window)
         columns = cast_columns(tile_shapes(shapes, part, 0.0))
@@ -174,30 +170,15 @@ def _find_cars(ground: Ground, patterns: Sequence[str], gap: float) -> Iterator[
         width = float(measure_geoms(shapes, model.ngeom).thin[carrier])
         now, top = float(scene.data.qpos[model.jnt_qposadr[joint]]), float(z[flat].max())
         low, high = sorted(top + axis * (end - now) for end in model.jnt_range[joint].tolist())
-        yield Car(
-            names[body],
-            joint,
-            own,
-            window,
-            floor,
-            outline,
-            top,
-            low,
-            high,
-            width,
-            _place_of(scene, carrier, bounds),
-        )
-
-
-def _place_of(scene: Scene, geom: int, bounds: Float) -> tuple[float, ...]:
-    """Where a car stands: by its floor's frame if that is an upright box, else by its bounds."""
-    model, turn = scene.model, scene.data.geom_xmat[geom]
-    middle, yaw, size = bounds.mean(axis=0), 0.0, np.diff(bounds, axis=0)[0]
-    if model.geom_type[geom] == BOX and turn[8] >= UPRIGHT:
-        middle, size = scene.data.geom_xpos[geom], 2.0 * model.geom_size[geom]
-        yaw = float(np.arctan2(turn[3], turn[0]))
-    found = (middle[0], middle[1], yaw, size[0], size[1])
-    return tuple(round(float(value), 6) + 0.0 for value in found)
+        # where it stands: by its floor's frame if that is an upright box, else by its bounds
+        middle, yaw, size = bounds.mean(axis=0), 0.0, np.diff(bounds, axis=0)[0]
+        turn = scene.data.geom_xmat[carrier]
+        if model.geom_type[carrier] == BOX and turn[8] >= UPRIGHT:
+            middle, size = scene.data.geom_xpos[carrier], 2.0 * model.geom_size[carrier]
+            yaw = float(np.arctan2(turn[3], turn[0]))
+        place = (round(float(v), 6) + 0.0 for v in (middle[0], middle[1], yaw, size[0], size[1]))
+        cells = window, floor, outline
+        yield Car(names[body], joint, own, *cells, top, low, high, width, tuple(place))
 
 
 def _space_at(car: Car, height: float, ground: Ground) -> Space:

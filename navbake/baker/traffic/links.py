@@ -1,45 +1,38 @@
-"""Links: those of the settings, put on cells, and those that its rules find in the scene."""
+"""Links: those of the settings, put on cells, and those that its rules find, as drops and jumps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.scene.names import unique_name
-from navbake.baker.traffic.drops import find_edges
-from navbake.baker.traffic.ground import Ground, MadeLink
+from navbake.baker.traffic.ground import LEAP, WAYS, Ground, MadeLink
 from navbake.baker.traffic.lifts import find_ladders, find_lifts
 from navbake.config.traffic import LinkSettings
 from navbake.navgrid.links import Stop
+from navbake.types import Bool, Float, Int
 
-NEAR = (
-    0.5  # how far a stop of the settings may be from its cell, seen from above, and in height [m]
-)
-FINDERS: dict[str, Callable[[Ground, LinkSettings], list[MadeLink]]] = {
-    "drop": find_edges,
-    "jump": find_edges,
-    "ladder": find_ladders,
-    "lift": find_lifts,
-}
+NEAR = 0.5  # of a given stop from its cell, seen from above, and in height [m]
+DROP, GAP = 1.0, 0.5  # heights of drops, and gaps, that are not in the settings [m]
 
 
-class Links(NamedTuple):
+class BakedLinks(NamedTuple):
     """The named links of a bake, cells counted on the whole lattice, and warnings."""
 
     links: list[MadeLink]
     warnings: list[str]
 
 
-def find_links(ground: Ground, settings: list[LinkSettings]) -> Links:
+def find_links(ground: Ground, settings: list[LinkSettings]) -> BakedLinks:
     """Put the given links on cells, and find those that rules ask for; given ones first.
 
     A stop without a free cell nearby, or on the cell of one before, is left out, and so is a link
     of fewer than two stops.
     """
     links, warnings = list[MadeLink](), list[str]()
+    finders = {"ladder": find_ladders, "lift": find_lifts}
     for given in settings:
         if given.auto is None:
             link, told = _place_link(given, ground)
@@ -49,7 +42,7 @@ def find_links(ground: Ground, settings: list[LinkSettings]) -> Links:
     for rule in settings:
         if rule.auto is None:
             continue
-        found = FINDERS[rule.auto](ground, rule)
+        found = finders.get(rule.auto, find_edges)(ground, rule)
         found.sort(key=lambda link: [(stop.level, stop.cell) for stop in link.stops])
         for number, link in enumerate(found, 1):
             name = unique_name(link.fields.get("name") or f"{rule.auto} {number}", taken)
@@ -57,7 +50,7 @@ def find_links(ground: Ground, settings: list[LinkSettings]) -> Links:
             links.append(MadeLink(link.stops, {**link.fields, **_stated(rule), **named}))
         if not found:
             warnings.append(f"`links` asks for {rule.auto}s, but the scene has none")
-    return Links(links, warnings)
+    return BakedLinks(links, warnings)
 
 
 def _stated(settings: LinkSettings) -> dict[str, object]:
@@ -109,3 +102,40 @@ def _find_stop(x: float, y: float, z: float, ground: Ground) -> Stop | str:
     row, col = np.unravel_index(int(np.argmin(off)), off.shape)
     cell = (int(row) + rows.start) * lattice.width + int(col) + cols.start
     return Stop(level, cell, (x, y, z))
+
+
+def find_edges(ground: Ground, rule: LinkSettings) -> list[MadeLink]:
+    """Find the drops or jumps of a rule, up to its height and over gaps up to its own [m].
+
+    An edge is a free cell beside which no floor lies within a step. A drop leads straight from
+    there to the first free cell that is lower than that; the agent goes on at its height and falls.
+    A jump leads over a gap of at least a cell to a floor at about the same height, within a step
+    unless the rule has a height. Nothing stands in the way: between them and over both ends, up to
+    the agent's height over the higher one. Those side by side are one link, at their middle, whose
+    stops are as far from the edge as an agent of its width needs, see `Ground.stand_back`.
+    """
+    is_drop = rule.auto == "drop"
+    most = SLACK + (rule.height or (DROP if is_drop else ground.step))
+
+    def land(rows: Int, cols: Int, z: Float, between: int) -> tuple[Int, Bool, Bool]:
+        rise: Float = np.nan_to_num(ground.floors[:, rows, cols] - z, nan=-np.inf)
+        goes_on = np.asarray(~(np.abs(rise) <= ground.step).any(axis=0))
+        if is_drop:  # it falls onto the highest
+            rise = np.where(rise < -ground.step, rise, -np.inf)
+            level, lands = rise.argmax(axis=0), goes_on & (rise.max(axis=0) >= -most)
+        else:
+            level = np.abs(rise).argmin(axis=0)
+            lands = (np.abs(rise).min(axis=0) <= most) & (between > 0)
+        lands = lands & ground.free[level, rows, cols]
+        return level, np.asarray(lands), goes_on
+
+    gap, ways = GAP if rule.gap is None else rule.gap, range(len(WAYS) if is_drop else 2)
+    parts = [ground.look_out((n, free), ways, gap, land) for n, free in enumerate(ground.free)]
+    found = np.concatenate([np.empty(0, dtype=LEAP), *parts])
+    links = []
+    for _, middle, width in ground.group(found[ground.are_clear(found, ground.space)]):
+        way, level, cell, other, other_cell, *_ = middle.tolist()
+        start = ground.stand_back(level, cell, (way + 2) % len(WAYS), width)
+        end = ground.stand_back(other, other_cell, way, width)
+        links.append(MadeLink([start, end], {"one_way": is_drop, "width": width}))
+    return links

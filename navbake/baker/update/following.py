@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, mark_geoms
 from navbake.baker.kernels.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.hidden_room import HiddenRoom
 from navbake.baker.scene.model import OpenScene, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
-from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_digest
+from navbake.baker.scene.scene import HiddenRoom, Scene, digest_names, load_scene, start_digest
 from navbake.baker.scene.shapes import Items, Shapes
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError

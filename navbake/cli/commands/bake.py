@@ -312,7 +312,7 @@ def _bake_one(
     config: BakeConfig, target: Path, threads: int | None, isolation: Isolation, with_timings: bool
 ) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.baker.scene.isolated import CompileLimits
+    from navbake.baker.scene.model import CompileLimits
     from navbake.formats.navgrid import dumps_navgrid, write_navgrid
     from navbake.views.describe import describe
 

@@ -73,26 +73,25 @@ def crossed_cells(a, b, layout, level):
     """
     (u0, v0), (u1, v1) = a, b
     du, dv = u1 - u0, v1 - v0
-    size = abs(math.floor(u1) - math.floor(u0)) + abs(math.floor(v1) - math.floor(v0)) + 2
-    cuts = np.empty(size, np.float64)  # where the line crosses an edge of the lattice
-    cuts[0], num = 0.0, 1
-    for start, end, d in ((u0, u1, du), (v0, v1, dv)):
-        for line in range(math.floor(min(start, end)) + 1, math.ceil(max(start, end))):
-            cuts[num] = (line - start) / d
-            num += 1
-    cuts[num] = 1.0
-    cuts = np.sort(cuts[: num + 1])
-    cells, enter = np.empty(num, np.int64), np.empty(num + 1, np.float64)
-    count = 0
-    for i in range(num):
-        if cuts[i + 1] - cuts[i] <= 1e-12 and num > 1:  # two edges at once: a corner
-            continue
-        middle = (cuts[i] + cuts[i + 1]) / 2.0  # inside of the cell, so rounding does no harm
-        row = min(max(math.floor(v0 + middle * dv), 0), layout.height[level] - 1)
-        col = min(max(math.floor(u0 + middle * du), 0), layout.width[level] - 1)
-        cells[count] = layout.start[level] + row * layout.width[level] + col
-        enter[count] = cuts[i]
-        count += 1
+    row, col = math.floor(v0), math.floor(u0)
+    most = abs(math.floor(u1) - col) + abs(math.floor(v1) - row) + 2
+    cells, enter = np.empty(most, np.int64), np.zeros(most + 1)
+    count, leave = 0, 0.0
+    while leave < 1.0:
+        # where the line leaves the cell, over an edge or at its end
+        to_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
+        to_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
+        leave = min(to_u, to_v, 1.0)
+        if leave - enter[count] > 1e-12 or (leave >= 1.0 and count == 0):
+            r = min(max(row, 0), layout.height[level] - 1)
+            c = min(max(col, 0), layout.width[level] - 1)
+            cells[count] = layout.start[level] + r * layout.width[level] + c
+            count += 1
+            enter[count] = leave
+        if to_u <= to_v:
+            col += 1 if du > 0.0 else -1
+        else:
+            row += 1 if dv > 0.0 else -1
     enter[count] = 1.0
     return cells[:count], enter[: count + 1]
 
@@ -100,26 +99,13 @@ def crossed_cells(a, b, layout, level):
 @part
 def line_cost(a, b, level, graph):
     """The length in cells of a line between points x, y, each part times its cell's weight."""
-    u0, v0 = in_cells(graph.layout, level, a[0], a[1])
-    u1, v1 = in_cells(graph.layout, level, b[0], b[1])
-    first, width = graph.layout.start[level], graph.layout.width[level]
-    du, dv = u1 - u0, v1 - v0
-    row, col = math.floor(v0), math.floor(u0)
-    total = share = 0.0
-    while True:
-        # where the line leaves the cell; 0 of it lies in cells that it only touches
-        to_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
-        to_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
-        leave = min(to_u, to_v, 1.0)
-        if leave > share:
-            total += (leave - share) * graph.weight[first + row * width + col]
-            share = leave
-        if leave >= 1.0:
-            return total * math.hypot(du, dv)
-        if to_u <= to_v:
-            col += 1 if du > 0.0 else -1
-        else:
-            row += 1 if dv > 0.0 else -1
+    start = in_cells(graph.layout, level, a[0], a[1])
+    end = in_cells(graph.layout, level, b[0], b[1])
+    cells, enter = crossed_cells(start, end, graph.layout, level)
+    total = 0.0
+    for k in range(len(cells)):
+        total += (enter[k + 1] - enter[k]) * graph.weight[cells[k]]
+    return total * math.hypot(end[0] - start[0], end[1] - start[1])
 
 
 @part

@@ -16,7 +16,7 @@ from navbake.formats.source import read_object, write_bytes
 from navbake.navgrid.colors import color_rooms
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
-from navbake.navgrid.user_data import NAMES, Shared, UserData, names_in
+from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
 from navbake.views import tables as made
 from navbake.views.describe import describe, stair_table
@@ -240,13 +240,8 @@ def _number_names(level: SceneGrid2D) -> tuple[Int, list[Json]]:
         return found[key]
 
     numbers = np.full(level.height * level.width, NONE, dtype=np.int64)
-    source = UserData.of(level.user_data).source
-    if isinstance(source, Shared):
-        cells, number, entries = source
-        numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[number]
-    else:
-        for cell, entry in source.items():
-            numbers[cell] = number_of(entry)
+    cells, number, entries = UserData.of(level.user_data).shared()
+    numbers[cells] = np.array([number_of(entry) for entry in entries], np.int64)[number]
     return numbers.reshape(level.shape), lists
 
 

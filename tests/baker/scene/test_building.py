@@ -13,7 +13,7 @@ import yaml
 
 import navbake
 from navbake.baker.scene.building import make_slab
-from navbake.baker.scene.isolated import CompileLimits
+from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
@@ -170,10 +170,7 @@ def test_fiducials_lay_levels_over_each_other_in_any_pose(lab, write, baked):
         (lambda lab: lab.update(coordinate_system="wgs84"), "in wgs84: expected reference_image"),
         (lambda lab: lab["levels"]["L1"]["walls"].append([0, 99, {}]), "index 99"),
         (lambda lab: lab.pop("levels"), "expected `levels`"),
-        (
-            lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"),
-            "lift 'A' .*KeyError 'L9'",
-        ),
+        (lambda lab: lab["lifts"]["A"].update(initial_floor_name="L9"), "lift 'A' .*KeyError 'L9'"),
         (
             lambda lab: lab["levels"]["L1"]["walls"].append([0, 0, {}, []]),
             None,  # a pillar

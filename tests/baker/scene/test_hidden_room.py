@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from navbake.baker.scene import hidden_room
-from navbake.baker.scene.hidden_room import MOST_LINES, HiddenRoom
+from navbake.baker.scene import scene
+from navbake.baker.scene.scene import MOST_LINES, HiddenRoom
 from navbake.config.settings import AgentSettings, FloorSettings
 
 
@@ -38,8 +38,8 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
     found = SimpleNamespace(shapes=SimpleNamespace(bounds=bounds))
-    monkeypatch.setattr(hidden_room, "collect_shapes", lambda *arguments: found)
-    monkeypatch.setattr(hidden_room, "tile_shapes", tile)
+    monkeypatch.setattr(scene, "collect_shapes", lambda *arguments: found)
+    monkeypatch.setattr(scene, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])
     model = SimpleNamespace(geom_aabb=box, geom_dataid=[0])
     data = SimpleNamespace(geom_xmat=np.eye(3).ravel()[None])

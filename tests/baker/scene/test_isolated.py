@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.baker.scene import isolated
-from navbake.baker.scene.isolated import CompileLimits, load_isolated
-from navbake.baker.scene.model import load_model
+from navbake.baker.scene import model
+from navbake.baker.scene.model import CompileLimits, load_isolated, load_model
 from navbake.cli.main import main
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, NavbakeError, SceneError
@@ -37,13 +36,13 @@ def room(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["house.xml", "clutter.obj"])
 def test_the_model_is_the_same(name):
     settings = SceneSettings(path=CONFIGS / "scenes" / name, ground=-1.0)
-    model, parts, ground = load_isolated(settings, CompileLimits(), [])[:3]
+    isolated, parts, ground = load_isolated(settings, CompileLimits(), [])[:3]
     expected, expected_parts, expected_ground = load_model(settings, [])[:3]
     assert ground == expected_ground
     assert list(parts) == list(expected_parts)
-    assert model.names == expected.names
+    assert isolated.names == expected.names
     for array in ("geom_pos", "geom_size", "mesh_vert", "mesh_graph", "body_inertia"):
-        np.testing.assert_array_equal(getattr(model, array), getattr(expected, array))
+        np.testing.assert_array_equal(getattr(isolated, array), getattr(expected, array))
 
 
 def test_errors_are_those_of_this_process(room):
@@ -62,11 +61,11 @@ def test_errors_are_those_of_this_process(room):
 
 def crash(monkeypatch, code):
     """Let the child run some code in place of MuJoCo's compiler, with its limits."""
-    begin = "from navbake.baker.scene import isolated\n"
-    hook = f"def load(*_):\n    {code}\nisolated.load_model = load\n"
-    run = "isolated.compile_job(sys.argv[1])"
+    begin = "from navbake.baker.scene import model\n"
+    hook = f"def load(*_):\n    {code}\nmodel.load_model = load\n"
+    run = "model.compile_job(sys.argv[1])"
     child = f"import sys; sys.path[:] = {{path!r}}\n{begin}{hook}{run}"
-    monkeypatch.setattr(isolated, "CHILD", child)
+    monkeypatch.setattr(model, "CHILD", child)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a signal ends a process on POSIX")
@@ -152,7 +151,7 @@ def test_the_current_folder_is_not_searched_for_modules(room, monkeypatch):
 
 
 def test_a_child_that_cannot_start_is_not_the_scenes_fault(room, monkeypatch):
-    monkeypatch.setattr(isolated, "CHILD", "import sys; {path!r}; sys.exit(3)")
+    monkeypatch.setattr(model, "CHILD", "import sys; {path!r}; sys.exit(3)")
     with pytest.raises(NavbakeError, match=r"cannot start a process .* \(exit status 3\)"):
         load_isolated(SceneSettings(path=room), CompileLimits(), [])
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 import navbake
 from navbake.baker.scene import pieces
-from navbake.baker.scene.isolated import CompileLimits
+from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
@@ -258,7 +258,7 @@ def test_broken_worlds(tmp_path):
     loop = '<frame name="a" attached_to="b"/><frame name="b" attached_to="a"/>'
     fails(model(lost.replace("roof", "a") + loop), r"frame 'a' of m .*relative to itself")
     joint = '<joint name="j" type="fixed"><parent>l</parent><child>no</child></joint>'
-    fails(model(link(BOX) + joint, more=""), r"no link 'no' in model 'm'")
+    fails(model(link(BOX) + joint, more=""), r"no frame 'no' of m in .*w\.sdf: it has j, l")
     write(tmp_path, model("<include><uri>model://self</uri></include>"), "self/model.sdf")
     fails("<include><uri>model://self</uri></include>", r"self/model\.sdf includes itself")
 
@@ -415,7 +415,7 @@ def test_a_world_bakes_and_is_verified(tmp_path):
 
 
 def test_trimesh_agrees_on_tessellated_solids():
-    from navbake.baker.scene.pieces import tessellate
+    from navbake.baker.scene.tessellation import tessellate
 
     sizes = {"sphere": (1.0,), "capsule": (0.5, 2.0), "cylinder": (1.0, 2.0), "cone": (1.0, 2.0),
              "ellipsoid": (1.0, 2.0, 3.0), "box": (1.0, 2.0, 3.0)}  # fmt: skip

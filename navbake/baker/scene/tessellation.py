@@ -1,10 +1,66 @@
-"""Polygons of a mesh as triangles."""
+"""Triangles of solids, and of the polygons of a mesh."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
+from navbake.baker.scene.shapes import hull_faces
 from navbake.types import Float, Int, Int32
+
+SIDES = 32  # of a round solid that is drawn by triangles
+
+
+class Mesh(NamedTuple):
+    """Triangles that several pieces may have in common, counter-clockwise from outside."""
+
+    vertices: Float
+    faces: Int32
+
+
+def tessellate(kind: str, size: Sequence[float]) -> Mesh:
+    """A solid as triangles; round ones, and cones, with `SIDES` sides.
+
+    Sizes are MuJoCo's; a cone's are the radius of its base and half its height, its tip is up.
+    """
+    if kind == "plane":
+        corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        halves = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+        return Mesh(corners * (*size[:2], 1.0), halves)
+    if kind == "box":
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+        hull = hull_faces(corners.astype(np.float64))
+        assert hull is not None
+        return Mesh(corners, hull)
+    radius, half = size[0], size[1] if len(size) > 1 else 0.0
+    arc = np.linspace(-math.pi / 2, 0.0, SIDES // 4 + 1)
+    if kind == "cylinder":
+        profile = [(0.0, -half), (radius, -half), (radius, half), (0.0, half)]
+    elif kind == "cone":
+        profile = [(0.0, -half), (radius, -half), (0.0, half)]
+    else:
+        lift = half if kind == "capsule" else 0.0
+        lower = [(radius * math.cos(a), radius * math.sin(a) - lift) for a in arc.tolist()]
+        profile = lower + [(r, -z) for r, z in lower[::-1][lift == 0 :]]
+    ends, rings = (profile[0], profile[-1]), profile[1:-1]
+    turn = np.arange(SIDES) * (2 * math.pi / SIDES)
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    layers = [np.column_stack([r * around, np.full(SIDES, z)]) for r, z in rings]
+    vertices = np.concatenate([*layers, [[0.0, 0.0, ends[0][1]], [0.0, 0.0, ends[1][1]]]])
+    here, beside = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
+    low, high = len(vertices) - 2, len(vertices) - 1
+    top = (len(rings) - 1) * SIDES
+    faces = [np.column_stack([np.full(SIDES, low), beside, here])]
+    for start in range(0, top, SIDES):
+        a, b = start + here, start + beside
+        faces += [np.column_stack([a, b, b + SIDES]), np.column_stack([a, b + SIDES, a + SIDES])]
+    faces.append(np.column_stack([top + here, top + beside, np.full(SIDES, high)]))
+    if kind == "ellipsoid":
+        vertices = vertices / radius * np.asarray(size)
+    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
 def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32:
