@@ -364,18 +364,22 @@ def _distance(line: Float, points: Float) -> float:
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """Encode a grid's rooms as GraphML, see `RoomGraph.to_networkx`."""
+    return {path: encode_networkx(make_room_graph(grid).to_networkx())}
+
+
+def encode_networkx(graph: Any) -> bytes:
+    """Encode a graph of networkx as GraphML; control characters are replaced."""
     networkx = import_extra("networkx")
-    graph = make_room_graph(grid).to_networkx()
 
     def allowed(value: Any) -> Any:
-        """Replace control characters, which XML 1.0 can't hold."""
         is_text = isinstance(value, str)
         return re.sub("[\0-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
     named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
-    for entry in (*dict(named.nodes(data=True)).values(), *(e for *_, e in named.edges(data=True))):
+    nodes, edges = named.nodes(data=True), named.edges(data=True)
+    for entry in (named.graph, *dict(nodes).values(), *(entry for *_, entry in edges)):
         entry.update({key: allowed(value) for key, value in entry.items()})
     file = io.BytesIO()
     # this writer needs the standard library alone, so all machines write the same bytes
     networkx.write_graphml_xml(named, file)
-    return {path: file.getvalue() + b"\n"}
+    return file.getvalue() + b"\n"

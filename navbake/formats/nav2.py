@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
@@ -50,6 +49,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.runtime.inflation import SCALING
 from navbake.types import Json
+from navbake.yaml_text import encode_yaml
 
 MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")
@@ -153,9 +153,8 @@ def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image:
         "free_thresh": free,
         "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # ignored by nav2
     }
-    text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
     kind = {"pgm": "PPM", "png": "PNG"}[image]
-    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
+    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: encode_yaml(entries)}
 
 
 def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2D:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
@@ -29,6 +28,7 @@ from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.links import Link
 from navbake.types import Bool, Float, Json
+from navbake.yaml_text import encode_yaml
 
 shapely = lazy("shapely")
 routes = lazy("navbake.routes.build")
@@ -87,8 +87,7 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
         "levels": {name: own.to_yaml() for name, own in zip(names, levels, strict=True)},
         "lifts": known,
     }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    return {path: text.encode()}
+    return {path: encode_yaml(content)}
 
 
 def _elevation(level: SceneGrid2D) -> float:

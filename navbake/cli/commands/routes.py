@@ -11,8 +11,7 @@ import navbake
 from navbake.cli.options import OUTPUT, STDOUT, GridFile, check_output, option, write_stdout
 from navbake.cli.printing import say_unless_quiet
 from navbake.errors import FormatError
-from navbake.formats.route_files import ROUTE_FORMATS, find_module, write_routes
-from navbake.lazy import resolve
+from navbake.formats.convert import ROUTE_FORMATS, find_format
 
 # Functions import what loads numpy when they run: --help stays quick.
 
@@ -27,6 +26,7 @@ def routes(
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
+    from navbake.formats.route_files import encode_routes, write_routes
     from navbake.navgrid.agents import Agent
     from navbake.routes.build import make_routes
     from navbake.runtime.agents import find_agent
@@ -34,7 +34,7 @@ def routes(
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     try:
-        module = find_module(output, to)
+        find_format(output, to, writing=True, formats=ROUTE_FORMATS)
     except FormatError as error:
         raise BadParameter(str(error), param_hint="--to" if to else "-o") from error
     check_output(output, inputs=[grid])
@@ -45,7 +45,7 @@ def routes(
     graph = make_routes(content, own)
     graph = graph if level is None else graph.on_level(level)
     if output == STDOUT:
-        write_stdout(resolve(f"{module}:encode_routes")(graph))
+        write_stdout(encode_routes(graph, output, to))
         return
     write_routes(graph, output, to)
     nodes, lanes = len(graph.nodes), len(graph.lanes)
@@ -57,9 +57,6 @@ routes.__doc__ = "\n\n".join(
         "Make a graph of where agents drive: nodes, and lanes that are free for them.",
         "Example: navbake routes house.grid.json -o house.geojson",
         "Formats:",
-        *(
-            f"{name} ({', '.join(ends)}): {for_}."
-            for name, (_, ends, for_) in ROUTE_FORMATS.items()
-        ),
+        *(f"{form.name} ({', '.join(form.endings)}): {form.meaning}." for form in ROUTE_FORMATS),
     )
 )
