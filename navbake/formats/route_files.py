@@ -35,19 +35,11 @@ from typing import Any
 import orjson
 
 from navbake.errors import FormatError
+from navbake.formats import source
 from navbake.formats.allowance import MISSING, JsonPath, json_object, optional_object
 from navbake.formats.allowance import number as number_of
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
-from navbake.formats.source import (
-    check_path,
-    import_extra,
-    path_name,
-    read_bytes,
-    read_object,
-    read_yaml,
-    write_files,
-)
 from navbake.lazy import resolve
 from navbake.navgrid.agents import SPEED
 from navbake.navgrid.metadata import read_table
@@ -60,7 +52,7 @@ LOG = logging.getLogger(__name__)
 
 def write_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> list[Path]:
     """Write a graph of routes, in a format given by name or else by the file's ending."""
-    return write_files({Path(check_path(path)): encode_routes(graph, path, to)})
+    return source.write_files({Path(source.check_path(path)): encode_routes(graph, path, to)})
 
 
 def encode_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None = None) -> bytes:
@@ -73,10 +65,9 @@ def encode_routes(graph: RouteGraph, path: str | PathLike[str], to: str | None =
 def read_routes(path: str | PathLike[str], origin: str | None = None) -> RouteGraph:
     """Read a graph of routes, in a format given by name or else by the file's ending.
 
-    Raises:
-        FormatError: the format is unknown, or the file broken.
+    Raises a FormatError if the format is unknown, or the file broken.
     """
-    form = find_format(check_path(path), origin, writing=False, formats=ROUTE_FORMATS)
+    form = find_format(source.check_path(path), origin, writing=False, formats=ROUTE_FORMATS)
     graph: RouteGraph = resolve(f"navbake.formats.{form.read}")(path)
     return graph
 
@@ -190,7 +181,7 @@ def read_nav2_route(path: str | PathLike[str]) -> RouteGraph:
     A ``speed_limit`` without ``abs_speed_limit`` is percent of the agent's speed, which is 1 m/s
     where the file has none.
     """
-    content, name = read_object(path, expected="a GeoJSON FeatureCollection")
+    content, name = source.read_object(path, expected="a GeoJSON FeatureCollection")
     rows = _Rows(name)
     place, top = rows.top, json_object(content, rows.top)
     features = top.get("features")
@@ -275,7 +266,7 @@ def read_lif(path: str | PathLike[str]) -> RouteGraph:
 
     Nodes have the names that it states, or their ids, if it states a name twice.
     """
-    content, name = read_object(path, expected="a LIF (JSON)")
+    content, name = source.read_object(path, expected="a LIF (JSON)")
     rows = _Rows(name)
     top = json_object(content, rows.top)
     layouts = [
@@ -359,7 +350,7 @@ def encode_rmf(graph: RouteGraph) -> bytes:
 
 def read_rmf(path: str | PathLike[str]) -> RouteGraph:
     """Read a navigation graph of Open-RMF."""
-    content, name = read_yaml(path, expected="a navigation graph")
+    content, name = source.read_yaml(path, expected="a navigation graph")
     rows = _Rows(name)
     place, top = rows.top, json_object(content, rows.top)
     levels = json_object(top.get("levels"), place["levels"])
@@ -409,7 +400,7 @@ def _triples(content: Json, key: str, place: JsonPath) -> list[list[Any]]:
 
 def encode_graphml(graph: RouteGraph) -> bytes:
     """Encode a graph by networkx: nodes by name, with ``x``, ``y``, ``z`` [m]."""
-    made = import_extra("networkx").MultiDiGraph()
+    made = source.import_extra("networkx").MultiDiGraph()
     about = entry_of(graph)
     made.graph.update({**about, "level_names": orjson.dumps(about["level_names"]).decode()})
     for number, node in enumerate(graph.nodes):
@@ -423,13 +414,15 @@ def encode_graphml(graph: RouteGraph) -> bytes:
 
 def read_graphml(path: str | PathLike[str]) -> RouteGraph:
     """Read a graph whose nodes have ``x`` and ``y``."""
-    networkx = import_extra("networkx")
-    data, name = read_bytes(path)
+    networkx = source.import_extra("networkx")
+    data, name = source.read_bytes(path)
     try:
         found = networkx.read_graphml(io.BytesIO(data), force_multigraph=True)
     except Exception as error:  # networkx and expat raise many types
         why = " ".join(str(error).split())[:200] or type(error).__name__
-        raise FormatError(f"expected GraphML, {path_name(name)} can't be read: {why}") from error
+        raise FormatError(
+            f"expected GraphML, {source.path_name(name)} can't be read: {why}"
+        ) from error
     rows = _Rows(name)
     for node, entry in found.nodes(data=True):
         spot = [entry.get("x"), entry.get("y"), entry.get("z", 0.0)]

@@ -226,8 +226,9 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     from rich.filesize import decimal
 
     from navbake.auditor.report import count_of
-    from navbake.batch.cost import BROKEN, DONE, measure_cost, preview
     from navbake.batch.index import read_index
+    from navbake.batch.run import BROKEN, measure_cost, preview
+    from navbake.batch.workers import DONE
 
     found = preview(plan, jobs)
     if as_json:
@@ -333,10 +334,10 @@ class _Watch:
         """Print the result."""
         from rich.filesize import decimal
 
-        from navbake.batch.cost import measure_cost
         from navbake.batch.index import NAME, TABLE
         from navbake.batch.page import NAME as PAGE
         from navbake.batch.page import write_page
+        from navbake.batch.run import measure_cost
         from navbake.batch.store import shown
 
         baked, failed, left = map(result.count, ("ok", "failed", "left"))
