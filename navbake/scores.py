@@ -15,7 +15,6 @@ import functools
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 

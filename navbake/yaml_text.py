@@ -1,4 +1,4 @@
-"""Reads hand-written YAML: plain scalars as in YAML 1.2, and unique keys."""
+"""Writes YAML, and reads hand-written YAML: plain scalars as in YAML 1.2, and unique keys."""
 
 import re
 from collections.abc import Hashable, Mapping, Sequence
@@ -67,6 +67,14 @@ def decode_yaml(content: bytes, source: str) -> Any:
     except UnicodeDecodeError as error:
         raise ConfigError(f"{source} is no YAML: byte {error.start} is not UTF-8") from error
     return parse_yaml(text, source)
+
+
+def encode_yaml(content: Any) -> bytes:
+    """Encode content as YAML in its own order, innermost lists and mappings in a line."""
+    text: str = yaml.safe_dump(
+        content, sort_keys=False, default_flow_style=None, allow_unicode=True
+    )
+    return text.encode()
 
 
 def parse_yaml(text: str, source: str) -> Any:

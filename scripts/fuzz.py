@@ -44,6 +44,7 @@ from navbake.config.settings import SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.binvox import encode_binvox
+from navbake.formats.convert import ROUTE_FORMATS
 from navbake.formats.grscenes import encode_grscenes
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
@@ -51,11 +52,10 @@ from navbake.formats.npz import encode_grid_npz, encode_npz, read_grid_npz, read
 from navbake.formats.octomap import encode_octomap
 from navbake.formats.omnigibson import encode_omnigibson
 from navbake.formats.procthor import encode_procthor
-from navbake.formats.route_files import ROUTE_FORMATS, find_module, read_routes
+from navbake.formats.route_files import encode_routes, read_routes
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.voxels import read_voxels
-from navbake.lazy import resolve
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import Lane, Node, RouteGraph
 from navbake.scores import read_trajectories
@@ -363,9 +363,9 @@ READERS = {
     "usda": Reader(use_scene, lambda: [USDA], ".usda"),
     "building": Reader(use_scene, lambda: [BUILDING], ".building.yaml"),
     "geojson": Reader(read_room_outlines, lambda: [OUTLINES], ".geojson"),
-    **{form: Reader(lambda p, form=form: read_routes(p, form),  # type: ignore[misc]
-                    lambda form=form: [resolve(f"{find_module('', form)}:encode_routes")(ROUTES)],
-                    ends[0]) for form, (_, ends, _) in ROUTE_FORMATS.items()},
+    **{form.name: Reader(lambda p, form=form: read_routes(p, form.name),  # type: ignore[misc]
+                         lambda form=form: [encode_routes(ROUTES, "", form.name)],
+                         form.endings[0]) for form in ROUTE_FORMATS},
     "settings": Reader(load_config, lambda: [SETTINGS], ".yaml"),
     "manifest": Reader(lambda p: list_jobs([str(p)]),
                        lambda: [{"scene": "a.xml", "id": "hall", "agent.radius": 0.2}], ".jsonl"),

@@ -17,18 +17,8 @@ from typing import Any, NamedTuple
 
 import filelock
 
+from navbake.batch import store
 from navbake.batch.products import CLASSES
-from navbake.batch.store import (
-    Folder,
-    MissingFileError,
-    check_inside,
-    join,
-    read_file,
-    refused,
-    remove_files,
-    sizes_below,
-    write_file,
-)
 from navbake.errors import NavbakeError
 from navbake.files import write_all
 from navbake.formats.source import import_extra
@@ -65,7 +55,7 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
         raise NavbakeError(f"expected a folder to write into, got {folder}, which is a file")
     name = NAME if part is None else part.file
     for own in (LOCK, name, TABLE):
-        check_inside(folder, folder / own)
+        store.check_inside(folder, folder / own)
     slices: list[str] = []
     with ExitStack() as stack:
 
@@ -90,9 +80,9 @@ def only_batch(folder: Path, part: Slice | None = None) -> Iterator[None]:
         except NotImplementedError:  # a file system without locks
             pass
         except OSError as error:
-            raise refused(f"into {folder}", error) from error
+            raise store.refused(f"into {folder}", error) from error
         yield
-        remove_files(folder, slices)
+        store.remove_files(folder, slices)
 
 
 class LineFile:
@@ -112,13 +102,13 @@ class LineFile:
                     if file.read() != b"\n":  # a truncated line
                         os.write(self._file, b"\n")
         except OSError as error:
-            raise refused(what, error) from error
+            raise store.refused(what, error) from error
 
     def add(self, line: Json) -> None:
         try:
             write_all(self._file, line_of(line))
         except OSError as error:
-            raise refused(self._what, error) from error
+            raise store.refused(self._what, error) from error
 
     def close(self) -> None:
         """Close the file."""
@@ -127,7 +117,7 @@ class LineFile:
 
 
 def write_index(
-    folder: Folder, rows: Iterable[Json], has_table: bool, part: Slice | None = None
+    folder: store.Folder, rows: Iterable[Json], has_table: bool, part: Slice | None = None
 ) -> None:
     """Write a batch's rows in its order, then the existing rows of other scenes.
 
@@ -136,35 +126,35 @@ def write_index(
     """
     own = {row["id"]: row for row in rows}
     if part is not None:
-        write_file(folder, part.file, b"".join(map(line_of, own.values())))
+        store.write_file(folder, part.file, b"".join(map(line_of, own.values())))
         return
     parts = find_parts(folder)
     others = merge_rows(folder, (*parts, NAME))
     own |= {id: row for id, row in others.items() if id not in own}
-    write_file(folder, NAME, b"".join(map(line_of, own.values())))
+    store.write_file(folder, NAME, b"".join(map(line_of, own.values())))
     if has_table:
-        write_file(folder, TABLE, encode_rows(own.values()))
+        store.write_file(folder, TABLE, encode_rows(own.values()))
     else:
-        remove_files(folder, [TABLE])  # outdated
-    remove_files(folder, parts)
+        store.remove_files(folder, [TABLE])  # outdated
+    store.remove_files(folder, parts)
 
 
-def find_parts(folder: Folder) -> list[str]:
+def find_parts(folder: store.Folder) -> list[str]:
     """The names of the parts of the index that slices wrote, by count and number."""
-    names = sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
+    names = store.sizes_below(folder) if isinstance(folder, str) else os.listdir(folder)
     found = [match for match in map(PART.fullmatch, names) if match]
     return [match[0] for match in sorted(found, key=lambda match: (int(match[2]), int(match[1])))]
 
 
-def read_index(folder: Folder, name: str = NAME) -> dict[str, Json]:
+def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
     """The last row of each scene, by its id; {} without an index.
 
     A truncated line, as of a killed batch, is skipped.
     """
     rows: dict[str, Json] = {}
     try:
-        content = read_file(join(folder, name))
-    except MissingFileError:
+        content = store.read_file(store.join(folder, name))
+    except store.MissingFileError:
         return rows
     for line in content.split(b"\n"):
         try:
@@ -176,7 +166,7 @@ def read_index(folder: Folder, name: str = NAME) -> dict[str, Json]:
     return rows
 
 
-def merge_rows(folder: Folder, names: Iterable[str]) -> dict[str, Json]:
+def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
     """The rows of an index and parts of it, by id: of each scene, the one that ended last."""
     rows: dict[str, Json] = {}
     for name in names:
@@ -207,8 +197,7 @@ def _refuse(word: str) -> float:
 def encode_rows(rows: Iterable[Json]) -> bytes:
     """Encode rows as Parquet with the fixed columns of `_schema`; equal rows give equal bytes.
 
-    Raises:
-        NavbakeError: a row has a value of another type, as in an edited index.
+    Raises a NavbakeError if a row has a value of another type, as in an edited index.
     """
     parquet = import_extra("pyarrow.parquet", "batch", "Parquet")
     pyarrow = import_extra("pyarrow", "batch", "Parquet")

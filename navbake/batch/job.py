@@ -22,6 +22,7 @@ from navbake.auditor.audit import audit
 from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
+from navbake.batch import store
 from navbake.batch.products import (
     GRID,
     OWN,
@@ -31,23 +32,6 @@ from navbake.batch.products import (
     write_thumbnail,
 )
 from navbake.batch.settings import Job, outlines_of, settings_of
-from navbake.batch.store import (
-    Folder,
-    Mirror,
-    allow_hosts,
-    as_folder,
-    check_host,
-    check_inside,
-    describe_file,
-    is_url,
-    join,
-    read_file,
-    refused,
-    remove_files,
-    shown,
-    why_full,
-    write_file,
-)
 from navbake.config.settings import (
     BakeConfig,
     load_config,
@@ -75,7 +59,7 @@ OF_RECORD = ("more", "content", "settings", "products")
 class Plan(NamedTuple):
     """The options of a batch."""
 
-    folder: Folder  #: The output folder, a Path or a URL.
+    folder: store.Folder  #: The output folder, a Path or a URL.
     settings: Json  #: Those that all scenes share, by section.
     #: ``a.b=value``, which replace those of the batch and of the scene.
     overrides: tuple[str, ...] = ()
@@ -85,10 +69,10 @@ class Plan(NamedTuple):
     #: Further hosts that lists, settings and redirects on the web may lead to.
     hosts: tuple[str, ...] = ()
 
-    def place(self, job: Job) -> Folder:
+    def place(self, job: Job) -> store.Folder:
         """A scene's output folder; a NavbakeError if it is a link out of `folder`."""
-        place = as_folder(join(self.folder, job.id))
-        check_inside(self.folder, place)
+        place = store.as_folder(store.join(self.folder, job.id))
+        store.check_inside(self.folder, place)
         return place
 
     def named(self, job: Job) -> list[str]:
@@ -122,9 +106,9 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
     store's digest) of each input file. Textures and skins change no cell and are left out. `whole`
     copies all files from stores, else only those that name others.
     """
-    allow_hosts(plan.hosts)
-    check_host(job.source, plan.named(job))
-    with Mirror(plan.named(job)) as mirror:
+    store.allow_hosts(plan.hosts)
+    store.check_host(job.source, plan.named(job))
+    with store.Mirror(plan.named(job)) as mirror:
         try:
             config = settings_of(job, plan.settings, plan.overrides, mirror.fetch)
             scene = _describe(plan, config, mirror)
@@ -136,12 +120,12 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
             yield scene
         except (NavbakeError, OSError) as error:
             told = mirror.told(str(error))
-            if why_full(error) or told == str(error):
+            if store.why_full(error) or told == str(error):
                 raise
             raise NavbakeError(told) from error
 
 
-def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
+def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
     """The files and the key of a scene from its settings."""
     home = config.inputs[0].parent
     inputs: dict[str, Json] = {}
@@ -151,7 +135,7 @@ def _describe(plan: Plan, config: BakeConfig, mirror: Mirror) -> Scene:
             if mirror.has(path):
                 url, state = mirror.url_of(path), mirror.describe(path)
                 inputs[_name(plan, url or path)] = state
-                files.append([shown(url) if url else _relative(path, home), *state.values()])
+                files.append([store.shown(url) if url else _relative(path, home), *state.values()])
     left_out: Any = {"output": True, "scene": {"path", "model_path"}}
     settings = config.model_dump(mode="json", exclude=left_out)
     name = config.inputs[0].name  # which the grid states
@@ -194,7 +178,7 @@ def check_record(
         if row["id"] != job.id:
             return None, NEW
         for name, state in row["files"].items():
-            path = Path(join(place, name))
+            path = Path(store.join(place, name))
             there = os.path.getsize(path) if sizes is None and path.exists() else None
             if (there if sizes is None else sizes.get(f"{job.id}/{name}")) != state["size"]:
                 return None, "made files"
@@ -219,21 +203,21 @@ def _what_changed(plan: Plan, record: Json, scene: Scene) -> str:
     return ", ".join([*changed, *([f"files: {' '.join(files)}"] if files else [])]) or "files"
 
 
-def read_record(place: Folder) -> Json:
+def read_record(place: store.Folder) -> Json:
     """The record in a scene's folder of the files made there; {} if none."""
     with suppress(NavbakeError, ValueError):
-        record = json.loads(read_file(join(place, RECORD)))
+        record = json.loads(store.read_file(store.join(place, RECORD)))
         if isinstance(record, dict) and isinstance(record.get("files"), dict):
             return record
     return {}
 
 
-def write_record(place: Folder, record: Json) -> None:
+def write_record(place: store.Folder, record: Json) -> None:
     """Write the record of the files in a scene's folder, see `remove_made`."""
-    write_file(place, RECORD, json.dumps(record, allow_nan=False).encode())
+    store.write_file(place, RECORD, json.dumps(record, allow_nan=False).encode())
 
 
-def remove_made(place: Folder) -> None:
+def remove_made(place: store.Folder) -> None:
     """Remove a scene's recorded outputs and leftovers of killed writers, and nothing else.
 
     A scene's folder may hold the user's own files. So the names of all products are recorded before
@@ -242,7 +226,7 @@ def remove_made(place: Folder) -> None:
     record = read_record(place)
     made = filter(OWN.fullmatch, {*record.get("files", ()), *record.get("more", ())} - {GRID})
     # the grid first, as it marks completeness; the record last, as it names the others
-    remove_files(place, [GRID, *sorted(made), RECORD])
+    store.remove_files(place, [GRID, *sorted(made), RECORD])
     if isinstance(place, Path):
         remove_leftovers(place, age=0)
 
@@ -268,8 +252,8 @@ def bake_scene(plan: Plan, job: Job) -> Json:
             line = traceback.format_exception_only(error)[-1].strip()
             why = printable(f"{line} (an unexpected error)")
         row = fail(plan, job, ERROR, why, time.perf_counter() - begin)
-        if full := why_full(error):
-            why = str(refused(f"into {shown(os.fspath(plan.place(job)))}", full))
+        if full := store.why_full(error):
+            why = str(store.refused(f"into {store.shown(os.fspath(plan.place(job)))}", full))
             row = {**begin_row(plan, job, LEFT), "error": why}
         return row
 
@@ -356,7 +340,7 @@ def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
         place = plan.place(job._replace(id=job.twin))
         if read_record(place).get("content") != scene.content:
             return None
-        grid = read_navgrid(read_file(join(place, GRID)))
+        grid = read_navgrid(store.read_file(store.join(place, GRID)))
     except NavbakeError:
         return None
     stated = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
@@ -369,7 +353,7 @@ def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
 
 
 def _write_products(
-    plan: Plan, place: Folder, grid: NavGrid, config: BakeConfig, row: Json
+    plan: Plan, place: store.Folder, grid: NavGrid, config: BakeConfig, row: Json
 ) -> Json:
     """Write all products, the grid last; returns size and digest of each file by its name.
 
@@ -383,7 +367,7 @@ def _write_products(
                 before = row.setdefault("episodes", {}).get(measure, [0] * len(counts))
                 row["episodes"][measure] = [a + b for a, b in zip(before, counts, strict=True)]
         write_navgrid(grid, folder / GRID)
-        files = {name: describe_file(folder / name) for name in sorted(os.listdir(folder))}
+        files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
             write_thumbnail(grid, folder)
         others = [name for name in os.listdir(folder) if name != GRID]
@@ -393,7 +377,7 @@ def _write_products(
         if own:
             write_record(place, {"files": {}, "more": own})
         for name in (*others, GRID):
-            write_file(place, name, (folder / name).read_bytes())
+            store.write_file(place, name, (folder / name).read_bytes())
     return files
 
 
@@ -403,8 +387,8 @@ def _times(seconds: float) -> Json:
 
 def _name(plan: Plan, path: str | Path) -> str:
     """The index's name of a file: its URL, or its path from the output folder."""
-    if is_url(path):
-        return shown(str(path))
+    if store.is_url(path):
+        return store.shown(str(path))
     if isinstance(plan.folder, Path):
         return _relative(path, os.path.realpath(plan.folder))
     return Path(os.path.abspath(path)).as_posix()

@@ -24,9 +24,16 @@ from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
 from navbake.formats.source import write_bytes
 from navbake.formats.voxels import write_voxels
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.types import Json
 from navbake.views.layers import LAYERS
+
+# loaded by the products that need them
+voxelizer = lazy("navbake.baker.voxelize.voxelizer")
+notebook = lazy("navbake.views.notebook")
+plot = lazy("navbake.views.plot")
+report = lazy("navbake.views.report.report")
 
 GRID = "grid.json.gz"  # of every scene, written last
 PICTURE, REPORT = "picture.png", "report.html"
@@ -71,9 +78,7 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
 
 def write_thumbnail(grid: NavGrid, folder: Path) -> None:
     """Write a small picture of a grid for the batch's page."""
-    from navbake.views.notebook import draw_thumbnail  # loads Pillow
-
-    write_bytes(draw_thumbnail(grid), folder / THUMBNAIL)
+    write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
 
 
 def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
@@ -116,19 +121,13 @@ def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
 
 
 def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.formats.nav2 import encode_nav2  # loaded on use
-
-    path = folder / f"{'-'.join(('nav2', *values))}.yaml"
     radius = float(values[0]) if values else None
-    for file, content in encode_nav2(grid, path, radius=radius).items():
-        write_bytes(content, file)
+    grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
 
 
 def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.baker.voxelize.voxelizer import Voxelizer  # loads more of the baker than a bake
-
     edge, ending = values
-    voxels = Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
+    voxels = voxelizer.Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
     write_voxels(voxels, folder / f"voxels-{'.'.join(values)}")
 
 
@@ -151,9 +150,8 @@ def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
         msgspec.structs.replace(episode, id=f"{episode.scene}/{episode.id}")
         for episode in drawn.episodes
     )
-    write_episodes(
-        EpisodeSet(drawn.header, episodes), folder / f"episodes-{'-'.join(values)}.jsonl"
-    )
+    file = folder / f"episodes-{'-'.join(values)}.jsonl"
+    write_episodes(EpisodeSet(drawn.header, episodes), file)
     measured: dict[str, list[float | None]] = {
         "distance": [episode.distance for episode in episodes],
         "ratio": [episode.ratio for episode in episodes],
@@ -205,15 +203,11 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
 
 
 def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.views.plot import plot_grid  # loads Pillow
-
-    plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
+    plot.plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
 
 
 def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    from navbake.views.report.report import write_report  # loaded on use
-
-    write_report(grid, folder / REPORT, audits=[audit(grid)])
+    report.write_report(grid, folder / REPORT, audits=[audit(grid)])
 
 
 class Kind(NamedTuple):

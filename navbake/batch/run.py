@@ -1,10 +1,19 @@
-"""Bakes a batch of scenes, each once, and writes the index."""
+"""Bakes a batch of scenes, each once, and writes the index, sets of episodes and shards.
+
+Shards are tar files as WebDataset reads them. A sample is a scene. Its key is the scene's id, with
+``%2E`` for a dot and ``%25`` for a percent sign, because a key ends at the first dot of a file's
+name. Its members are the scene's files (``0001.grid.json.gz`` for the key ``0001``) and its row of
+the index, without times (``0001.json``). Shards hold equally many scenes, in the batch's order, and
+equal scenes give equal bytes: members have no time, no owner and one mode.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+import tarfile
 from collections import defaultdict
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
@@ -12,19 +21,14 @@ from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
 from navbake._version import __version__
-from navbake.batch.index import (
-    NAME,
-    LineFile,
-    Slice,
-    find_parts,
-    merge_rows,
-    only_batch,
-    write_index,
-)
+from navbake.batch import index, store
 from navbake.batch.job import (
     FAILED,
     LEFT,
+    NEW,
     OK,
     Plan,
     bake_scene,
@@ -33,21 +37,14 @@ from navbake.batch.job import (
     fail,
     open_scene,
     prepare,
+    read_record,
     stamp,
+    write_record,
 )
-from navbake.batch.products import merge_sets
+from navbake.batch.products import RECORD, merge_sets
 from navbake.batch.settings import Job, check_settings
-from navbake.batch.shards import write_shards
-from navbake.batch.store import (
-    FullError,
-    is_url,
-    join,
-    read_file,
-    sizes_below,
-    write_file,
-)
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers
 from navbake.formats.source import import_extra
 from navbake.types import Json
@@ -55,6 +52,10 @@ from navbake.types import Json
 AT_ONCE = 16  # scenes whose records are read at once
 # keys of a record that are not in the index
 BOOKKEEPING = ("key", "inputs", "files", "ended")
+SHARD = re.compile(r"shard-\d{6,}\.tar")
+TIMES = ("seconds", "stages", "ended")  # keys of a row that differ each time
+BROKEN = "broken"  # why a scene would be baked in vain
+SHARES = (50, 90, 100)  # percentiles
 
 
 Executor: TypeAlias = Callable[..., Generator[Ended, None, None]]
@@ -89,7 +90,7 @@ def run_batch(
     limits: JobLimits = JobLimits(),  # noqa: B008 it is a tuple
     max_failures: int | None = None,
     executor: Executor | None = None,
-    part: Slice | None = None,
+    part: index.Slice | None = None,
     only_merge: bool = False,
     shards: int | None = None,
 ) -> BatchResult:
@@ -125,13 +126,16 @@ def run_batch(
     if part is not None:
         jobs = jobs[part.number - 1 :: part.total]
     with ExitStack() as stack:
-        lines: LineFile | None = None
+        lines: index.LineFile | None = None
         if isinstance(plan.folder, Path):
-            stack.enter_context(only_batch(plan.folder, part))
-            lines = LineFile(plan.folder / (part.file if part else NAME), f"into {plan.folder}")
+            stack.enter_context(index.only_batch(plan.folder, part))
+            lines = index.LineFile(
+                plan.folder / (part.file if part else index.NAME), f"into {plan.folder}"
+            )
             stack.callback(lines.close)
         rows = read_parts(plan, jobs) if only_merge else {}
-        rows |= find_done(plan, [job for job in jobs if job.id not in rows])
+        checked = check_records(plan, [job for job in jobs if job.id not in rows])
+        rows |= {row["id"]: row for row, _ in checked if row is not None}
         left = [] if only_merge else [job for job in jobs if job.id not in rows]
         result, num_failed = BatchResult(skipped=len(rows)), 0
         if only_merge:
@@ -176,7 +180,7 @@ def run_batch(
                             break
                 if result.stopped is not None:
                     break
-        except FullError as error:
+        except store.FullError as error:
             result.stopped = str(error)
         finally:
             for job in left:
@@ -186,8 +190,8 @@ def run_batch(
                         remove_leftovers(Path(plan.place(job)), age=0)
             result.rows = [rows.get(job.id) or begin_row(plan, job, LEFT) for job in jobs]
             try:
-                write_index(plan.folder, result.rows, plan.has_table, part)
-            except FullError as error:
+                index.write_index(plan.folder, result.rows, plan.has_table, part)
+            except store.FullError as error:
                 result.stopped = result.stopped or str(error)
         if result.stopped is None and part is None:
             try:
@@ -208,25 +212,64 @@ def write_sets(plan: Plan, rows: Sequence[Json]) -> None:
         name = f"episodes-{'-'.join(values)}.jsonl"
         ids = [row["id"] for row in rows if name in row.get("files", ())]
         if kind == "episodes" and ids:
-            sets = [(id, read_file(join(plan.folder, f"{id}/{name}"))) for id in ids]
-            write_file(plan.folder, name, merge_sets(sets))
+            sets = [(id, store.read_file(store.join(plan.folder, f"{id}/{name}"))) for id in ids]
+            store.write_file(plan.folder, name, merge_sets(sets))
 
 
-def find_done(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
-    """The rows of scenes that are done already, by id."""
-    return {row["id"]: row for row, _ in check_records(plan, jobs) if row is not None}
+def write_shards(folder: store.Folder, rows: Sequence[Json], count: int | None) -> None:
+    """Write ``shard-000000.tar`` and on, `count` of them, or one a scene if there are fewer scenes.
+
+    `rows` are those of the index; scenes that aren't ``ok`` are left out. Shards are recorded as
+    the files of a scene are. Outdated ones are removed, all of them if `count` is None; other files
+    of such a name are left alone.
+    """
+    packed = [row for row in rows if row["status"] == OK] if count else []
+    number = min(count or 0, len(packed))
+    names = [f"shard-{k:06}.tar" for k in range(number)]
+    before = {*filter(SHARD.fullmatch, read_record(folder).get("files", ()))}
+    if names:
+        write_record(folder, {"files": dict.fromkeys(sorted({*before, *names}))})
+    for k, name in enumerate(names):
+        some = packed[len(packed) * k // number : len(packed) * (k + 1) // number]
+        store.write_file(folder, name, _encode_shard(folder, some))
+    store.remove_files(folder, sorted(before - {*names}))
+    if names:
+        write_record(folder, {"files": dict.fromkeys(names)})
+    elif before:
+        store.remove_files(folder, [RECORD])
+
+
+def _encode_shard(folder: store.Folder, rows: Sequence[Json]) -> Iterator[bytes]:
+    """The pieces of a tar file."""
+    for row in rows:
+        key = row["id"].replace("%", "%25").replace(".", "%2E")
+        for name in sorted(row["files"]):
+            yield from _member(
+                f"{key}.{name}", store.read_file(store.join(folder, f"{row['id']}/{name}"))
+            )
+        kept = {name: value for name, value in row.items() if name not in TIMES}
+        yield from _member(f"{key}.json", index.line_of(kept))
+    yield bytes(2 * tarfile.BLOCKSIZE)
+
+
+def _member(name: str, content: bytes) -> Iterator[bytes]:
+    info = tarfile.TarInfo(name)
+    info.size = len(content)
+    yield info.tobuf(tarfile.PAX_FORMAT)
+    yield content
+    yield bytes(-len(content) % tarfile.BLOCKSIZE)
 
 
 def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, str]]:
     """What `job.check_record` returns for each scene."""
-    sizes = sizes_below(plan.folder) if isinstance(plan.folder, str) else None
+    sizes = store.sizes_below(plan.folder) if isinstance(plan.folder, str) else None
     with ThreadPoolExecutor(AT_ONCE) as pool:  # stores respond slowly
         return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
 
 
 def read_parts(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
     """The rows that slices wrote of scenes that they baked, or that failed there, by id."""
-    rows = merge_rows(plan.folder, find_parts(plan.folder))
+    rows = index.merge_rows(plan.folder, index.find_parts(plan.folder))
     own = {job.id for job in jobs}
     return {id: row for id, row in rows.items() if id in own and row.get("status") in (OK, FAILED)}
 
@@ -246,7 +289,8 @@ def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dic
     alike = defaultdict[str | int, list[Job]](list)
     for job in sorted(jobs, key=lambda job: job.id not in done):
         with suppress(OSError):
-            alike[job.source if is_url(job.source) else os.path.getsize(job.source)].append(job)
+            is_here = not store.is_url(job.source)
+            alike[os.path.getsize(job.source) if is_here else job.source].append(job)
     groups = [group for group in alike.values() if group[1:] and group[-1].id not in done]
     some = [job for group in groups for job in group]
     with ThreadPoolExecutor(AT_ONCE) as pool:
@@ -272,3 +316,73 @@ def line_of_event(event: str, values: Json) -> Json:
     if event == "begin":
         values["version"] = __version__
     return {"time": stamp(), "level": level, "event": event, **values}
+
+
+# ---------------------------------------------------------------- before and after a run
+
+
+def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
+    """Find out what a batch would do, and write nothing.
+
+    Returns an object for each scene, in order: `id`, `source`, `bytes` of its files, and `why` it
+    would be baked: ``new``, ``failed before``, ``equal to ID`` (which is baked once for both), or a
+    reason of `job.check_record`. Or ``done``, or ``broken: REASON`` for a scene that can't be read.
+
+    Raises:
+        ConfigError: an override or a shared setting is wrong.
+    """
+    check_settings([job.source for job in jobs], plan.settings, plan.overrides)
+    checked = check_records(plan, jobs)
+    done = {row["id"]: row for row, _ in checked if row is not None}
+    twins = find_twins(plan, jobs, done)
+    failed = {
+        id for id, row in index.read_index(plan.folder).items() if row.get("status") == FAILED
+    }
+
+    def measure(job: Job) -> tuple[int, str]:
+        if job.id in done:
+            return _sum_sizes(done[job.id].get("inputs")), ""
+        try:
+            with open_scene(plan, job, whole=False) as scene:
+                lack = "" if scene.inputs else f"{BROKEN}: no scene file {store.shown(job.source)}"
+                return _sum_sizes(scene.inputs), lack
+        except (NavbakeError, OSError) as error:
+            return 0, f"{BROKEN}: {printable(str(error))}"
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        measured = [*pool.map(measure, jobs)]
+    found = []
+    for job, (row, why), (num_bytes, broken) in zip(jobs, checked, measured, strict=True):
+        if row is not None:
+            why = DONE
+        elif broken or job.id in twins:
+            why = broken or f"equal to {twins[job.id]}"
+        elif why == NEW and job.id in failed:
+            why = "failed before"
+        source = begin_row(plan, job, "")["source"]
+        found.append({"id": job.id, "source": source, "why": why, "bytes": num_bytes})
+    return found
+
+
+def measure_cost(rows: Iterable[Json]) -> Json | None:
+    """What scenes that are ``ok`` cost, None without one.
+
+    Returns how many `scenes` there are, and of their `seconds`, and of the `bytes` of the files
+    that were made, the sum, the median, the 90th percentile and the largest.
+    """
+    done = [row for row in rows if row.get("status") == OK]
+    if not done:
+        return None
+    values = {
+        "seconds": [row.get("seconds", 0.0) for row in done],
+        "bytes": [_sum_sizes(row.get("files")) for row in done],
+    }
+    found: Json = {"scenes": len(done)}
+    for name, each in values.items():
+        shares = np.percentile(each, SHARES, method="inverted_cdf").tolist()
+        found[name] = dict(zip(("sum", "median", "p90", "max"), (sum(each), *shares), strict=True))
+    return found
+
+
+def _sum_sizes(files: Json | None) -> int:
+    return sum(state["size"] for state in (files or {}).values())

@@ -16,18 +16,9 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from navbake import samples
+from navbake.batch import store
 from navbake.batch.products import OWN
 from navbake.batch.settings import Job, check_shared, nest, of_id
-from navbake.batch.store import (
-    Folder,
-    is_url,
-    join,
-    match_files,
-    parent,
-    plain_path,
-    read_file,
-    shown,
-)
 from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import merge
 from navbake.config.settings import SECTIONS, BakeConfig
@@ -73,7 +64,7 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
         NavbakeError: a list can't be read.
         MissingDependencyError: a dependency for a URL or Parquet is not installed.
     """
-    found = [entry for source in sources for entry in _expand(plain_path(source), columns)]
+    found = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
     if not found:
         raise ConfigError("expected at least one scene, got none")
     jobs = [
@@ -158,17 +149,17 @@ def _name(found: list[Job]) -> list[str]:
 
 def _parts_of(source: str) -> tuple[str, ...]:
     """The parts of a path that can be an id: without its ending and the root."""
-    if is_url(source):
-        path = PurePosixPath("/", shown(source).partition("://")[2].rpartition("@")[2])
+    if store.is_url(source):
+        path = PurePosixPath("/", store.shown(source).partition("://")[2].rpartition("@")[2])
         return path.with_suffix("").parts[1:] if path.name else ("",)
     return Path(os.path.splitext(os.path.abspath(source))[0]).parts[1:]
 
 
 def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     """The scenes of a source."""
-    name = shown(source)
+    name = store.shown(source)
     is_pattern = glob.has_magic(name) and not os.path.exists(source)
-    if not is_url(source) and not is_pattern and not os.path.exists(source):
+    if not store.is_url(source) and not is_pattern and not os.path.exists(source):
         settings = str(samples.find(source))
         hint = "" if settings == source else f"; the settings of that name are {settings}"
         raise ConfigError(f"{WANTED} {source}: there is no such file{hint}")
@@ -178,8 +169,8 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
         folder = name.rstrip("/")
         raise ConfigError(f"{WANTED} the folder {folder}: name its files, as '{folder}/*.xml'")
     elif is_pattern:
-        if is_url(source):
-            paths = match_files(source)
+        if store.is_url(source):
+            paths = store.match_files(source)
         else:
             # a folder is no scene; one that can't be read, as by a broken link, will fail
             found = sorted(glob.glob(source, recursive=True))
@@ -187,7 +178,7 @@ def _expand(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
         if not paths:
             raise ConfigError(f"expected files that match {name}, got none")
         for path in paths:
-            yield Job("", path, {}, shown(path))
+            yield Job("", path, {}, store.shown(path))
     else:
         yield Job("", source, {}, name)
 
@@ -202,14 +193,14 @@ def _list_ending(name: str) -> str:
 
 def _read_list(source: str, columns: Mapping[str, str]) -> list[Job]:
     """The scenes of a list, each with the place of its row for messages."""
-    name = shown(source)
+    name = store.shown(source)
     read = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows, ".parquet": _table_rows}
-    content = read_file(source)
+    content = store.read_file(source)
     content = unpack(content, name) if name.lower().endswith(".gz") else content
     rows = read[_list_ending(name)](content, name, {*SCENE_KEYS, *columns.values()})
-    on_web = source if is_url(source) else ""
+    on_web = source if store.is_url(source) else ""
     jobs = [
-        _entry(_pick(row, columns, place), parent(source), place)._replace(list=on_web)
+        _entry(_pick(row, columns, place), store.parent(source), place)._replace(list=on_web)
         for place, row in rows
     ]
     if not jobs:
@@ -233,7 +224,7 @@ def _pick(row: Json, columns: Mapping[str, str], place: str) -> Json:
     return picked if columns else row
 
 
-def _entry(row: Json, folder: Folder, place: str) -> Job:
+def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     row = _without_nones(row)
     given = [row.pop(key) for key in SCENE_KEYS if key in row]
     if len(given) != 1 or not isinstance(given[0], str):
@@ -257,7 +248,7 @@ def _entry(row: Json, folder: Folder, place: str) -> Job:
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
-    return Job("" if name is None else str(name), join(folder, given[0]), settings, place)
+    return Job("" if name is None else str(name), store.join(folder, given[0]), settings, place)
 
 
 def _without_nones(row: Mapping[str, Any]) -> Json:

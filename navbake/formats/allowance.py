@@ -40,16 +40,12 @@ JSON = (str, int, float, dict, list, tuple)
 # ---------------------------------------------------------------- values and their locations
 
 
-class _Missing:
-    """Marks a missing field."""
-
-
-MISSING = _Missing()
+MISSING: Any = object()  # stands for a missing field
 
 
 def shown(value: object) -> str:
     """Format a value for an error message: short, on one line."""
-    if isinstance(value, _Missing):
+    if value is MISSING:
         return "nothing"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
@@ -174,7 +170,8 @@ class Allowance:
     def __init__(self, num_bytes: int, keyword: str = "", most: int | None = None) -> None:
         if most is not None and not (isinstance(most, int) and most >= 1):
             raise FormatError(f"expected {keyword} to be a whole number >= 1, got {most!r}")
-        self._keyword, self._most = keyword, most
+        self._keyword = keyword
+        self._remedy = f"pass {keyword} if that is meant" if keyword else ""
         rule = FREE_BYTES + BYTES_PER_BYTE * num_bytes
         self._rule = f"a file of {num_bytes:,} bytes may fill ({rule:,} bytes)"
         self._cells = {"max_cells": MAX_CELLS, "max_voxels": MAX_VOXELS, "": MAX_PIXELS}[keyword]
@@ -212,7 +209,3 @@ class Allowance:
         if self._text < 0:
             what = f"more text than a file of {self._num_bytes:,} bytes may unpack to"
             place.fail(what, "unpack it first if that is meant")
-
-    @property
-    def _remedy(self) -> str:
-        return f"pass {self._keyword} if that is meant" if self._keyword else ""

@@ -90,15 +90,33 @@ FORMATS = (
            "free cells and the steps between them as a sparse matrix, for scipy",
            "graphs:encode_cell_graph", None, ("cut_corners",)),
 )  # fmt: skip
-"""All formats; of formats with an ending in common, the first is its."""
+"""Formats of grids; of formats with an ending in common, the first is its."""
+
+ROUTE_FORMATS = (
+    Format("nav2-route", (".geojson",), "nav2's Route Server",
+           "route_files:encode_nav2_route", "route_files:read_nav2_route"),
+    Format("lif", (".json", ".lif"), "Layout Interchange Format of the VDMA",
+           "route_files:encode_lif", "route_files:read_lif"),
+    Format("rmf", (".yaml", ".yml"), "navigation graph of Open-RMF",
+           "route_files:encode_rmf", "route_files:read_rmf"),
+    Format("graphml", (".graphml",), "networkx, Gephi, yEd",
+           "route_files:encode_graphml", "route_files:read_graphml"),
+)  # fmt: skip
+"""Formats of graphs of routes."""
 
 
-def find_format(path: str | os.PathLike[str], name: str | None = None, *, writing: bool) -> Format:
-    """Find the format of a file, by its name in the table or else by the file's ending.
+def find_format(
+    path: str | os.PathLike[str],
+    name: str | None = None,
+    *,
+    writing: bool,
+    formats: tuple[Format, ...] = FORMATS,
+) -> Format:
+    """Find the format of a file, by its name in a table or else by the file's ending.
 
     `writing` selects among written formats, else among read ones. Raises a FormatError.
     """
-    known = [form for form in FORMATS if (form.encode if writing else form.read) is not None]
+    known = [form for form in formats if (form.encode if writing else form.read) is not None]
     done = "written" if writing else "read"
     if name is not None:
         for form in known:

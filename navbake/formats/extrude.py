@@ -24,7 +24,6 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import yaml
 
 from navbake.errors import FormatError
 from navbake.formats.convert import chosen_levels
@@ -32,6 +31,7 @@ from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Json
+from navbake.yaml_text import encode_yaml
 
 WALL_HEIGHT = 2.5  # over the highest floor [m]
 SLAB = 0.02  # thickness of a floor [m]; thin, because it takes headroom from the level below
@@ -104,10 +104,9 @@ def encode_mjcf(
     settings = _settings(grid, path, lattice, levels, stacked)
     settings_path = path.with_suffix(".yaml")
     check_named(path)
-    text = yaml.safe_dump(settings, sort_keys=False, default_flow_style=None, allow_unicode=True)
     head = f"# Bakes {_plain(path.name)} to the cells that it was made of.\n"
     lines = _scene_lines(grid.scene_id or path.stem, parts, settings, settings_path.name)
-    return {path: "".join(lines).encode(), settings_path: (head + text).encode()}
+    return {path: "".join(lines).encode(), settings_path: head.encode() + encode_yaml(settings)}
 
 
 def _floor_of(level: SceneGrid2D, is_flat: bool) -> Float:

@@ -20,6 +20,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.doors import DOOR_REACH, Door
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.lattice import rounded
 from navbake.navgrid.rooms import Room
 from navbake.runtime.flat_grid import map_rooms
 from navbake.runtime.search import Search
@@ -86,10 +87,7 @@ class CellGraph:
         """Convert the graph to networkx; for small grids, as each node is an object.
 
         Nodes are (level, row, col) with ``position``, x, y, z [m]; edges have ``weight``, the cost
-        of the step.
-
-        Raises:
-            MissingDependencyError: networkx is not installed.
+        of the step. Raises a MissingDependencyError without networkx.
         """
         graph: networkx.DiGraph[Any] = import_extra("networkx").DiGraph()
         names = list(zip(self.level.tolist(), self.row.tolist(), self.col.tolist(), strict=True))
@@ -204,10 +202,8 @@ class RoomGraph:
 
         Nodes have ``name``, ``level``, ``level_name``, ``area`` [m²], ``x``, ``y``, ``z`` of the
         centre [m], ``outdoors``; edges have ``kind``, ``door``, ``state``, ``passable``,
-        ``width``, ``x``, ``y``, ``z``, ``length`` [m]. A missing name, door or state is "".
-
-        Raises:
-            MissingDependencyError: networkx is not installed.
+        ``width``, ``x``, ``y``, ``z``, ``length`` [m]. A missing name, door or state is "". Raises
+        a MissingDependencyError without networkx.
         """
         graph: networkx.MultiGraph[Any] = import_extra("networkx").MultiGraph()
         for room in self.rooms:
@@ -256,7 +252,7 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
         ends: tuple[int, int], kind: str, width: float, position: Any,
         door: Door | None = None, passable: bool = True,
     ) -> None:  # fmt: skip
-        x, y, z = (round(float(v), 6) + 0.0 for v in position)
+        x, y, z = map(rounded, position)
         one, other = (rooms[end - 1].id if end else OUTSIDE for end in ends)
         length = sum(math.dist(rooms[end - 1].centroid, (x, y, z)) for end in ends if end)
         way = RoomWay(
@@ -364,18 +360,22 @@ def _distance(line: Float, points: Float) -> float:
 
 def encode_graphml(grid: NavGrid, path: Path) -> Files:
     """Encode a grid's rooms as GraphML, see `RoomGraph.to_networkx`."""
+    return {path: encode_networkx(make_room_graph(grid).to_networkx())}
+
+
+def encode_networkx(graph: Any) -> bytes:
+    """Encode a graph of networkx as GraphML; control characters are replaced."""
     networkx = import_extra("networkx")
-    graph = make_room_graph(grid).to_networkx()
 
     def allowed(value: Any) -> Any:
-        """Replace control characters, which XML 1.0 can't hold."""
         is_text = isinstance(value, str)
         return re.sub("[\0-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
     named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
-    for entry in (*dict(named.nodes(data=True)).values(), *(e for *_, e in named.edges(data=True))):
+    nodes, edges = named.nodes(data=True), named.edges(data=True)
+    for entry in (named.graph, *dict(nodes).values(), *(entry for *_, entry in edges)):
         entry.update({key: allowed(value) for key, value in entry.items()})
     file = io.BytesIO()
     # this writer needs the standard library alone, so all machines write the same bytes
     networkx.write_graphml_xml(named, file)
-    return {path: file.getvalue() + b"\n"}
+    return file.getvalue() + b"\n"

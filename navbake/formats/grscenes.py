@@ -59,10 +59,8 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     """Read an ``occupancy.npy`` as a grid of one level, with a flat floor at z = 0.
 
     Where the steps of x and y differ, cells are squares of the smaller one, each with the value of
-    the sample that its middle lies in. So each sample has a cell, and no wall gets a gap.
-
-    Raises:
-        FormatError: the file is no such map, or its coordinates are no even steps.
+    the sample that its middle lies in. So each sample has a cell, and no wall gets a gap. Raises a
+    FormatError if the file is no such map, or its coordinates are no even steps.
     """
     place = JsonPath(check_path(path))
     array = read_npy(path)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
 from os import PathLike
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +15,6 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import PIXEL_COST, Allowance, JsonPath
 from navbake.formats.source import path_name, read_bytes
 
-NO_TEXTS: Mapping[str, str] = MappingProxyType({})
 LUMA = (306, 601, 117)  # of 1024: shares of red, green and blue
 BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 
@@ -71,9 +68,7 @@ def read_pixels(source: str | PathLike[str]) -> Pixels:
     return Pixels(light, 255, channels[..., 3] if has_opacity else None, luma)
 
 
-def encode_image(
-    pixels: NDArray[np.uint8], kind: str, texts: Mapping[str, str] = NO_TEXTS
-) -> bytes:
+def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
     """Encode pixels, (height, width) or (height, width, 3 or 4), as ``PNG`` with texts by keyword.
 
     Or a binary PGM (``PPM`` to Pillow) of grey values, (height, width). Row 0 is the top.

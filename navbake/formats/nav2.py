@@ -25,31 +25,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.files import check_regular, readable_stem
+from navbake.formats import occupancy
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
 from navbake.formats.images import Pixels, encode_image, read_pixels
 from navbake.formats.navgrid import checked_grid
-from navbake.formats.occupancy import (
-    FREE,
-    INSCRIBED,
-    OCCUPIED,
-    UNKNOWN,
-    Values,
-    inflated_values,
-    lay_along_axes,
-    level_from_values,
-    values_of,
-)
 from navbake.formats.source import Files, check_named, check_path, read_yaml
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
+from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, rounded
 from navbake.runtime.inflation import SCALING
 from navbake.types import Json
+from navbake.yaml_text import encode_yaml
 
 MODES = ("trinary", "scale", "raw")
 RULES = ("humble", "main")
@@ -119,21 +109,23 @@ def encode_nav2(
     files: Files = {}
     for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
         if inflation is None:
-            values = values_of(grid, k)
+            values = occupancy.values_of(grid, k)
         else:
             robot = grid.agent_radius if radius is None else radius
-            values = inflated_values(grid, k, robot, inflation, scaling)
+            values = occupancy.inflated_values(grid, k, robot, inflation, scaling)
         files |= encode_map(grid.levels[k], values, yaml_path, mode, image)
     return files
 
 
-def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image: str) -> Files:
+def encode_map(
+    level: SceneGrid2D, values: occupancy.Values, path: Path, mode: str, image: str
+) -> Files:
     """The image of a level's values, and the YAML that names it."""
-    unknown, grey = values == UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
+    unknown, grey = values == occupancy.UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
     if mode == "raw":
         pixels = np.where(unknown, 255, values)
     elif mode == "trinary":
-        pixels = np.where(values >= INSCRIBED, GREY, FREE_GREY)
+        pixels = np.where(values >= occupancy.INSCRIBED, GREY, FREE_GREY)
         pixels = np.where(unknown, UNKNOWN_GREY, pixels)
     else:  # colours with opacity
         grey = np.where(unknown, 127, grey)
@@ -147,15 +139,14 @@ def encode_map(level: SceneGrid2D, values: Values, path: Path, mode: str, image:
         "image": image_path.name,
         "mode": mode,
         "resolution": float(level.lattice.cell_size),
-        "origin": [round(float(x_min), DIGITS) + 0.0, round(float(y_min), DIGITS) + 0.0, 0.0],
+        "origin": [rounded(x_min, DIGITS), rounded(y_min, DIGITS), 0.0],
         "negate": 0,
         "occupied_thresh": occupied,
         "free_thresh": free,
-        "navbake": {"ground": round(float(level.ground), DIGITS) + 0.0},  # ignored by nav2
+        "navbake": {"ground": rounded(level.ground, DIGITS)},  # ignored by nav2
     }
-    text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
     kind = {"pgm": "PPM", "png": "PNG"}[image]
-    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: text.encode()}
+    return {image_path: encode_image(pixels.astype(np.uint8), kind), path: encode_yaml(entries)}
 
 
 def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2D:
@@ -182,14 +173,14 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
     values, (x, y), stated = read_map(path, rules)
     content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
     metadata = {"sceneId": readable_stem(path), "nav2": content}
-    level = level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
+    level = occupancy.level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
 
 
 def read_map(
     path: str | PathLike[str], rules: str = "humble"
-) -> tuple[Values, tuple[float, float], MapRules]:
+) -> tuple[occupancy.Values, tuple[float, float], MapRules]:
     """Read a map's values on cells along the axes, its lower left corner x, y [m], and its YAML.
 
     See `read_nav2` for the arguments and errors.
@@ -204,7 +195,7 @@ def read_map(
         message = f"cannot read the image that `image` in {path} names: {error.strerror}"
         raise FormatError(f"{message} at {stated.image}") from error
     values = read_values(read_pixels(stated.image), stated, rules)
-    values, x, y = lay_along_axes(values, stated.origin, stated.resolution)
+    values, x, y = occupancy.lay_along_axes(values, stated.origin, stated.resolution)
     return values, (x, y), stated
 
 
@@ -251,7 +242,7 @@ def read_rules(path: str | PathLike[str]) -> MapRules:
     return MapRules(place_of_image, resolution, origin, mode, bool(negate), occupied, free, ground)
 
 
-def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> Values:
+def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> occupancy.Values:
     """The occupancy values of an image by nav2's rules, row 0 at the top; see the module's head."""
     light, steps, opacity = pixels.light, 3 * pixels.white, pixels.opacity
     is_main = rules == "main"
@@ -266,18 +257,20 @@ def read_values(pixels: Pixels, stated: MapRules, rules: str = "humble") -> Valu
     most, least = real(stated.occupied), real(stated.free)
     if stated.mode == "raw":
         known = np.rint(shade * 255)
-        table = np.where(known <= OCCUPIED, known, UNKNOWN)
+        table = np.where(known <= occupancy.OCCUPIED, known, occupancy.UNKNOWN)
     else:
-        between: NDArray[Any] = np.full(steps + 1, float(UNKNOWN))
+        between: NDArray[Any] = np.full(steps + 1, float(occupancy.UNKNOWN))
         if stated.mode == "scale":
             shares = (occupied - least) / real(stated.occupied - stated.free) * 100
             between = np.floor(shares + real(0.5)) if is_main else np.rint(shares)
         is_free = occupied <= least if is_main else occupied < least
         is_occupied = most <= occupied if is_main else most < occupied
-        table = np.where(is_free, FREE, np.where(is_occupied, OCCUPIED, between))
-    values: Values = table.astype(np.int8)[light]
+        table = np.where(
+            is_free, occupancy.FREE, np.where(is_occupied, occupancy.OCCUPIED, between)
+        )
+    values: occupancy.Values = table.astype(np.int8)[light]
     if opacity is not None and (stated.mode == "scale" or (is_main and stated.mode == "trinary")):
-        values[opacity != 255] = UNKNOWN
+        values[opacity != 255] = occupancy.UNKNOWN
     return values
 
 

@@ -237,24 +237,6 @@ def _encode_info(path: Path, scale: Scale) -> bytes:
 # ---------------------------------------------------------------- reading
 
 
-def read_keepout(
-    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
-) -> NavGrid:
-    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=False, grid=grid, level=level)
-
-
-def read_speed(
-    path: str | PathLike[str],
-    *,
-    grid: NavGrid | None = None,
-    level: int = 0,
-    agent: str | Agent | None = None,
-) -> NavGrid:
-    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
-
-
 def read_mask(
     path: str | PathLike[str],
     *,
@@ -323,6 +305,10 @@ def read_mask(
     done: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(done)
     return done
+
+
+read_keepout = partial(read_mask, has_limits=False)
+read_speed = partial(read_mask, has_limits=True)
 
 
 def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:

@@ -26,6 +26,7 @@ import orjson
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
+from navbake.formats import navgrid
 from navbake.formats.allowance import (
     MISSING,
     Allowance,
@@ -35,15 +36,6 @@ from navbake.formats.allowance import (
     optional_object,
     plain,
     whole_number,
-)
-from navbake.formats.navgrid import (
-    check_extra,
-    checked_grid,
-    encode_user_data,
-    read_level,
-    read_levels,
-    read_metadata,
-    warned_of_newer,
 )
 from navbake.formats.source import Files, parse_json, read_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -213,7 +205,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         )
         arrays[f"{k}/weights"] = level.weights
         arrays |= {f"{k}/{names[name]}": array for name, array in level.attributes.items()}
-        text = b"".join(encode_user_data(level, place["userData"]))
+        text = b"".join(navgrid.encode_user_data(level, place["userData"]))
         arrays[f"{k}/userData"] = np.frombuffer(text, dtype=np.uint8)
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
@@ -226,7 +218,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
 
 
 def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
-    check_extra(grid.extra, type(grid), place["extra"])
+    navgrid.check_extra(grid.extra, type(grid), place["extra"])
     return {
         "cellSize": number(grid.cell_size, place["cellSize"], positive=True),
         "unit": number(grid.unit, place["unit"], positive=True),
@@ -239,8 +231,7 @@ def _facts(grid: NavGrid, metadata: Json | None, place: JsonPath) -> Json:
 def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
     """Read a grid from an archive of `encode_grid_npz`, a file or its content; see `navbake.load`.
 
-    Raises:
-        FormatError: the file is no such archive, broken, or needs too much memory.
+    Raises a FormatError if the file is no such archive, broken, or needs too much memory.
     """
     expected = "a .npz of a grid"
     with open_archive(source, expected, "max_cells", max_cells) as archive:
@@ -257,14 +248,16 @@ def read_grid_npz(source: Content, *, max_cells: int | None = None) -> NavGrid:
         levels = [_content(archive, k, entry) for k, entry in enumerate(stated)]
         if kind == "MultiLevelGrid":
             whole = _with_extra(document, MultiLevelGrid, top)
-            house = read_levels({**whole, "grids": levels}, top, allowance, "levels")
-            return warned_of_newer(house, top, version > VERSION)
+            house = navgrid.read_levels({**whole, "grids": levels}, top, allowance, "levels")
+            return navgrid.warned_of_newer(house, top, version > VERSION)
         if kind != "SceneGrid2D" or len(stated) != 1:
             top["type"].refuse("'SceneGrid2D' of one level, or 'MultiLevelGrid'", kind)
         _ = _with_extra(document, SceneGrid2D, top)
-        whole = {"metadata": read_metadata(document, top)}
-        level = checked_grid(read_level(levels[0], top["levels"][0], allowance, whole), top)
-        return warned_of_newer(level, top, version > VERSION)
+        whole = {"metadata": navgrid.read_metadata(document, top)}
+        level = navgrid.checked_grid(
+            navgrid.read_level(levels[0], top["levels"][0], allowance, whole), top
+        )
+        return navgrid.warned_of_newer(level, top, version > VERSION)
 
 
 def _content(archive: _Archive, k: int, value: object) -> Json:
@@ -291,6 +284,6 @@ def _content(archive: _Archive, k: int, value: object) -> Json:
 def _with_extra(entry: Json, kind: type[NavGrid], place: JsonPath) -> Json:
     """An entry's fields and its extra fields in one object."""
     extra = optional_object(entry, "extra", place)
-    check_extra(extra, kind, place["extra"])
+    navgrid.check_extra(extra, kind, place["extra"])
     other = ("version", "extra", "levels", "attributes")
     return {**extra, **{key: value for key, value in entry.items() if key not in other}}

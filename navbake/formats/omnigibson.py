@@ -88,7 +88,7 @@ def encode_omnigibson(
             free &= _sample(own.free, lattice, half, right, up)
         pixels = np.where(free, np.uint8(255), np.uint8(0))
         name = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        files[name] = encode_image(pixels, "PNG", {"navbake": text})
+        files[name] = encode_image(pixels, "PNG", navbake=text)
         if number == 0 and NO_OBJECTS not in path.stem and own.room_index.any():
             files |= _encode_rooms(grid, path.parent, half, categories)
     return files
@@ -148,10 +148,8 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
     Cells are pixels of 0.01 m, or those that navbake made the map of. All have a flat floor, at
     z = 0 unless navbake wrote the map. Rooms are numbered as in ``floor_insseg_0.png``, which is
     read beside a map whose name ends in ``_0``; with ``room_categories.txt``, they are named as
-    OmniGibson names them, ``bedroom_0``.
-
-    Raises:
-        FormatError: the file is no such map, or a room map isn't of its size.
+    OmniGibson names them, ``bedroom_0``. Raises a FormatError if the file is no such map, or a room
+    map isn't of its size.
     """
     image = open_image(path, ("PNG",))
     own, size = image.info.get("navbake"), image.width

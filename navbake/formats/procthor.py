@@ -68,7 +68,7 @@ def encode_procthor(
             "room_ids_to_name": {str(room.index): room.name or room.id for room in rooms},
         }
         notes = {key: orjson.dumps(text).decode() for key, text in texts.items()}
-        files[own_path] = encode_image(pixels, "PNG", notes)
+        files[own_path] = encode_image(pixels, "PNG", **notes)
     return files
 
 
@@ -77,10 +77,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
 
     Rows and columns may run along either axis of the world, in either direction; they are turned
     to navbake's. All cells have a flat floor at the z of ``map_to_world``. Grey maps (``iTHORMap``)
-    have no rooms.
-
-    Raises:
-        FormatError: the file is no such map, or not along the world's axes.
+    have no rooms. Raises a FormatError if the file is no such map, or not along the world's axes.
     """
     image = open_image(path, ("PNG",))
     to_map = _matrix(image.info, "world_to_map", (2, 4), path)

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
@@ -27,8 +26,10 @@ from navbake.lazy import lazy
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
 from navbake.types import Bool, Float, Json
+from navbake.yaml_text import encode_yaml
 
 shapely = lazy("shapely")
 routes = lazy("navbake.routes.build")
@@ -52,7 +53,7 @@ class _Level:
             self.content[kind] = []
 
     def vertex(self, x: float, y: float, name: str = "") -> int:
-        place = round(float(x), DECIMALS) + 0.0, round(float(y), DECIMALS) + 0.0, name
+        place = rounded(x, DECIMALS), rounded(y, DECIMALS), name
         return self.numbers.setdefault(place, len(self.numbers))
 
     def to_yaml(self) -> Json:
@@ -61,11 +62,7 @@ class _Level:
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
-    """Encode a grid as a building.
-
-    Raises:
-        MissingDependencyError: shapely is not installed.
-    """
+    """Encode a grid as a building; raises a MissingDependencyError without shapely."""
     import_extra("shapely")
     names = list(grid.level_names)
     if len({*names}) < len(names):
@@ -87,8 +84,7 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
         "levels": {name: own.to_yaml() for name, own in zip(names, levels, strict=True)},
         "lifts": known,
     }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    return {path: text.encode()}
+    return {path: encode_yaml(content)}
 
 
 def _elevation(level: SceneGrid2D) -> float:

@@ -23,7 +23,7 @@ from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.lattice import Lattice, rounded
 from navbake.navgrid.polygon import find_fault
 from navbake.types import Float, Int, Json
 
@@ -60,25 +60,21 @@ class Shape:
 
     @property
     def geometry(self) -> BaseGeometry:
-        """The valid shapely Polygon, MultiPolygon or LineString, in metres.
-
-        Raises:
-            MissingDependencyError: shapely is not installed.
-        """
+        """The valid shapely Polygon, MultiPolygon or LineString [m], if shapely is installed."""
         shapely = import_extra("shapely")
         if self.line is not None:
             line: BaseGeometry = shapely.LineString(self.line)
             return line
         polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in self.parts]
-        joined: BaseGeometry = polygons[0] if len(polygons) == 1 else shapely.MultiPolygon(polygons)
-        return joined
+        made: BaseGeometry = shapely.MultiPolygon(polygons) if polygons[1:] else polygons[0]
+        return made
 
     @property
     def properties(self) -> Json:
         """JSON of all but the geometry."""
-        named = {"levelName": self.level_name, "height": self.height, "id": self.id}
-        own = {"kind": self.kind, "level": self.level, **named}
-        return {**own, "name": self.name, "area": self.area, **self.more}
+        own = {"kind": self.kind, "level": self.level, "levelName": self.level_name}
+        own |= {"height": self.height, "id": self.id, "name": self.name, "area": self.area}
+        return {**own, **self.more}
 
 
 def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
@@ -106,20 +102,20 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
         raise QueryError(f"expected some of {', '.join(KINDS)} as kinds, got {kinds!r}")
     shapes = []
     for number, level in enumerate(grid.levels):
-        place = (number, grid.level_names[number], _rounded(level.ground))
+        place = (number, grid.level_names[number], rounded(level.ground))
         square = level.lattice.cell_size**2
         if ROOM in kinds:
             known = {room.index: room for room in grid.rooms if room.level == number}
             count = np.bincount(level.room_index.ravel())
             for index, parts in trace_polygons(level.room_index, level.lattice).items():
-                room, area = known.get(index), _rounded(int(count[index]) * square)
+                room, area = known.get(index), rounded(int(count[index]) * square)
                 name = (room and room.name) or None
                 room_id = room.id if room else f"{number}:{index}"
                 more: Json = {"outdoors": True} if room and room.outdoors else {}
                 shapes.append(Shape(ROOM, *place, room_id, name, area, parts, None, more))
         if WALKABLE in kinds and level.free.any():
             parts = trace_polygons(level.free, level.lattice)[1]
-            area = _rounded(int(np.count_nonzero(level.free)) * square)
+            area = rounded(int(np.count_nonzero(level.free)) * square)
             shapes.append(Shape(WALKABLE, *place, None, None, area, parts, None, {}))
         for door in grid.doors if DOOR in kinds else ():
             ends = find_ends(grid, door, number)
@@ -127,11 +123,6 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
                 more = {"state": door.state, "rooms": list(door.rooms)}
                 shapes.append(Shape(DOOR, *place, door.id, None, 0.0, [], np.array(ends), more))
     return shapes
-
-
-def _rounded(value: float) -> float:
-    """To a micrometre, and without -0.0."""
-    return round(float(value), 6) + 0.0
 
 
 # ---------------------------------------------------------------- outlines
@@ -225,8 +216,7 @@ def to_geojson(grid: NavGrid, kinds: Collection[str] = KINDS) -> Json:
         elif len(rings) == 1:
             form = "Polygon", rings[0]
         geometry = dict(zip(("type", "coordinates"), form, strict=True))
-        own = {"type": "Feature", "geometry": geometry, "properties": shape.properties}
-        features.append(own)
+        features.append({"type": "Feature", "geometry": geometry, "properties": shape.properties})
     about = {
         "sceneId": grid.scene_id,
         "frame": "world x, y in metres",

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, TypeAlias
 import orjson
 
 from navbake.errors import ConfigError, FormatError, MissingDependencyError
-from navbake.files import write_together, write_whole
+from navbake.files import write_together
 from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
@@ -29,10 +29,7 @@ LOG = logging.getLogger("navbake")
 CHUNK = 1 << 20  # read first [bytes]
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP = b"\x1f\x8b"
-PACKED: dict[bytes, tuple[str, Any]] = {
-    GZIP: ("gzip", gzip.open),
-    b"BZ": ("bzip2", bz2.open),
-}
+PACKED: dict[bytes, tuple[str, Any]] = {GZIP: ("gzip", gzip.open), b"BZ": ("bzip2", bz2.open)}
 NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
@@ -169,10 +166,9 @@ def read_object(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, st
     """Read a JSON file; also returns its name for messages, which name `expected`."""
     content, name = read_bytes(path)
     try:
-        return orjson.loads(content.removeprefix(BOM)), name
-    except orjson.JSONDecodeError as error:
-        message = f"expected {expected}, {path_name(name)} can't be read: {error}"
-        raise FormatError(message) from error
+        return parse_json(content.removeprefix(BOM), JsonPath(path_name(name))), name
+    except FormatError as error:
+        raise FormatError(f"expected {expected}: {error}") from error
 
 
 def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]:
@@ -194,29 +190,21 @@ def check_named(path: Path) -> None:
 
 def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
     """Write a file, given as bytes or pieces, as a whole or not at all."""
-    check_path(path)
-    with _refusing([path]):
-        write_whole(data, path)
+    write_files({Path(check_path(path)): data})
 
 
 def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
     """Write files that belong together, all or none; returns their paths."""
-    with _refusing(files):
-        write_together(files)
-    return list(files)
-
-
-@contextmanager
-def _refusing(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
     try:
-        yield
+        write_together(files)
     except (OSError, ValueError) as error:  # ValueError: a path with a NUL
-        why, names = _os_message(error), " and ".join(map(path_name, paths))
+        why = _os_message(error)
         if isinstance(error, FileNotFoundError):
-            folders = {os.path.dirname(os.path.realpath(path)) for path in paths}
+            folders = {os.path.dirname(os.path.realpath(path)) for path in files}
             missing = sorted(folder for folder in folders if not os.path.isdir(folder))
             why = f"there is no folder {path_name(missing[0])}" if missing else why
-        raise FormatError(f"cannot write {names}: {why}") from error
+        raise FormatError(f"cannot write {' and '.join(map(path_name, files))}: {why}") from error
+    return list(files)
 
 
 def import_extra(name: str, extra: str = "convert", what: str = "this") -> Any:

@@ -42,7 +42,11 @@ MAX_RADIUS = 10_000.0  # [m]
 
 @dataclass(eq=False, kw_only=True)
 class GridBase:
-    """Common base of grids of one level and of several."""
+    """Common base of grids of one level and of several.
+
+    Its `rooms`, `doors`, `steps`, `links`, `areas` and `agents` are tables of the file, which are
+    read when first asked for: they raise a FormatError if the file's table is broken.
+    """
 
     cell_size: float  #: Edge of a cell [file units], > 0.
     unit: float = 1.0  #: Metres per file unit, > 0.
@@ -156,11 +160,7 @@ class GridBase:
 
     @property
     def rooms(self) -> tuple[Room, ...]:
-        """The rooms by level and index, measured from `room_index` if the file has no table.
-
-        Raises:
-            FormatError: the file's room table is broken.
-        """
+        """The rooms by level and index, measured from `room_index` if the file has no table."""
         stated = self.stated_rooms
         if stated is not None:
             return stated
@@ -176,22 +176,14 @@ class GridBase:
 
     @property
     def doors(self) -> tuple[Door, ...]:
-        """The doors in the file's order.
-
-        Raises:
-            FormatError: the file's table of doors is broken.
-        """
+        """The doors in the file's order."""
         if "doors" not in self.navbake:
             return ()
         return self._table("doors", lambda stated: parse_doors(stated, self._num_cells))
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """The steps between levels, and between neighbours on steep ramps; see `Step`.
-
-        Raises:
-            FormatError: the metadata name a level or a cell that does not exist.
-        """
+        """The steps between levels, and between neighbours on steep ramps; see `Step`."""
         return tuple(Step(*row) for row in self.step_array.tolist())
 
     @property
@@ -201,29 +193,17 @@ class GridBase:
 
     @property
     def links(self) -> tuple[Link, ...]:
-        """The named links, lifts and others, in the file's order; see `with_links`.
-
-        Raises:
-            FormatError: the file's table of links is broken.
-        """
+        """The named links, lifts and others, in the file's order; see `with_links`."""
         return self._table("links", lambda stated: parse_links(stated, self._num_cells))
 
     @property
     def areas(self) -> tuple[Area, ...]:
-        """The areas in the file's order, that of the numbers in `SceneGrid2D.area_index`.
-
-        Raises:
-            FormatError: the file's table of areas is broken.
-        """
+        """The areas in the file's order, that of the numbers in `SceneGrid2D.area_index`."""
         return self._table("areas", parse_areas)
 
     @property
     def agents(self) -> dict[str, Agent]:
-        """The agents that the file names, by name.
-
-        Raises:
-            FormatError: the file's table of agents is broken.
-        """
+        """The agents that the file names, by name."""
         return dict(self._table("agents", parse_agents))
 
     @property

@@ -36,6 +36,11 @@ class Cells(NamedTuple):
     col: Int
 
 
+def rounded(value: float, digits: int = 6) -> float:
+    """Round a length [m], by default to a micrometre, without -0.0."""
+    return round(float(value), digits) + 0.0
+
+
 def num_cells(extent: float, cell_size: float, rounding: float = 0.0) -> int:
     """Count the cells that cover an extent: ``ceil(extent / cell_size)``, at least 1.
 

@@ -55,11 +55,7 @@ def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
 
 
 def read_table(stated: Any, kind: Any, where: str) -> Any:
-    """Read a table of a file as a type.
-
-    Raises:
-        FormatError: an entry doesn't fit; the message has its place in the table.
-    """
+    """Read a table of a file as a type; a FormatError has the place of what doesn't fit."""
     try:
         return msgspec.convert(stated, kind)
     except msgspec.ValidationError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
-from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.lattice import Lattice, rounded
 from navbake.navgrid.metadata import read_table
 from navbake.types import Float, Json, Vector3
 
@@ -75,7 +75,8 @@ def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: i
     index = index.ravel()
     # bincount with weights sums the coordinates of all rooms' cells in one pass
     count = np.bincount(index)
-    sums = [np.bincount(index, values.ravel()) for values in (x, y, floor)]
+    sums = (np.bincount(index, values.ravel()) for values in (x, y, floor))
+    mean_x, mean_y, mean_z = (total / np.maximum(count, 1) for total in sums)
     return [
         Room(
             index=int(room),
@@ -83,13 +84,8 @@ def measure_rooms(index: NDArray[Any], floor: Float, lattice: Lattice, number: i
             name=None,
             level=number,
             area=round(float(count[room]) * lattice.cell_size**2, 6),
-            centroid=_rounded(*(float(total[room] / count[room]) for total in sums)),
+            centroid=(rounded(mean_x[room]), rounded(mean_y[room]), rounded(mean_z[room])),
         )
         for room in np.flatnonzero(count)
         if room
     ]
-
-
-def _rounded(x: float, y: float, z: float) -> Vector3:
-    """To a micrometre, and without -0.0."""
-    return round(x, 6) + 0.0, round(y, 6) + 0.0, round(z, 6) + 0.0

@@ -265,7 +265,7 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
 ):
     Path("out/first").mkdir(parents=True)
     Path("out/first/picture.png").write_text("mine")
-    real = job_module.write_file
+    real = store.write_file
 
     def write(place, name, content):
         if name == products.GRID:
@@ -273,7 +273,7 @@ def test_what_a_killed_worker_made_is_removed_whatever_the_index_says(
         real(place, name, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(job_module, "write_file", write)
+        patch.setattr(store, "write_file", write)
         with pytest.raises(KeyboardInterrupt):
             run(ALL[0], products=["nav2", "report"], thumbnail=True)
     made = {"nav2.pgm", "nav2.yaml", "report.html", "thumbnail.png", RECORD}
@@ -482,7 +482,7 @@ def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatc
     stay_in_process(monkeypatch)
     run(*ALL)
     made = digests("out")
-    real = job_module.write_file
+    real = store.write_file
 
     def write(place, name, content):
         """Interrupt the second scene before its grid is there."""
@@ -491,7 +491,7 @@ def test_a_scene_that_an_interrupted_run_began_is_baked_again(scenes, monkeypatc
         real(place, name, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(job_module, "write_file", write)
+        patch.setattr(store, "write_file", write)
         with pytest.raises(KeyboardInterrupt):
             run(*ALL, overrides=["agent.radius=0.1"])
     assert run(*ALL)[0] == ["first", "second"]

@@ -21,10 +21,10 @@ from command_line import run_command
 from navbake import samples
 from navbake.batch import index as index_module
 from navbake.batch import job as job_module
-from navbake.batch.cost import measure_cost
 from navbake.batch.index import NAME, Slice, only_batch, read_index
 from navbake.batch.job import CACHE, prepare
 from navbake.batch.products import RECORD
+from navbake.batch.run import measure_cost
 from navbake.batch.scenes import list_jobs
 from navbake.errors import ConfigError, NavbakeError
 from project_paths import ROOT

@@ -14,7 +14,6 @@ import pytest
 
 from batch_in_process import run_sources, stay_in_process
 from batch_scenes import CHEST, draw_room
-from navbake.batch import job as job_module
 from navbake.batch import store
 from navbake.batch.index import NAME
 from navbake.batch.products import RECORD
@@ -320,7 +319,7 @@ def test_what_a_killed_upload_left_on_a_store_is_removed(memory, monkeypatch, la
 
     Path("a.xml").write_text(draw_room(0))
     with monkeypatch.context() as patch:
-        patch.setattr(job_module, "write_file", write_until)
+        patch.setattr(store, "write_file", write_until)
         with pytest.raises(KeyboardInterrupt):
             run("a.xml", out="memory://out", products=["nav2"])
     assert len([name for name in sizes_below("memory://out") if "nav2" in name]) == 2
@@ -373,7 +372,7 @@ def test_a_scene_that_fails_leaves_nothing_and_is_told_by_its_url(rooms, memory,
         write_file(folder, name, content)
 
     memory.pipe_file("/s/rooms/bad.xml", draw_room(5).encode())
-    monkeypatch.setattr(job_module, "write_file", refuse)
+    monkeypatch.setattr(store, "write_file", refuse)
     _, result = run(*sources[:2], out="memory://out", products=["nav2"])
     assert written and result.count("failed") == 2
     assert {n for n in sizes_below("memory://out") if "/" in n} == {"bad/mine.txt"}
@@ -386,10 +385,10 @@ def test_the_grid_is_the_last_product_of_a_scene_and_the_record_after_it(memory,
         written.append(name)
         write_file(folder, name, content)
 
-    monkeypatch.setattr(job_module, "write_file", write)
+    monkeypatch.setattr(store, "write_file", write)
     memory.pipe_file("/a/b.xml", draw_room(1).encode())
     assert run("memory://a/b.xml", out="memory://out", products=["nav2"])[1].count("ok") == 1
-    assert written == [RECORD, "nav2.pgm", "nav2.yaml", "grid.json.gz", RECORD]
+    assert written == [RECORD, "nav2.pgm", "nav2.yaml", "grid.json.gz", RECORD, NAME]
 
 
 def test_what_is_missing_is_one_line(memory, monkeypatch):

@@ -46,7 +46,7 @@ def test_writes_any_format_to_stdout(run):
 @pytest.mark.parametrize(
     ("arguments", "status", "culprit"),
     [
-        (["routes", "house.json.gz", "-o", "a.txt"], 2, "ends as one of .geojson"),
+        (["routes", "house.json.gz", "-o", "a.txt"], 2, "written does, .geojson"),
         (["routes", "house.json.gz", "-o", "-"], 2, "stdout has no ending"),
         (["routes", "house.json.gz", "-o", "a.json", "--to", "dxf"], 2, "got dxf"),
         (["routes", "house.json.gz", "-o", "a.json", "--agent", "robot"], 1, "no agent 'robot'"),

@@ -12,7 +12,8 @@ import yaml
 
 import navbake
 from navbake.errors import FormatError
-from navbake.formats.route_files import ROUTE_FORMATS, read_routes, write_routes
+from navbake.formats.convert import ROUTE_FORMATS
+from navbake.formats.route_files import read_routes, write_routes
 from navbake.routes.build import make_routes
 from navbake.routes.graph import Lane, Node, RouteGraph
 from project_paths import GOLDEN
@@ -41,15 +42,15 @@ def house():
     return make_routes(navbake.load(GOLDEN / "house.grid.json.gz"))
 
 
-@pytest.mark.parametrize("name", ROUTE_FORMATS)
-def test_what_is_written_is_read(tmp_path, house, name):
+@pytest.mark.parametrize("form", ROUTE_FORMATS, ids=lambda form: form.name)
+def test_what_is_written_is_read(tmp_path, house, form):
     for graph in (SMALL, EMPTY, house, house.on_level(1)):
-        for ending in ROUTE_FORMATS[name][1]:
+        for ending in form.endings:
             assert write_routes(graph, tmp_path / f"a{ending}") == [tmp_path / f"a{ending}"]
             assert read_routes(tmp_path / f"a{ending}") == graph
-        write_routes(graph, tmp_path / "b.dat", name)
+        write_routes(graph, tmp_path / "b.dat", form.name)
         assert (tmp_path / "b.dat").read_bytes() == (tmp_path / f"a{ending}").read_bytes()
-        assert read_routes(tmp_path / "b.dat", name) == graph
+        assert read_routes(tmp_path / "b.dat", form.name) == graph
 
 
 def load_as_nav2(path):
@@ -235,7 +236,7 @@ def changed(graph, **changes):
         ("a.graphml", "<x", "expected GraphML"),
         ("a.graphml", "<graphml><graph edgedefault='directed'><node id='a'/></graph></graphml>",
          "a finite number"),
-        ("a.txt", "", r"expected a name that ends as one of \.geojson"),
+        ("a.txt", "", r"expected a name that ends as a format that is read does, \.geojson"),
     ],
 )  # fmt: skip
 def test_broken_files_are_refused_in_a_line(tmp_path, name, text, culprit):
@@ -253,5 +254,5 @@ def test_wrong_nodes_are_refused(tmp_path):
         (tmp_path / "a.geojson").write_text(json.dumps(content))
         with pytest.raises(FormatError, match="unique names on known levels"):
             read_routes(tmp_path / "a.geojson")
-    with pytest.raises(FormatError, match=r"expected a format of routes .*, got dxf"):
+    with pytest.raises(FormatError, match=r"a format that is written \(nav2-route, .*, got dxf"):
         SMALL.save(tmp_path / "a", "dxf")

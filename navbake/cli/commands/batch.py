@@ -165,8 +165,9 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     from rich.filesize import decimal
 
     from navbake.auditor.report import count_of
-    from navbake.batch.cost import BROKEN, DONE, measure_cost, preview
     from navbake.batch.index import read_index
+    from navbake.batch.run import BROKEN, measure_cost, preview
+    from navbake.batch.workers import DONE
 
     found = preview(plan, jobs)
     if as_json:
@@ -274,7 +275,7 @@ class _Watch:
         from rich.filesize import decimal
 
         from navbake.batch import index, page
-        from navbake.batch.cost import measure_cost
+        from navbake.batch.run import measure_cost
         from navbake.batch.store import shown
 
         baked, failed, left = map(result.count, ("ok", "failed", "left"))

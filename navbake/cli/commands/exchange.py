@@ -14,10 +14,16 @@ from navbake.cli.commands.episodes import SET_FORMATS, convert_set
 from navbake.cli.options import GRIDS, OUTPUT, STDOUT, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
-from navbake.formats.convert import FORMATS, Format, encode_as, find_format, list_files, read_as
-from navbake.formats.route_files import ROUTE_FORMATS, find_module, write_routes
+from navbake.formats.convert import (
+    FORMATS,
+    ROUTE_FORMATS,
+    Format,
+    encode_as,
+    find_format,
+    list_files,
+    read_as,
+)
 from navbake.formats.source import write_files
-from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -222,6 +228,7 @@ def routes(
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
+    from navbake.formats.route_files import encode_routes, write_routes
     from navbake.navgrid.agents import Agent
     from navbake.routes.build import make_routes
     from navbake.runtime.agents import find_agent
@@ -229,7 +236,7 @@ def routes(
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     try:
-        module = find_module(output, to)
+        find_format(output, to, writing=True, formats=ROUTE_FORMATS)
     except FormatError as error:
         raise BadParameter(str(error), param_hint="--to" if to else "-o") from error
     options.check_output(output, inputs=[grid])
@@ -240,7 +247,7 @@ def routes(
     graph = make_routes(content, own)
     graph = graph if level is None else graph.on_level(level)
     if output == STDOUT:
-        options.write_stdout(resolve(f"{module}:encode_routes")(graph))
+        options.write_stdout(encode_routes(graph, output, to))
         return
     write_routes(graph, output, to)
     nodes, lanes = len(graph.nodes), len(graph.lanes)
@@ -252,10 +259,7 @@ routes.__doc__ = "\n\n".join(
         "Make a graph of where agents drive: nodes, and lanes that are free for them.",
         "Example: navbake routes house.grid.json -o house.geojson",
         "Formats:",
-        *(
-            f"{name} ({', '.join(ends)}): {for_}."
-            for name, (_, ends, for_) in ROUTE_FORMATS.items()
-        ),
+        *(f"{form.name} ({', '.join(form.endings)}): {form.meaning}." for form in ROUTE_FORMATS),
     )
 )
 
