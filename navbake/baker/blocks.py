@@ -142,13 +142,14 @@ class BlockTable:
         self._empty = empty
         self._parts: list[tuple[NDArray[Any], ...]] = [empty] * num_blocks
 
-    def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> None:
-        """Replace the rows of some blocks, see `list_rows`."""
+    def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> Int:
+        """Replace the rows of some blocks, see `list_rows`; returns how many each of them has."""
         counts, columns = list_rows(kernel, blocks, self._empty, *args)
         begin = 0
         for block, end in zip(blocks.tolist(), np.cumsum(counts).tolist(), strict=True):
             self._parts[block] = tuple(column[begin:end] for column in columns)
             begin = end
+        return counts
 
     def take(self) -> tuple[Int, list[NDArray[Any]]]:
         """The block of each row, and the columns of all blocks, one block after the other."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from navbake.baker.blocks import BlockTable, Seen, list_rows
+from navbake.baker.blocks import Blocks, BlockTable, Seen, list_rows
 from navbake.baker.floors.kernels import growth as kernels
 from navbake.baker.floors.kernels.growth import Growing
 from navbake.baker.floors.sheets import Sheets
@@ -12,9 +14,12 @@ from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
-NO_OPTIONS = np.empty(0, dtype=np.int64), np.empty(0)
+NO_OPTIONS = np.empty(0, dtype=np.int16), np.empty(0)
+# So many blocks are worth a call on another thread
+LEAST_BLOCKS = 16
 
 
 class FloorGrowth:
@@ -30,7 +35,6 @@ class FloorGrowth:
     def __init__(self, sheets: Sheets, agent: AgentSettings) -> None:
         self._sheets, self._agent = sheets, agent
         self._by_slopes = slopes_may_join(sheets.lattice, agent)
-        self._local = np.full(sheets.lattice.width * sheets.lattice.height, -1, dtype=np.int32)
         self._bars, self.links = Seen(sheets.blocks.num), np.empty((0, 4), dtype=np.int64)
         self._links = BlockTable(sheets.blocks.num, self.links)
         self._number = np.empty(0, dtype=np.int64)
@@ -50,7 +54,8 @@ class FloorGrowth:
         is_new = not np.array_equal(self._number, placed.number)
         is_new |= len(self.levels) != len(placed.grounds)
         if is_new:
-            stale, self._number, num = sheets.blocks.all(), placed.number, len(self._local)
+            stale, self._number = sheets.blocks.all(), placed.number
+            num = sheets.lattice.width * sheets.lattice.height
             self.levels = [(np.empty(num), np.empty(num, np.int32)) for _ in placed.grounds]
         found = [self._grow(k, placed, bars, stale, is_new) for k in range(len(self.levels))]
         self.changed = None if is_new else np.unique(np.concatenate(found))
@@ -82,15 +87,8 @@ class FloorGrowth:
                 cell, was = np.append(cell, more), np.append(was, floor[more])
                 was_in = np.append(was_in, ring[more])
             known = sheets.labelled(bars), growing
-            _, (cells, height) = list_rows(
-                kernels.list_options, np.flatnonzero(region), NO_OPTIONS, *known
-            )
-            start = np.append(np.flatnonzero(np.diff(cells, prepend=-1)), len(cells))
-            cells = cells[start[:-1]]
-            num = len(cells)
-            room = np.empty((3, num), np.int64), np.zeros(num, np.bool_), np.empty(num)
-            options = region, cells, start, height, growing.step
-            kernels.grow(lattice, *options, floor, ring, self._local, room)
+            options = list_rows(kernels.list_options, np.flatnonzero(region), NO_OPTIONS, *known)
+            grow_in(blocks, region, options, growing)
             is_other = was.view(np.int64) != floor[cell].view(np.int64)  # to the last bit
             changed, differs = cell[is_other], cell[is_other | (was_in != ring[cell])]
             row, col = (place % SIZE for place in np.divmod(differs, lattice.width))
@@ -98,3 +96,25 @@ class FloorGrowth:
             asked = blocks.around(blocks.holding(differs[at_edge])) & ~region
             region |= asked
         return changed
+
+
+def grow_in(blocks: Blocks, region: Bool, options: tuple[Int, list[Any]], growing: Growing) -> None:
+    """Grow a floor in some blocks, ring by ring, from where one can stand and what is around.
+
+    `options` are the blocks' counts and columns, see `list_options`.
+    """
+    counts, (place, height) = options
+    start, floors = np.zeros(blocks.num + 1, dtype=np.int64), (growing.floor, growing.ring)
+    start[1:][region] = counts
+    np.cumsum(start, out=start)
+    left = np.zeros(blocks.num, dtype=np.int64), np.empty(len(place), dtype=np.int32)
+    around = blocks.cells(blocks.around(region) & ~region)
+    last, edge = growing.ring[around].max(initial=-1), blocks.around(~region) & region
+    now, active = 1, region
+    while active.any():
+        chosen, grown = np.flatnonzero(active), np.zeros_like(region)
+        asked = blocks.lattice, floors, now, growing.step, (start, place, height), left
+        run_in_bands(kernels.grow, len(chosen), *asked, chosen, grown, least=LEAST_BLOCKS)
+        now += 1
+        # cells at the region's edge may have neighbours of the next ring outside of it
+        active = blocks.around(grown) & (left[0] > 0) | (edge & (now <= last + 1))

@@ -17,7 +17,6 @@ from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
     Members,
-    east_rim,
     fill_members,
     find_large,
     near_offsets,
@@ -33,6 +32,8 @@ from navbake.types import Bool, Int, Int32
 NO_KEY = np.empty(0, dtype=np.int32)
 # An empty array of rows that count, see `navbake.baker.floors.kernels.labels`
 NO_ROWS, NO_HEIGHTS = np.empty((0, 4), dtype=np.int64), np.empty(0)
+# Empty columns of `label_blocks`
+NO_PARTS = *np.empty((3, 0), dtype=np.int64), NO_ROWS, np.empty(0, np.uint64)
 
 
 class Labels:
@@ -41,11 +42,13 @@ class Labels:
     Attributes:
         part: the number of each surface's part in its block, -1 for none, int32.
         count, offset: how many parts each block has, and the number of its first, int64.
+        measures: of the parts, see `label_blocks`.
     """
 
     def __init__(self, blocks: Blocks, joining: Joining) -> None:
         self.blocks, self._joining = blocks, joining
         self.part, self.count = NO_KEY, np.zeros(blocks.num, dtype=np.int64)
+        self.measures = BlockTable(blocks.num, *NO_PARTS)
         self._pairs = BlockTable(blocks.num, NO_ROWS)
 
     def update(self, surfaces: Surfaces, stale: Bool, key: Int32 = NO_KEY) -> None:
@@ -53,7 +56,7 @@ class Labels:
         self.part = fit(self.part, len(surfaces.z))
         chosen, near = np.flatnonzero(stale), np.flatnonzero(self.blocks.before(stale))
         asked = self.blocks.lattice, surfaces, key, self._joining, self.part
-        run_in_bands(kernels.label_blocks, len(chosen), *asked, chosen, self.count)
+        self.count[chosen] = self.measures.fill(kernels.label_blocks, chosen, *asked)
         self._pairs.fill(kernels.list_pairs, near, *asked)
         self.offset = np.concatenate([[0], np.cumsum(self.count)])
 
@@ -106,11 +109,8 @@ class Sheets:
         by_slopes = slopes_may_join(store.lattice, agent)
         self.joining = Joining(agent.traversable_floor_height, by_slopes=by_slopes)
         self.labels = Labels(blocks, self.joining)
-        nothing = np.empty((0, 4), dtype=np.int64)
-        columns = nothing[:, 0], nothing[:, 0], nothing[:, 0], nothing, np.empty(0, np.uint64)
-        self._parts = BlockTable(blocks.num, *columns)
         self._stacks = BlockTable(blocks.num, NO_ROWS, NO_HEIGHTS)
-        self._below, self.now, self.last = NO_KEY, 0, np.zeros(blocks.num, dtype=np.int64)
+        self.now, self.last = 0, np.zeros(blocks.num, dtype=np.int64)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -125,16 +125,13 @@ class Sheets:
 
     def update(self, stale: Bool, key: Int32 = NO_KEY) -> None:
         """Find the sheets again after surfaces in stale blocks changed; `key` as `label_blocks`."""
-        lattice, surfaces, labels = self.lattice, self.surfaces, self.labels
+        surfaces, labels = self.surfaces, self.labels
         self.now += 1
         self.last[stale] = self.now
         labels.update(surfaces, stale, key)
-        self._below = fit(self._below, len(surfaces.z))
-        chosen, own = np.flatnonzero(stale), (labels.part, self._below)
-        asked = lattice, surfaces, surfaces.z.view(np.int64), own, labels.count
-        self._parts.fill(kernels.measure_parts, chosen, *asked)
-        self._stacks.fill(kernels.tally, chosen, lattice, surfaces, *own, labels.part)
-        _, (size, tops, first_key, box, digest) = self._parts.take()
+        asked = self.lattice, surfaces, labels.part, NO_KEY, labels.part
+        self._stacks.fill(kernels.tally, np.flatnonzero(stale), *asked)
+        _, (size, tops, first_key, box, digest) = labels.measures.take()
         whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
         first = np.full(num, np.iinfo(np.int64).max)
@@ -165,8 +162,6 @@ class Sheets:
     def stacks(self) -> tuple[Int32, Int32, Int]:
         """Upper sheets, the ones next below, and in how many cells; pairs may repeat."""
         block, (rows, _) = self._stacks.take()
-        lies = rows[:, 1] >= 0
-        block, rows = block[lies], rows[lies]
         return self.sheet_at(block, rows[:, 0]), self.sheet_at(block, rows[:, 1]), rows[:, 3]
 
     def blocks_of(self, chosen: Bool) -> Bool:
@@ -212,7 +207,7 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     needed = int(np.ceil(max((settings.min_area - SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
     disc = near_offsets(limit, min(lattice.width, lattice.height))
-    return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc, east_rim(disc))
+    return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc)
 
 
 def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:

@@ -39,7 +39,7 @@ TIMES_LARGER = 4
 # Decimals of the grounds that are found
 DECIMALS = 9
 # Shrinks nothing
-UNSHRUNK = AreaTest(0, 0, *np.empty((2, 0, 2), dtype=np.int64))
+UNSHRUNK = AreaTest(0, 0, np.empty((0, 2), dtype=np.int64))
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:
@@ -267,12 +267,11 @@ class Storeys:
         sheets, surfaces = self._sheets, self._sheets.surfaces
         name = "places", leave_floors, tolerance, *grounds
         (level, table), stale = self._recall(name, lambda: (NO_KEY, self._table()))
-        level, chosen = fit(level, len(surfaces.z)), np.flatnonzero(stale)
+        level = fit(level, len(surfaces.z))
         self._known[name] = self._now, (level, table)
-        asked = sheets.lattice, surfaces, kept, np.array(grounds), tolerance, leave_floors
-        run_in_bands(kernels.place_blocks, len(chosen), *asked, level, chosen)
-        part = sheets.labels.part
-        table.fill(tally, chosen, sheets.lattice, surfaces, part, part, level)
+        rule, own = (np.array(grounds), tolerance, leave_floors), (sheets.labels.part, level)
+        asked = sheets.lattice, surfaces, kept, rule, own
+        table.fill(kernels.place_blocks, np.flatnonzero(stale), *asked)
         return level, table
 
     def _assign(

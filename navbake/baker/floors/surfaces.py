@@ -19,11 +19,6 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS
 from navbake.types import Float, Int
 
-# Empty columns of `list_surfaces`
-NO_SURFACES = (
-    np.empty(0), np.empty(0, np.int32), np.empty(0, np.uint8), np.empty((0, 3), np.float32),
-)  # fmt: skip
-
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
     min_up = float(np.cos(np.radians(agent.max_slope))) - SLACK
@@ -48,7 +43,10 @@ class SurfaceStore:
 
     def __init__(self, lattice: Lattice, agent: AgentSettings) -> None:
         self.lattice, self._limits = lattice, agent_limits(agent)
-        self._has_slopes = slopes_may_join(lattice, agent)
+        axes = 3 if slopes_may_join(lattice, agent) else 0
+        # empty columns of `list_surfaces`
+        empty = np.empty(0), np.empty(0, np.int32), np.empty(0, np.uint8)
+        self._empty = *empty, np.empty((0, axes), np.float32)
         self.num_surfaces = self.num_floor_like = 0
         self._parts: list[list[NDArray[Any]]] = []
         self._length = np.zeros(lattice.width * lattice.height, dtype=np.int32)
@@ -88,7 +86,6 @@ class SurfaceStore:
         pairs = [
             (array[(first[cells][own] + rank)[same]], new[same])
             for array, new in zip(arrays, found, strict=True)
-            if len(array)
         ]
         pairs[0] = pairs[0][0].view(np.int64), pairs[0][1].view(np.int64)  # -0.0 is not 0.0
         for one, other in pairs:
@@ -101,11 +98,10 @@ class SurfaceStore:
         length[cells] = count
         if self._used > len(arrays[0]):
             size = self._used + self._used // 4
-            arrays = [fit(array, size) if len(array) else array for array in arrays]
+            arrays = [fit(array, size) for array in arrays]
             self.surfaces = Surfaces._make([first, length, room, *arrays])
         for array, new in zip(arrays, found, strict=True):
-            if len(array):
-                array[first[cells][own] + rank] = new
+            array[first[cells][own] + rank] = new
         replaced: Int = cells[changed]
         return replaced
 
@@ -117,10 +113,8 @@ class SurfaceStore:
         """The floor-like surfaces of some cells: where those of each begin, and their arrays."""
         known = self.lattice, crossings, planes, self._limits
         count, found = list_rows(
-            kernels.list_surfaces, cells, NO_SURFACES, *known, least=LEAST_CELLS
+            kernels.list_surfaces, cells, self._empty, *known, least=LEAST_CELLS
         )
-        if not self._has_slopes:
-            found[-1] = NO_SURFACES[-1]
         return [np.append(0, np.cumsum(count)), *found]
 
 

@@ -330,6 +330,8 @@ def _look_at_tile(walk, tiles, tile, entries):
             break
         if geom == plane:
             box[0, :3], box[0, 3:] = -math.inf, math.inf
+            if planes.mat[p, 2] == 0.0 and planes.mat[p, 5] == 0.0 and planes.mat[p, 8] > 0.0:
+                box[0, 5] = planes.pos[p, 2]  # of level ground
             count = _ask_geom(walk, PLANE, here.planes[p : p + 1], geom, entries, count)
             p += 1
             continue

@@ -4,8 +4,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.blocks import Blocks
-from navbake.baker.floors.kernels.growth import grow
+from navbake.baker.blocks import Blocks, list_rows
+from navbake.baker.floors.growth import NO_OPTIONS, grow_in
+from navbake.baker.floors.kernels.growth import Growing, list_options
+from navbake.baker.floors.kernels.members import Labelled
+from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.kernels.constants import SLACK
 from navbake.navgrid.lattice import Lattice
 
@@ -26,11 +29,6 @@ def draw(rng):
         for z in floor
     ]
     return floor, options
-
-
-def ragged(options):
-    start = np.concatenate([[0], np.cumsum([len(heights) for heights in options])])
-    return start.astype(np.int64), np.concatenate([np.empty(0), *options])
 
 
 def neighbours(cell):
@@ -58,16 +56,24 @@ def grow_plainly(floor, options):
             floor[cell], ring[cell] = z, number
 
 
-def grow_in(region, floor, ring, options):
+def grow(region, floor, ring, options):
     """Grow in the blocks of a region, where floors and rings of cells to stand on are known."""
-    inside = region[Blocks(LATTICE).of(np.arange(CELLS))]
-    cells = np.flatnonzero(inside & np.array([len(heights) > 0 for heights in options]))
-    start, height = ragged([options[cell] for cell in cells])
-    local = np.full(CELLS, -1, dtype=np.int32)
-    num = len(cells)
-    room = np.empty((3, num), np.int64), np.zeros(num, np.bool_), np.empty(num)
-    grow(LATTICE, region, cells, start, height, STEP, floor, ring, local, room)
-    assert (local == -1).all()
+    stands = [ring[cell] == 0 and not np.isnan(floor[cell]) for cell in range(CELLS)]
+    heights = [floor[i : i + 1] if stands[i] else options[i] for i in range(CELLS)]
+    length = np.array([len(one) for one in heights], dtype=np.int32)
+    first, z = np.cumsum(length, dtype=np.int64) - length, np.concatenate(heights)
+    none, marks = np.full(len(z), -1, dtype=np.int32), np.zeros(len(z), np.uint8)
+    level = np.repeat(np.array(stands) - 1, length).astype(np.int32)
+    normal, start = np.empty((len(z), 0), np.float32), np.zeros(Blocks(LATTICE).num, np.int64)
+    surfaces = Surfaces(first, length, length, z, none, marks, normal)
+    labelled = Labelled(LATTICE, first, length, z, none, none, start, none[:0])
+    number = np.zeros(1, dtype=np.int64)
+    growing, chosen = (
+        Growing(surfaces, level, number, 0, 1.0, STEP, floor, ring),
+        region.nonzero()[0],
+    )
+    options = list_rows(list_options, chosen, NO_OPTIONS, labelled, growing)
+    grow_in(Blocks(LATTICE), region, options, growing)
 
 
 @settings(deadline=None)  # its kernels may be compiled first
@@ -76,7 +82,7 @@ def test_floors_grow_as_ring_after_ring_of_all_cells(seed):
     floor, options = draw(np.random.default_rng(seed))
     expected, rings = grow_plainly(floor, options)
     ring = np.where(np.isnan(floor), -1, 0).astype(np.int32)
-    grow_in(Blocks(LATTICE).all(), floor, ring, options)
+    grow(Blocks(LATTICE).all(), floor, ring, options)
     assert np.array_equal(floor, expected, equal_nan=True)
     assert np.array_equal(ring, rings)
 
@@ -96,7 +102,7 @@ def test_a_region_is_decided_by_the_rings_around_it(seed, block):
     expected, expected_rings = grow_plainly(known, options)
     before = floor.copy(), rings.copy()
     floor[here], rings[here] = known[here], np.where(np.isnan(known[here]), -1, 0)
-    grow_in(region, floor, rings, options)
+    grow(region, floor, rings, options)
     col = here % LATTICE.width
     outer = here[(col == col.min()) | (col == col.max())]
     is_same = np.array_equal(floor[outer], before[0][outer], equal_nan=True)

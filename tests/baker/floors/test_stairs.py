@@ -211,8 +211,10 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     surfaces = Surfaces(np.zeros(1, np.int64), length, length, z, ids, marks, none)
     kept = Kept(ids, np.arange(num, dtype=np.int32), np.zeros(1, np.int64), np.array(is_stair))
     level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)
-    asked = Lattice(0.0, 1.0, 1.0, 1, 1), surfaces, kept, grounds, 1e-6, False, level
-    place_blocks(*asked, np.zeros(1, dtype=np.int64), 0, 1)
+    rows = np.empty((num, 4), dtype=np.int64), np.empty(num)
+    block = np.zeros((2, 1), dtype=np.int64)
+    asked = Lattice(0.0, 1.0, 1.0, 1, 1), surfaces, kept, (grounds, 1e-6, False), (ids, level)
+    place_blocks(*asked, *block, rows, 0, 1)
     return np.maximum(level, -1).tolist()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from navbake.baker.floors.kernels.members import sheet_of
 from navbake.baker.floors.kernels.surfaces import Surfaces, slope_joins
 from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.kernels.tiles import block_of, block_window
+from navbake.baker.kernels.tiles import SIZE, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
 
@@ -65,15 +65,17 @@ def list_options(labelled, growing, blocks, counts, columns, begin, end):
     furniture), nor lie at most a step below one. Between them and the levels above and below is
     room for an agent.
 
-    The rows, see `navbake.baker.blocks.list_rows`: the cell, and a height [m].
+    The rows, see `navbake.baker.blocks.list_rows`: the cell's place in its block, int16, and a
+    height [m].
     """
-    (cells, heights), num, lattice = columns, 0, labelled.lattice
+    (places, heights), num, lattice = columns, 0, labelled.lattice
     surfaces, floor, ring = growing.surfaces, growing.floor, growing.ring
     for k in range(begin, end):
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+            for col in range(col0, col1):
+                cell = row * lattice.width + col
                 first, last = surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]
                 floor[cell], ring[cell] = math.nan, -1
                 lowest, highest = -math.inf, math.inf
@@ -91,32 +93,31 @@ def list_options(labelled, growing, blocks, counts, columns, begin, end):
                     continue
                 for j in range(first, last):
                     if _is_option(labelled, growing, blocks[k], last, j, lowest, highest):
-                        if num == cells.shape[0]:
+                        if num == places.shape[0]:
                             return k
-                        cells[num], heights[num] = cell, surfaces.z[j]
+                        places[num], heights[num] = (row - row0) * SIZE + col - col0, surfaces.z[j]
                         num += 1
         counts[k] = num - before
     return end
 
 
 @part(inline="always")
-def _around(lattice, cell):
+def _around(lattice, row, col):
     """The next cells east, south, west and north, less than 0 for none."""
-    width, col = lattice.width, cell % lattice.width
+    width, cell = lattice.width, row * lattice.width + col
     east = cell + 1 if col + 1 < width else np.int64(-1)
-    south = cell + width if cell + width < width * lattice.height else np.int64(-1)
+    south = cell + width if row + 1 < lattice.height else np.int64(-1)
     west = cell - 1 if col > 0 else np.int64(-1)
     return east, south, west, cell - width
 
 
 @part(**UNCOUNTED)
-def _nearest_height(lattice, floor, ring, now, cell, heights, step):
-    """The height at which a floor grows into a cell, or NaN; a neighbour is of the last ring."""
-    best, best_gap, is_new = math.nan, step + SLACK, False
-    for other in _around(lattice, cell):
+def _nearest_height(floor, ring, around, now, heights, step):
+    """The one of a cell's heights at which a floor grows into it, or NaN."""
+    best, best_gap = math.nan, step + SLACK
+    for other in around:
         if other < 0 or not 0 <= ring[other] < now:
             continue
-        is_new = is_new or ring[other] == now - 1
         for z in heights:
             gap = abs(z - floor[other])
             # gaps within SAME are equally near; then the lower height counts
@@ -124,81 +125,54 @@ def _nearest_height(lattice, floor, ring, now, cell, heights, step):
                 best, best_gap = z, min(gap, best_gap)
             elif math.isnan(best) and gap <= best_gap:
                 best, best_gap = z, gap
-    return best if is_new else math.nan
+    return best
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def grow(lattice, region, cells, start, height, step, floor, ring, local, room):
-    """Grow the floor into the cells of a region, in place.
+def grow(lattice, floors, now, step, options, left, blocks, changed, begin, end):
+    """Grow the floor by a ring into the cells of ``blocks[begin:end]``, in place.
 
     A cell takes that of its heights that is nearest to the floor of a neighbour, and at most a step
-    from it; the lower one if two are equally near. All cells of a ring are decided before any is
-    written, so their order does not matter.
+    from it; the lower one if two are equally near. The floors of a ring count for the next one
+    only. So the order of cells and blocks does not matter, nor whether others are at work.
 
     Args:
-        region: by block, bool; cells outside are only read.
-        cells, start, height: the options of the region, ragged, see `list_options` [m].
-        floor, ring: see `Growing`.
-        local: (all cells,) int32, -1 before and after.
-        room: scratch: (3, cells) int64; (cells,) bool, all False; (cells,) float64.
+        floors: `floor` and `ring`, see `Growing`.
+        now: the ring, from 1 on.
+        options: where each block's begin, int64; and of all, see `list_options`.
+        left: how many cells are left in each block, int64; and the first option of each of these,
+            int32, in place of the block's options; both are written in ring 1.
+        changed: by block, bool: set where the ring has a cell.
     """
-    num, width, everywhere = cells.shape[0], lattice.width, region.all()
-    for n in range(num):
-        local[cells[n]] = n
-    # cells at the region's edge, of a ring, and of the next one; which are in these; the answers
-    (edge, queue, following), queued, answer = room
-    num_edge, num_queue = 0, 0
-    # after the last of the rings around, only new cells can have new neighbours
-    last = 0
-    for n in range(num):
-        at_edge, is_near = False, False
-        for other in _around(lattice, cells[n]):
-            if other < 0:
-                continue
-            is_near = is_near or ring[other] >= 0
-            if not everywhere and not region[block_of(lattice, other // width, other % width)]:
-                at_edge = True
-                last = max(last, ring[other])
-        if at_edge:
-            edge[num_edge] = n
-            num_edge += 1
-        elif is_near:
-            queue[num_queue] = n
-            num_queue += 1
-            queued[n] = True
-    now = np.int64(1)
-    while num_queue > 0 or (num_edge > 0 and now <= last + 1):
-        for e in range(num_edge):
-            n = edge[e]
-            if ring[cells[n]] < 0 and not queued[n]:
-                queued[n] = True
-                queue[num_queue] = n
-                num_queue += 1
-        for q in range(num_queue):
-            n = queue[q]
-            heights = height[start[n] : start[n + 1]]
-            answer[q] = _nearest_height(lattice, floor, ring, now, cells[n], heights, step)
-        for q in range(num_queue):
-            n = queue[q]
-            queued[n] = False
-            if not math.isnan(answer[q]):
-                floor[cells[n]], ring[cells[n]] = answer[q], now
-        num_following = 0
-        for q in range(num_queue):
-            if math.isnan(answer[q]):
-                continue
-            for other in _around(lattice, cells[queue[q]]):
-                if other < 0:
-                    continue
-                m = local[other]
-                if m >= 0 and ring[other] < 0 and not queued[m]:
-                    queued[m] = True
-                    following[num_following] = m
-                    num_following += 1
-        queue, following, num_queue = following, queue, num_following
-        now += 1
-    for n in range(num):
-        local[cells[n]] = -1
+    (floor, ring), (start, place, height), (count, option) = floors, options, left
+    for k in range(begin, end):
+        block, num = blocks[k], 0
+        first, last = start[block], start[block + 1]
+        row0, _, col0, _ = block_window(lattice, block)
+        if now == 1:
+            for n in range(first, last):
+                if n == first or place[n] != place[n - 1]:
+                    option[first + num] = n
+                    num += 1
+            count[block], num = num, 0
+        for i in range(first, first + count[block]):
+            n = option[i]
+            row, col = row0 + place[n] // SIZE, col0 + place[n] % SIZE
+            around, is_new, z = _around(lattice, row, col), False, math.nan
+            for other in around:
+                is_new |= other >= 0 and ring[other] == now - 1
+            if is_new:
+                past = n + 1
+                while past < last and place[past] == place[n]:
+                    past += 1
+                z = _nearest_height(floor, ring, around, now, height[n:past], step)
+            if math.isnan(z):
+                option[first + num] = n
+                num += 1
+            else:
+                cell = row * lattice.width + col
+                floor[cell], ring[cell] = z, now
+        changed[block], count[block] = num < count[block], num
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -216,8 +190,9 @@ def list_links(lattice, surfaces, placed, step, by_slopes, blocks, counts, colum
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                for way, other in enumerate(_around(lattice, cell)[:2]):
+            for col in range(col0, col1):
+                cell = row * lattice.width + col
+                for way, other in enumerate(_around(lattice, row, col)[:2]):
                     if other < 0:
                         continue
                     low, last = first[other], first[other] + length[other]

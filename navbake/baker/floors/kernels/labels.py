@@ -1,6 +1,6 @@
 """Connected parts of surfaces, block by block, the pairs of parts that meet, and their sizes.
 
-Union-find inside of each block (see `navbake.baker.kernels.connect`); the caller unites parts that
+Union-find inside of each block, as in `navbake.baker.kernels.connect`; the caller unites parts that
 meet over a border. Rows, see `navbake.baker.blocks.list_rows`, are three numbers and their count;
 the same three may come in several rows.
 """
@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.floors.kernels.surfaces import STANDS, TOP, slope_joins
-from navbake.baker.kernels.connect import unite
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -81,59 +80,99 @@ def _far(joining):
     return math.inf if joining.by_slopes else max(joining.step, joining.reach) + SLACK
 
 
+@part(inline="always")
+def _mix(cell, bits, geom):
+    """A hash of a surface (the finalizer of splitmix64); their sum identifies a sheet."""
+    x = np.uint64(bits) ^ (np.uint64(cell) * np.uint64(0x9E3779B97F4A7C15))
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27)) ^ (np.uint64(geom) << np.uint64(40))) * np.uint64(
+        0x94D049BB133111EB
+    )
+    return x ^ (x >> np.uint64(31))
+
+
+@part(inline="always")
+def _find_root(part, j):
+    """The root of a surface's set, see `label_blocks`."""
+    while part[j] != -2 - j:
+        above = -2 - part[j]
+        part[j] = part[above]
+        j = -2 - part[j]
+    return j
+
+
 @kernel(nogil=True, **UNCOUNTED)
-def label_blocks(lattice, surfaces, key, joining, part, blocks, count, begin, end):
-    """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``.
+def label_blocks(lattice, surfaces, key, joining, part, blocks, counts, columns, begin, end):
+    """Number the connected parts of surfaces inside of each of ``blocks[begin:end]``; measure them.
+
+    The rows are the parts, by their first members, see `navbake.baker.blocks.list_rows`: how many
+    surfaces a part has, and how many of these lie uppermost, int64; its first member, by cell and
+    rank, int64; its first row and column, and past its last ones, (n, 4) int64; and the sum of its
+    members' hashes, uint64.
 
     Args:
         key: the group of each surface, less than 0 for none, (n,) int32; if empty, all surfaces
             that one can stand on are one group. Only surfaces of one group are connected.
-        part: receives the part of each surface, by the parts' first members, -1 for none, (n,)
-            int32.
-        count: receives the number of parts of each block.
+        part: receives the part of each surface, -1 for none, (n,) int32.
     """
+    size, tops, first_key, box, digest = columns
     first, length, z, width = surfaces.first, surfaces.length, surfaces.z, lattice.width
-    far = _far(joining)
+    far, bits, offset = _far(joining), z.view(np.int64), 0
     for k in range(begin, end):
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        # at first `part` has the parents of union-find, by place
+        # at first `part` has the parents of union-find: -2 less their places
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                for j in range(first[cell], first[cell] + length[cell]):
-                    part[j] = j if _group(surfaces, key, j) >= 0 else -1
+                begin_here, end_here = first[cell], first[cell] + length[cell]
+                for j in range(begin_here, end_here):
+                    part[j] = -2 - j if _group(surfaces, key, j) >= 0 else -1
                 for way in range(2):
                     if cell == row * width + col0 if way == 0 else row == row0:
                         continue
                     other = cell - 1 if way == 0 else cell - width
                     low, last = first[other], first[other] + length[other]
-                    for j in range(first[cell], first[cell] + length[cell]):
+                    for j in range(begin_here, end_here):
+                        if part[j] == -1:
+                            continue
                         while low < last and z[low] < z[j] - far:
                             low += 1
                         for i in range(low, last):
                             if z[i] > z[j] + far:
                                 break
-                            if part[i] < 0 or part[j] < 0:
-                                continue
-                            if _joins(lattice, surfaces, key, joining, i, j, way):
-                                unite(part, i, j)
-        # then part n as -2 - n, for surfaces that are numbered
+                            if part[i] != -1 and _joins(lattice, surfaces, key, joining, i, j, way):
+                                one, two = _find_root(part, i), _find_root(part, j)
+                                if one != two:
+                                    part[max(one, two)] = -2 - min(one, two)
         num = 0
         for row in range(row0, row1):
-            for cell in range(row * width + col0, row * width + col1):
+            for col in range(col0, col1):
+                cell, rank = row * width + col, 0
                 for j in range(first[cell], first[cell] + length[cell]):
+                    if part[j] == -1:
+                        continue
                     root = j
-                    while part[root] >= 0 and part[root] != root:
-                        root = part[root]
-                    if part[root] >= 0:
-                        part[root] = -2 - num
+                    while part[root] < -1 and part[root] != -2 - root:
+                        root = -2 - part[root]
+                    if part[root] < -1:
+                        n = offset + num
+                        if n == size.shape[0]:
+                            return k
+                        size[n], tops[n], digest[n] = 0, 0, 0
+                        first_key[n] = cell * 4096 + min(rank, 4095)
+                        box[n, 0], box[n, 1], box[n, 2], box[n, 3] = row, col, row + 1, col + 1
+                        part[root] = num
                         num += 1
-                    if part[j] != -1:
-                        part[j] = part[root]
-        for row in range(row0, row1):
-            for cell in range(row * width + col0, row * width + col1):
-                for j in range(first[cell], first[cell] + length[cell]):
-                    part[j] = -2 - part[j] if part[j] < -1 else -1
-        count[blocks[k]] = num
+                    part[j] = part[root]
+                    n = offset + part[j]
+                    size[n] += 1
+                    tops[n] += 1 if surfaces.marks[j] & TOP else 0
+                    box[n, 1], box[n, 2] = min(box[n, 1], col), row + 1
+                    box[n, 3] = max(box[n, 3], col + 1)
+                    digest[n] += _mix(cell, bits[j], surfaces.geom[j])
+                    rank += 1
+        counts[k] = num
+        offset += num
+    return end
 
 
 @kernel(nogil=True, **UNCOUNTED)
@@ -149,7 +188,9 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            for col in range(col0, col1):
+            # inside of a block parts are linked at most
+            only_border = joining.reach < 0.0 and row < row1 - 1
+            for col in range(col1 - 1 if only_border else col0, col1):
                 cell = row * width + col
                 for way in range(2):
                     at_border = col == col1 - 1 if way == 0 else row == row1 - 1
@@ -182,68 +223,13 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
     return end
 
 
-@part(inline="always")
-def _mix(cell, bits, geom):
-    """A hash of a surface (the finalizer of splitmix64); their sum identifies a sheet."""
-    x = np.uint64(bits) ^ (np.uint64(cell) * np.uint64(0x9E3779B97F4A7C15))
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27)) ^ (np.uint64(geom) << np.uint64(40))) * np.uint64(
-        0x94D049BB133111EB
-    )
-    return x ^ (x >> np.uint64(31))
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def measure_parts(lattice, surfaces, bits, own, num_parts, blocks, counts, columns, begin, end):
-    """Measure the parts of ``blocks[begin:end]``, in rows by block and part.
-
-    The columns: how many surfaces a part has, and how many of these lie uppermost, int64; its first
-    member, by cell and rank, int64; its first row and column, and past its last ones, (n, 4) int64;
-    and the sum of its members' hashes, uint64.
-
-    Args:
-        bits: the heights as int64.
-        own: the part of each surface; and receives that of the next surface below, -1 for none.
-        num_parts: of each block.
-    """
-    part, below = own
-    size, tops, first_key, box, digest = columns
-    first, length, offset = surfaces.first, surfaces.length, 0
-    for k in range(begin, end):
-        counts[k] = num_parts[blocks[k]]
-        if offset + counts[k] > size.shape[0]:
-            counts[k] = 0
-            return k
-        for n in range(offset, offset + counts[k]):
-            size[n], tops[n], digest[n] = 0, 0, 0
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        for row in range(row0, row1):
-            for col in range(col0, col1):
-                cell, rank, lower = row * lattice.width + col, 0, np.int32(-1)
-                for j in range(first[cell], first[cell] + length[cell]):
-                    below[j] = lower
-                    if part[j] < 0:
-                        continue
-                    n, lower = offset + part[j], part[j]
-                    if size[n] == 0:
-                        first_key[n] = cell * 4096 + min(rank, 4095)
-                        box[n, 0], box[n, 1], box[n, 2], box[n, 3] = row, col, row + 1, col + 1
-                    size[n] += 1
-                    tops[n] += 1 if surfaces.marks[j] & TOP else 0
-                    box[n, 1], box[n, 2] = min(box[n, 1], col), row + 1
-                    box[n, 3] = max(box[n, 3], col + 1)
-                    digest[n] += _mix(cell, bits[j], surfaces.geom[j])
-                    rank += 1
-        offset += counts[k]
-    return end
-
-
 @kernel(nogil=True, **UNCOUNTED)
 def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, end):
     """Count the surfaces of ``blocks[begin:end]`` whose `own` number is >= 0.
 
     The rows: the `own` and the `other` number, and the level, unless that is -1; if `level` is
-    empty, the multiple of PLATEAU. A column more has the lowest height of each row [m].
+    empty, the multiple of PLATEAU. A column more has the lowest height of each row [m]. If `other`
+    is empty, it is the `own` number of the next one below; the lowest ones do not count.
     """
     (rows, low), num = columns, np.int64(0)
     for k in range(begin, end):
@@ -251,12 +237,16 @@ def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, 
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+                lower = np.int32(-1)
                 for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
                     if own[j] < 0 or (level.shape[0] > 0 and level[j] == -1):
                         continue
+                    beside, lower = other[j] if other.shape[0] > 0 else lower, own[j]
+                    if beside < 0:
+                        continue
                     z = surfaces.z[j]
                     value = np.int64(level[j]) if level.shape[0] > 0 else bin_of(z)
-                    at = note_row(rows, before, num, own[j], other[j], value)
+                    at = note_row(rows, before, num, own[j], beside, value)
                     if at < 0:
                         return k
                     low[at] = min(low[at], z) if at < num else z

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.floors.kernels.labels import bin_of, note_row
-from navbake.baker.floors.kernels.members import is_left, sheet_of
+from navbake.baker.floors.kernels.members import sheet_of, shrink
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import SIZE, block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -95,24 +95,22 @@ def _window_of(surfaces, kept, block, j, heights, is_lowest):
 
 
 @part(**UNCOUNTED)
-def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, num):
+def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, num):
     """`list_heights` of one block; returns how many rows there are then, -1 for no room."""
     (rows, low), (ground, _, _, top), reach, before = columns, heights, test.reach, num
     row0, row1, col0, col1 = block_window(lattice, block)
+    mask, left = masks
     # the window's cells are marked, with a margin, before those that shrinking leaves are counted
     for marks in (True, False):
         if marks and reach == 0:
             continue
+        if not marks and reach > 0:
+            shrink(mask, test, left)
         margin = reach if marks else 0
         for row in range(max(row0 - margin, 0), min(row1 + margin, lattice.height)):
-            follows = False
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
-                r, c = row - row0 + reach, col - col0 + reach
-                if reach > 0 and not marks:
-                    disc = test.rim if follows else test.disc
-                    follows = mask[r, c] and is_left(mask, r, c, disc)
-                    if not follows:
-                        continue
+                if not marks and reach > 0 and not left[row - row0, col - col0]:
+                    continue
                 own, is_lowest = block_of(lattice, row, col) if marks else block, True
                 first = surfaces.first[row * lattice.width + col]
                 for j in range(first, first + surfaces.length[row * lattice.width + col]):
@@ -126,7 +124,7 @@ def _list_block(lattice, surfaces, kept, heights, test, block, mask, columns, nu
                     if number == NO_WINDOW:
                         continue
                     if marks:
-                        mask[r, c] = True
+                        mask[row - row0 + reach, col - col0 + reach] = True
                         continue
                     at = note_row(rows, before, num, number, bin_of(z), 0)
                     if at < 0:
@@ -149,10 +147,10 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     height from which on nothing counts [m]. The rows, see `navbake.baker.blocks.list_rows`: the
     window, the multiple of PLATEAU, 0, and how many; with the lowest of these heights [m].
     """
-    size, num = SIZE + 2 * test.reach, np.int64(0)
+    num, size = np.int64(0), SIZE + 2 * test.reach
     for k in range(begin, end):
-        mask = np.zeros((size, size), np.bool_)
-        after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], mask, columns, num)
+        masks = np.zeros((size, size), np.bool_), np.empty((SIZE, SIZE), np.bool_)
+        after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], masks, columns, num)
         if after < 0:
             return k
         counts[k], num = after - num, after
@@ -176,9 +174,7 @@ def _place_bases(surfaces, kept, grounds, tolerance, cell, level):
 
 
 @kernel(nogil=True)
-def place_blocks(
-    lattice, surfaces, kept, grounds, tolerance, leave_floors, level, blocks, begin, end
-):  # fmt: skip
+def place_blocks(lattice, surfaces, kept, rule, own, blocks, counts, columns, begin, end):
     """Give each kept surface in ``blocks[begin:end]`` its level; no two of a column share one.
 
     A surface's base is the highest ground at or below it. Where all bases of a column differ, they
@@ -186,15 +182,20 @@ def place_blocks(
     as possible, up rather than down, and treads rather than floors. A tread that could fit only by
     moving a floor takes the free level nearest its base; on a tie, the upper.
 
+    The rows, see `navbake.baker.blocks.list_rows`: a part of a sheet, 0, a level, and how many of
+    its surfaces are there; with the lowest of their heights [m].
+
     Args:
-        grounds: heights, ascending [m].
-        tolerance: how far below a ground its floors may lie [m].
-        leave_floors: columns with more surfaces than levels leave out floors, the lower ones
+        rule: the grounds' heights, ascending [m]; how far below a ground its floors may lie [m];
+            and whether columns with more surfaces than levels leave out floors, the lower ones
             first, rather than treads.
-        level: of each surface, int32; receives its level, LOST or LOST_GROUND where all are taken,
-            -1 where it is not kept.
+        own: the part of each surface; and receives its level, LOST or LOST_GROUND where all are
+            taken, -1 where it is not kept, (n,) int32.
     """
+    (grounds, tolerance, leave_floors), (part, level) = rule, own
+    (rows, low), num = columns, np.int64(0)
     for k in range(begin, end):
+        before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
@@ -203,6 +204,17 @@ def place_blocks(
                     _place_column(
                         surfaces, kept, blocks[k], grounds, leave_floors, cell, level, count
                     )
+                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+                    if level[j] == -1:
+                        continue
+                    at = note_row(rows, before, num, part[j], 0, level[j])
+                    if at < 0:
+                        return k
+                    z = surfaces.z[j]
+                    low[at] = min(low[at], z) if at < num else z
+                    num = max(num, at + 1)
+        counts[k] = num - before
+    return end
 
 
 @part

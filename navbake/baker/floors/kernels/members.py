@@ -2,8 +2,7 @@
 
 An edge is a side of a cell beyond which its sheet has no surface (as in Recast's region contours).
 Shrinking is an erosion by a disc: a cell is left when all cells nearer than the limit belong to the
-mask. Testing the farthest cells first, and stopping when enough cells are left, is cheaper than a
-distance transform of the whole lattice.
+mask.
 """
 
 import math
@@ -87,15 +86,13 @@ class AreaTest(NamedTuple):
     Attributes:
         needed: how many cells have to be left.
         reach: the radius of `disc` [cells].
-        disc: offsets of the cells around one that is left, all of the set, the farthest first,
-            shape (n, 2), int64.
-        rim: the part of it that a cell's west neighbour has not tested, see `east_rim`.
+        disc: offsets of the cells around one that is left, and its own, all of the set, the
+            farthest first, shape (n, 2), int64.
     """
 
     needed: int
     reach: int
     disc: Int
-    rim: Int
 
 
 @lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
@@ -103,50 +100,31 @@ def near_offsets(limit: float, shorter: int) -> Int:
     """Offsets of the cells nearer than a limit [cells], the farthest first; don't change it.
 
     Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, four
-    offsets are enough, of which one always leads out.
+    offsets are enough beside its own, of which one always leads out.
     """
     out = (shorter + 1) // 2
     if limit > out:
-        return np.array([[0, out], [0, -out], [out, 0], [-out, 0]], dtype=np.int64)
+        return np.array([[0, out], [0, -out], [out, 0], [-out, 0], [0, 0]], dtype=np.int64)
     reach = int(np.ceil(limit))
     rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     squares = (rows**2 + cols**2).ravel()
     order = np.argsort(-squares, kind="stable")
     squares = squares[order]
-    chosen = order[(squares > 0) & (np.sqrt(squares) < limit)]
+    chosen = order[np.sqrt(squares) < limit]
     return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
 
 
-def east_rim(offsets: Int) -> Int:
-    """The offsets still to test for a cell whose west neighbour has passed for all of them."""
-    reach = int(np.abs(offsets).max(initial=0))
-    known = np.zeros((2 * reach + 1, 2 * reach + 2), dtype=np.bool_)
-    known[offsets[:, 0] + reach, offsets[:, 1] + reach] = True
-    known[reach, reach] = True
-    rim: Int = offsets[~known[offsets[:, 0] + reach, offsets[:, 1] + reach + 1]]
-    return rim
-
-
-@part(inline="always")
-def is_left(mask, row, col, offsets):
-    for k in range(offsets.shape[0]):  # noqa: SIM110 (numba has no generators in `all`)
-        if not mask[row + offsets[k, 0], col + offsets[k, 1]]:
-            return False
-    return True
-
-
 @part(**UNCOUNTED)
-def count_left(mask, test, needed):
-    """Count the cells left of a shrunk mask, which has a margin of `reach`, up to `needed`."""
-    found = 0
-    for row in range(test.reach, mask.shape[0] - test.reach):
-        follows = False
-        for col in range(test.reach, mask.shape[1] - test.reach):
-            follows = mask[row, col] and is_left(mask, row, col, test.rim if follows else test.disc)
-            found += 1 if follows else 0
-        if found >= needed:
-            break
-    return found
+def shrink(mask, test, left):
+    """Mark the cells that are left of a mask, which has a margin of `reach` around them."""
+    left[:] = True
+    for r in range(left.shape[0]):
+        here = left[r]
+        for k in range(test.disc.shape[0]):
+            row, col = r + test.reach + test.disc[k, 0], test.reach + test.disc[k, 1]
+            there = mask[row, col : col + left.shape[1]]
+            for c in range(left.shape[1]):
+                here[c] &= there[c]
 
 
 @part(inline="always")
@@ -205,8 +183,9 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
     reach = test.reach
     for n in range(begin, end):
         sheet, found = sheets[n], 0
+        size = min(boxes[sheet, 2] - boxes[sheet, 0], boxes[sheet, 3] - boxes[sheet, 1])
         for b in range(start[n], start[n + 1]):
-            if found >= test.needed:
+            if found >= test.needed or size <= 2 * reach:
                 break
             row0, row1, col0, col1 = block_window(labelled.lattice, blocks[b])
             row0, row1 = max(row0, boxes[sheet, 0]), min(row1, boxes[sheet, 2])
@@ -214,7 +193,9 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
             if row1 > row0 and col1 > col0:
                 mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.bool_)
                 _mark_sheet(labelled, sheet, (row0, row1, col0, col1), reach, mask)
-                found += count_left(mask, test, test.needed - found)
+                left = np.empty((row1 - row0, col1 - col0), np.bool_)
+                shrink(mask, test, left)
+                found += int(left.sum())
         result[sheet] = found >= test.needed
 
 

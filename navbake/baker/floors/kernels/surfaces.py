@@ -34,7 +34,7 @@ class Surfaces(NamedTuple):
         z: heights, ascending in a cell, (n,) float64 [m].
         geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
-        normal: unit normals, (n, 3) float32; (0, 3) where no slope rises more than a step a cell.
+        normal: unit normals, (n, 3) float32; (n, 0) where no slope rises more than a step a cell.
     """
 
     first: Int
@@ -47,10 +47,11 @@ class Surfaces(NamedTuple):
 
 
 @part(**UNCOUNTED)
-def planes_over(planes, x, y, z):
-    """How many infinite planes have a point behind them, and the geom of the last, or -1."""
+def planes_over(planes, lattice, cell, z):
+    """How many infinite planes are over a height in a cell, and the geom of the last, or -1."""
     count, geom = 0, np.int32(-1)
     for p in range(planes.geom.shape[0]):
+        x, y = cell_center(lattice, cell)
         depth = (
             planes.mat[p, 2] * (x - planes.pos[p, 0])
             + planes.mat[p, 5] * (y - planes.pos[p, 1])
@@ -118,7 +119,6 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
         first, last, before = crossings.start[n], crossings.start[n + 1], num
         if num + last - first > heights.shape[0]:
             return n
-        x, y = cell_center(lattice, cells[n])
         previous, held, gentle, at = -math.inf, -math.inf, -math.inf, num
         for i in range(first, last):
             z, up = crossings.z[i], crossings.normal[i, 2]
@@ -132,13 +132,13 @@ def list_surfaces(lattice, crossings, planes, limits, cells, counts, columns, be
                     marks[at] |= STANDS if above < math.inf else STANDS | TOP
                     continue
             heights[num], geoms[num], marks[num] = z, crossings.geom[i], FLOOR_LIKE
-            for axis in range(3):
+            for axis in range(normals.shape[1]):
                 normals[num, axis] = crossings.normal[i, axis]
             if is_gentle:
                 gentle, at = z, num
                 surfaces, others, above = look_up(crossings, i, last)
                 if z - previous > SAME and above - z >= limits.headroom - SLACK:
-                    behind, plane = planes_over(planes, x, y, z)
+                    behind, plane = planes_over(planes, lattice, cells[n], z)
                     if surfaces + others + behind <= 0:
                         marks[num] |= STANDS
                         previous = z
