@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from navbake.baker.blocks import Blocks
 from navbake.baker.connect import ranges
 from navbake.baker.floors.kernels.members import Members
 from navbake.baker.floors.outline import DROP, Site, beside
@@ -116,16 +117,20 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
 
 
 class Upright:
-    """How many surfaces of each part of a block nobody can stand upright on; kept up to date."""
+    """How many surfaces of each part of a block nobody can stand upright on; kept up to date.
 
-    def __init__(self, num_blocks: int) -> None:
-        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(num_blocks, np.int64)
-        self._now = 0
+    Attributes:
+        stale: the blocks in which columns have changed, shape (blocks,); written to.
+    """
+
+    def __init__(self, blocks: Blocks) -> None:
+        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(blocks.num, np.int64)
+        self.stale = blocks.all()
 
     def count_low(self, site: Site) -> Int:
         """How many surfaces of each sheet something hangs over, lower than an adult needs."""
         sheets, labels, surfaces = site.sheets, site.sheets.labels, site.sheets.surfaces
-        stale = site.last > self._now
+        stale, self.stale = self.stale, np.zeros_like(self.stale)
         low = np.zeros(int(labels.offset[-1]), dtype=np.int64)
         low[np.repeat(~stale, labels.count)] = self._low[np.repeat(~stale, self._counts)]
         cells = sheets.blocks.cells(stale)
@@ -137,7 +142,7 @@ class Upright:
         run_in_bands(lines_blocked, len(cell), cell, *band, crossings, is_low, least=1000)
         part = labels.offset[sheets.blocks.of(cell[is_low])] + labels.part[place[is_low]]
         low += np.bincount(part, minlength=len(low))
-        self._low, self._counts, self._now = low, labels.count.copy(), sheets.now
+        self._low, self._counts = low, labels.count.copy()
         return np.bincount(sheets.of_part, low, len(sheets.key)).astype(np.int64)
 
 
