@@ -16,10 +16,10 @@ from navbake.baker.floors.kernels.surfaces import HELD
 from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, beside, find_cropped
 from navbake.baker.floors.reach import (
     Unreached,
+    UnreachedFloors,
     Upright,
     find_enclosed,
     find_starts,
-    find_unreached,
     find_voids,
     largest_of_lowest,
 )
@@ -125,7 +125,7 @@ class FloorFinder:
         )
         self._placed_by: Storeys | None = None
         self._growth = FloorGrowth(self._sheets, agent)
-        self._upright = Upright(self._blocks)
+        self._upright, self._unreached = Upright(self._blocks), UnreachedFloors(self._blocks)
         self._stale = self._blocks.all()
 
     @property
@@ -271,7 +271,7 @@ class FloorFinder:
         if by_steps:
             patches = self._facts.describe(counted & ~reached, self._spans)
         told = [] if by_steps else self._facts.describe(voids)
-        return placed, patches, told, find_unreached(sheets, placed, reached)
+        return placed, patches, told, self._unreached.find(sheets, placed, reached)
 
 
 def find_floors(
