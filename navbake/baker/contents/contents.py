@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.columns import Columns, TiledShapes
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
 from navbake.baker.contents.structure import (
@@ -55,6 +56,8 @@ from navbake.types import Bool, Float, Int
 SPARE, ROOM = 1.1, 2
 # How far above its floors the last storey ends, whatever moves at the scene's top [m]
 OPEN_ABOVE = 100.0
+# Empty columns of `measure_blocks`
+NO_MEASURES = np.empty((0, 7), dtype=np.int64), np.empty((0, 2))
 
 
 @dataclass(frozen=True)
@@ -171,6 +174,10 @@ class CellFinder:
             self._names, self._free_body = name_geoms(scene), find_free_bodies(scene.model)
             self._taken = np.zeros(scene.model.nbody, dtype=np.int64)
         self._used = [0 for _ in self._listed]
+        # of each level, how geoms stand over its floors in each block; and where that may change
+        self._blocks = Blocks(lattice)
+        self._measures = [BlockTable(self._blocks.num, *NO_MEASURES) for _ in self._listed]
+        self._unmeasured = self._blocks.all()
         self._steps: tuple[Int, Int, Float] | None = None
         self._basis: list[NDArray[Any]] = []  # of what `_classified` is found from
         self._classified: Classified | None = None
@@ -206,6 +213,10 @@ class CellFinder:
         self._scene, was, self._floors = scene, self._floors, floors
         if not floors_hold or not np.array_equal(was.links, floors.links):
             self._steps = None
+        self._unmeasured |= self._blocks.holding(cells)
+        for one, other in zip(was.levels, floors.levels, strict=True):
+            differs = np.flatnonzero(one.standable != other.standable)
+            self._unmeasured |= self._blocks.holding(differs)
         if self._extents is not None:
             new = measure_geoms(scene.shapes.only(moved), len(moved))
             extents = Extents(*(array.copy() for array in self._extents))
@@ -319,15 +330,23 @@ class CellFinder:
     def _measure_levels(self, extents: Extents) -> tuple[GeomsOverFloors, Int, Bool]:
         """How geoms stand over floors, and the arguments of `find_carriers`."""
         num, heights = len(extents.low), (extents.low, extents.high)
-        over, stood_on = (np.full(num, np.inf), np.full(num, -np.inf)), np.zeros(num, np.bool_)
+        base, rise, stood_on = np.full(num, np.inf), np.full(num, -np.inf), np.zeros(num, np.bool_)
         on_floor = np.fmax(extents.high - extents.low + COVERING, THING_HEIGHT) + SLACK
-        limits = on_floor, COVERING + SLACK
+        limits, stale = (on_floor, COVERING + SLACK), np.flatnonzero(self._unmeasured)
         counts = np.zeros((len(self._listed), 5, num), dtype=np.int64)
-        for listed, level, own in zip(self._listed, self._floors.levels, counts, strict=True):
+        for k, (listed, level) in enumerate(zip(self._listed, self._floors.levels, strict=True)):
             layers = level.floor.ravel(), level.standable.ravel()
-            kernels.measure_level(listed, *layers, heights, limits, over, own, stood_on)
+            asked = listed, layers, heights, limits
+            self._measures[k].fill(kernels.measure_blocks, stale, *asked)
+            _, (rows, over) = self._measures[k].take()
+            geom = rows[:, 0]
+            np.add.at(counts[k].T, geom, rows[:, 1:6])
+            stood_on[geom[rows[:, 6] > 0]] = True
+            np.minimum.at(base, geom, over[:, 0])
+            np.maximum.at(rise, geom, over[:, 1])
+        self._unmeasured = np.zeros_like(self._unmeasured)
         area = counts[:, :2].max(axis=0) * self._listed[0].lattice.cell_size ** 2
-        return GeomsOverFloors(*over, *area), counts[:, 2:].sum(axis=0), stood_on
+        return GeomsOverFloors(base, rise, *area), counts[:, 2:].sum(axis=0), stood_on
 
 
 def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:

@@ -9,16 +9,17 @@ import numpy as np
 
 from navbake.baker.blocks import BlockAnswers, Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
+from navbake.baker.connect import ranges
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
 from navbake.baker.floors.kernels.surfaces import HELD
-from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
+from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, beside, find_cropped
 from navbake.baker.floors.reach import (
     Unreached,
+    UnreachedFloors,
     Upright,
     find_enclosed,
     find_starts,
-    find_unreached,
     find_voids,
     largest_of_lowest,
 )
@@ -105,7 +106,11 @@ class FloorFinder:
         self._spans, self._lattice = given_spans(given or ()), store.lattice
         self._blocks = Blocks(store.lattice)
         self._sheets = Sheets(self._store, self._blocks, agent)
-        self._held: Sheets | None = None  # of surfaces that closed meshes hold
+        # surfaces that closed meshes hold: their sheets, and the floors found there, which may be
+        # others where `_held_stale` has any of the blocks with such surfaces
+        self._held = Sheets(self._store, self._blocks, agent)
+        self._held_stale, self._has_held = self._blocks.all(), self._blocks.all()
+        self._enclosed = list[Patch]()
         self._facts, self._large = SheetFacts(), Seen(self._blocks.num)
         self._edges, self._walls = (
             BlockTable(self._blocks.num, NO_EDGES),
@@ -120,7 +125,7 @@ class FloorFinder:
         )
         self._placed_by: Storeys | None = None
         self._growth = FloorGrowth(self._sheets, agent)
-        self._upright = Upright(self._blocks.num)
+        self._upright, self._unreached = Upright(self._blocks), UnreachedFloors(self._blocks)
         self._stale = self._blocks.all()
 
     @property
@@ -130,7 +135,14 @@ class FloorFinder:
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
         """Replace the columns of some cells, see `SurfaceStore.replace`."""
-        self._stale |= self._blocks.holding(self._store.replace(cells, crossings, planes))
+        replaced, surfaces = self._store.replace(cells, crossings, planes), self._store.surfaces
+        self._stale |= self._blocks.holding(replaced)
+        beyond = np.concatenate([beside(self._lattice, replaced, way) for way in range(4)])
+        self._held_stale |= self._stale | self._blocks.holding(beyond[beyond >= 0])
+        first, length = surfaces.first[replaced], surfaces.length[replaced]
+        which, place = ranges(first, first + length)
+        is_held = surfaces.marks[place] & HELD != 0
+        self._has_held |= self._blocks.holding(replaced[which[is_held]])
 
     def find(
         self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest, near: Bool
@@ -144,8 +156,9 @@ class FloorFinder:
                 starts from.
         """
         sheets, facts, settings, agent = self._sheets, self._facts, self._settings, self._agent
-        stale, self._stale = self._stale, np.zeros_like(self._stale)
-        sheets.update(stale)
+        sheets.update(self._stale)
+        self._stale = np.zeros_like(self._stale)
+        self._upright.stale |= near
         if not len(sheets.key):
             raise SceneError(_no_floor(self._store, agent))
         cropped = find_cropped(self._lattice, shapes.bounds)
@@ -181,7 +194,7 @@ class FloorFinder:
             level = LevelFloor(name, ground, floor.reshape(shape), standable)
             fill = settings.fill / self._lattice.cell_size**2
             levels.append(fill_holes(level, fill, is_occupied) if fill else level)
-        held = self._find_enclosed(stale)
+        held = self._find_enclosed()
         return Floors(
             levels,
             self._growth.links,
@@ -196,17 +209,18 @@ class FloorFinder:
             spare=placed.spare,
         )
 
-    def _find_enclosed(self, stale: Bool) -> list[Patch]:
-        surfaces = self._store.surfaces
-        is_held = surfaces.marks & HELD != 0
-        if not is_held.any():
-            self._held = None
-            return []
-        if self._held is None:
-            self._held = Sheets(self._store, self._blocks, self._agent)
-            stale = self._blocks.all()
-        self._held.update(stale, np.where(is_held, surfaces.geom, np.int32(-1)))
-        return find_enclosed(self._held, self._agent, self._settings)
+    def _find_enclosed(self) -> list[Patch]:
+        """The floors inside of closed meshes, found again where some are or were."""
+        if (self._held_stale & self._has_held).any():
+            surfaces, held = self._store.surfaces, self._held
+            is_held = surfaces.marks & HELD != 0
+            self._has_held, self._enclosed = np.zeros_like(self._has_held), []
+            if is_held.any():
+                held.update(self._held_stale, np.where(is_held, surfaces.geom, np.int32(-1)))
+                self._has_held = held.labels.count > 0
+                self._held_stale = np.zeros_like(self._has_held)
+                self._enclosed = find_enclosed(held, self._agent, self._settings)
+        return self._enclosed
 
     def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
         """The fields of a `Site` from `edges` to `at_edges`; geometry has changed in `near`."""
@@ -257,7 +271,7 @@ class FloorFinder:
         if by_steps:
             patches = self._facts.describe(counted & ~reached, self._spans)
         told = [] if by_steps else self._facts.describe(voids)
-        return placed, patches, told, find_unreached(sheets, placed, reached)
+        return placed, patches, told, self._unreached.find(sheets, placed, reached)
 
 
 def find_floors(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
-from navbake.baker.connect import connect, touching
 from navbake.baker.floors.kernels.members import Edges, list_edges, look_out
+from navbake.baker.floors.kernels.rims import mark_holes
 from navbake.baker.floors.sheets import SheetFacts, Sheets
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.arrays import Band
@@ -88,7 +88,7 @@ class Site(NamedTuple):
         """Find the edges of chosen sheets, and the floors below them.
 
         Args:
-            reach: how many cells to look out for floors below, >= 1.
+            reach: how many cells to look out for floors below.
             among: the sheets that count, the large ones if None.
         """
         sheets, step = self.sheets, self.agent.traversable_floor_height
@@ -107,8 +107,22 @@ class Site(NamedTuple):
         run_in_bands(look_out, len(cell), labelled, step, edges, least=1000)
         return edges
 
-    def endings(self, edges: Edges, agent: AgentSettings | None = None) -> Endings:
-        """Classify how a sheet ends at each of its edges, for the agent or another one.
+    def barriers(self, edges: Edges, agent: AgentSettings) -> NDArray[np.uint8]:
+        """`kind` of `endings`, but OPEN in place of DROP; for the agent or another one."""
+        outer = beside(self.sheets.lattice, edges.cell, edges.way)
+        kind, asked = np.full(len(outer), OPEN, dtype=np.uint8), np.arange(len(outer))
+        kind[outer < 0] = BORDER
+        for band, means in zip(probe_bands(agent), (BARRIER, WALL), strict=True):
+            stands = self.is_occupied(edges.cell[asked], edges.z[asked], band)
+            beyond = np.flatnonzero(~stands & (outer[asked] >= 0))
+            cells, z = outer[asked[beyond]], edges.z[asked[beyond]]
+            stands[beyond] = self.is_occupied(cells, z, band)
+            asked = asked[stands]
+            kind[asked] = means
+        return kind
+
+    def endings(self, edges: Edges) -> Endings:
+        """Classify how a sheet ends at each of its edges.
 
         - WALL: something stands in the cell on this side of the edge, or in the one beyond, at an
           agent's feet (just above a step) and at its head (just below its height).
@@ -119,20 +133,11 @@ class Site(NamedTuple):
         - BORDER: the lattice ends.
         - OPEN: an abyss, a steep slope, a floor on which nobody can stand.
         """
-        agent, z, is_occupied = agent or self.agent, edges.z, self.is_occupied
-        outer = edges.cells[:, 0]
+        agent, z, is_occupied = self.agent, edges.z, self.is_occupied
         # of all these cells at once
         known = self.columns.at(np.concatenate([edges.cell, edges.cells[edges.cells >= 0]]))
-        kind, landing = np.full(len(z), OPEN, dtype=np.uint8), np.full(len(z), np.nan)
+        kind, landing = self.barriers(edges, agent), np.full(len(z), np.nan)
         floor = np.full(len(z), -1, dtype=np.int32)
-        kind[outer < 0] = BORDER
-        asked = np.arange(len(z))
-        for band, means in zip(probe_bands(agent), (BARRIER, WALL), strict=True):
-            stands = is_occupied(edges.cell[asked], z[asked], band)
-            beyond = np.flatnonzero(~stands & (outer[asked] >= 0))
-            stands[beyond] = is_occupied(outer[asked[beyond]], z[asked[beyond]], band)
-            asked = asked[stands]
-            kind[asked] = means
         looking, ground = np.flatnonzero(kind == OPEN), z.copy()
         for k in range(edges.cells.shape[1]):
             looking = looking[edges.cells[looking, k] >= 0]
@@ -179,27 +184,14 @@ def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:
     return np.array([high[0] - x_max, y_min - low[1], x_min - low[0], high[1] - y_max]) > SLACK
 
 
-def find_rims(edges: Edges, lattice: Lattice) -> Int32:
-    """Number the rims of each sheet, (edges,) int32: 0 is the outer one, 1 and up those of holes.
-
-    A rim's edges are connected by the cells beyond them. `edges` are all those of some sheets.
-    """
-    # one sheet after the other on a lattice with a margin, and an empty row between them
-    width, height = lattice.width + 2, lattice.height + 3
-    row, col = np.divmod(edges.cell, lattice.width)
-    first = edges.sheet.astype(np.int64) * height * width
-    inner = first + (row + 1) * width + col + 1
-    outer = inner + np.array([1, width, -1, -width])[edges.way]
-    cells, where = np.unique(outer, return_inverse=True)
-    pairs = touching(cells, width)
-    one, other = cells[pairs]
-    # at a corner, either of the two cells between them is none of the sheet's
-    is_pinched = (abs(other - one - width) == 1) & np.isin(other - width, inner)
-    is_pinched &= np.isin(one + width, inner)
-    rim = connect(pairs[:, ~is_pinched], len(cells))
-    # the first cell of a sheet lies outside, and the parts are in the order of their first cells
-    found: Int32 = rim[where] - rim[np.searchsorted(cells, first)]
-    return found
+def find_holes(edges: Edges, lattice: Lattice) -> Bool:
+    """Which edges are at rims of holes, shape (edges,); `edges` are all those of some sheets."""
+    order = np.argsort(edges.sheet, kind="stable")
+    start = np.append(np.flatnonzero(np.diff(edges.sheet[order], prepend=-1)), len(order))
+    marked, in_hole = np.empty((2, len(order)), dtype=np.bool_)
+    mark_holes(edges.cell[order], edges.way[order], start, lattice, marked)
+    in_hole[order] = marked
+    return in_hole
 
 
 def beside(lattice: Lattice, cell: Int, way: Int | int, steps: int = 1) -> Int:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.connect import ranges
-from navbake.baker.floors.kernels.members import Members
+from navbake.baker.floors.kernels.members import Members, weigh
 from navbake.baker.floors.outline import DROP, Site, beside
 from navbake.baker.floors.rejected import LARGE_TOP
-from navbake.baker.floors.sheets import Patch, Sheets, describe_members
+from navbake.baker.floors.sheets import Patch, Sheets, describe_members, place_near
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.constants import SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
+from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
 from navbake.threads import run_in_bands
@@ -116,16 +120,20 @@ def largest_of_lowest(counts: Int, num_sheets: int) -> Bool:
 
 
 class Upright:
-    """How many surfaces of each part of a block nobody can stand upright on; kept up to date."""
+    """How many surfaces of each part of a block nobody can stand upright on; kept up to date.
 
-    def __init__(self, num_blocks: int) -> None:
-        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(num_blocks, np.int64)
-        self._now = 0
+    Attributes:
+        stale: the blocks in which columns have changed, shape (blocks,); written to.
+    """
+
+    def __init__(self, blocks: Blocks) -> None:
+        self._low, self._counts = np.empty(0, dtype=np.int64), np.zeros(blocks.num, np.int64)
+        self.stale = blocks.all()
 
     def count_low(self, site: Site) -> Int:
         """How many surfaces of each sheet something hangs over, lower than an adult needs."""
         sheets, labels, surfaces = site.sheets, site.sheets.labels, site.sheets.surfaces
-        stale = site.last > self._now
+        stale, self.stale = self.stale, np.zeros_like(self.stale)
         low = np.zeros(int(labels.offset[-1]), dtype=np.int64)
         low[np.repeat(~stale, labels.count)] = self._low[np.repeat(~stale, self._counts)]
         cells = sheets.blocks.cells(stale)
@@ -137,7 +145,7 @@ class Upright:
         run_in_bands(lines_blocked, len(cell), cell, *band, crossings, is_low, least=1000)
         part = labels.offset[sheets.blocks.of(cell[is_low])] + labels.part[place[is_low]]
         low += np.bincount(part, minlength=len(low))
-        self._low, self._counts, self._now = low, labels.count.copy(), sheets.now
+        self._low, self._counts = low, labels.count.copy()
         return np.bincount(sheets.of_part, low, len(sheets.key)).astype(np.int64)
 
 
@@ -176,34 +184,76 @@ def find_voids(
     return reached, voids
 
 
-def find_unreached(sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
-    """Find the floors that no step leads to, one entry a level, lowest first.
+class UnreachedFloors:
+    """Finds the floors that no step leads to; keeps sums over the surfaces of each block."""
 
-    On levels that are reached in part, only sheets of at least 6 m² there count.
+    def __init__(self, blocks: Blocks) -> None:
+        self._sums = BlockTable(blocks.num, np.empty((0, 6), dtype=np.int64))
+        self._stale = blocks.all()
 
-    Args:
-        reached: which sheets are reached, shape (sheets,), bool.
-    """
-    unreached, (sheet, level, count) = [], placed.counts.T
-    is_reached = reached[sheet]
-    for number in np.unique(level[~is_reached]).tolist():
-        here = (level == number) & ~is_reached
-        size = np.bincount(sheet[here], count[here], minlength=len(reached))
-        whole = not (is_reached & (level == number)).any()
-        told = size > 0
-        if not whole:
-            told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
-        if told.any():
-            members = []
-            for part in map(sheets.members, np.flatnonzero(told).tolist()):
-                on = placed.level[part.place]
-                is_on = (on >= 0) & (placed.number[np.maximum(on, 0)] == number)
-                members.append(part.only(is_on))
-            every = Members(*(np.concatenate(arrays) for arrays in zip(*members, strict=True)))
-            largest = max(members, key=lambda part: len(part.cell))
-            patch = describe_members(sheets.lattice, every, largest)
-            unreached.append(Unreached(number, patch, whole))
-    return unreached
+    def find(self, sheets: Sheets, placed: Placed, reached: Bool) -> list[Unreached]:
+        """Find the floors that no step leads to, one entry a level, lowest first.
+
+        On levels that are reached in part, only sheets of at least 6 m² there count.
+
+        Args:
+            reached: which sheets are reached, shape (sheets,), bool.
+        """
+        self._stale |= sheets.stale | placed.changed
+        if reached[placed.counts[:, 0]].all():
+            return []
+        asked = sheets.lattice, sheets.surfaces, sheets.labels.part, placed.level
+        self._sums.fill(weigh, np.flatnonzero(self._stale), *asked)
+        self._stale = np.zeros_like(self._stale)
+        block, (rows,) = self._sums.take()
+        part, on, geom, count = rows[:, :4].T
+        sheet, level, unreached = sheets.sheet_at(block, part), placed.number[on], []
+        is_reached = reached[sheet]
+        for number in np.unique(level[~is_reached]).tolist():
+            here = (level == number) & ~is_reached
+            size = np.bincount(sheet[here], count[here], minlength=len(reached))
+            told, whole = size > 0, not (is_reached & (level == number)).any()
+            if not whole:
+                told &= size * sheets.lattice.cell_size**2 >= TOLD_AREA - SLACK
+            if told.any():
+                here &= told[sheet]
+                most = int(np.bincount(geom[here], count[here]).argmax())
+                area = int(size[told].sum()) * sheets.lattice.cell_size**2
+                largest = int(np.where(told, size, 0).argmax())
+                middle = rows[here & (sheet == largest), 4:].sum(axis=0) / size[largest]
+                place = _place_on(sheets, placed, number, largest, *middle.tolist())
+                cells = partial(_list_cells, sheets, placed, number, told)
+                unreached.append(Unreached(number, Patch(most, area, place, cells), whole))
+        return unreached
+
+
+def _members_on(
+    sheets: Sheets, placed: Placed, number: int, sheet: int, window: Sequence[int] | None = None
+) -> Members:
+    """The surfaces of a sheet that are on a level, see `Sheets.members`."""
+    members = sheets.members(sheet, window)
+    on = placed.level[members.place]
+    return members.only((on >= 0) & (placed.number[np.maximum(on, 0)] == number))
+
+
+def _list_cells(sheets: Sheets, placed: Placed, number: int, chosen: Bool) -> Int:
+    found = (_members_on(sheets, placed, number, k).cell for k in np.flatnonzero(chosen).tolist())
+    return np.concatenate(list(found))
+
+
+def _place_on(
+    sheets: Sheets, placed: Placed, number: int, sheet: int, row: float, col: float
+) -> tuple[float, float, float]:
+    """The place of a sheet on a level that is nearest to a row and a column, see `place_near`."""
+    lattice, reach = sheets.lattice, SIZE
+    while True:
+        low, high = (np.floor([row, col]).astype(np.int64) + by for by in (-reach, reach + 2))
+        window = [*np.maximum(low, 0).tolist(), *np.minimum(high, lattice.shape).tolist()]
+        members = _members_on(sheets, placed, number, sheet, window)
+        rows, cols = np.divmod(members.cell, lattice.width)
+        if (np.hypot(rows - row, cols - col) <= reach).any():  # what lies outside is farther
+            return place_near(lattice, members, row, col)
+        reach *= 2
 
 
 def find_enclosed(sheets: Sheets, agent: AgentSettings, settings: FloorSettings) -> list[Patch]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.floors.kernels.members import Edges, Members, look_below
-from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_rims, probe_bands
+from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_holes, probe_bands
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.threads import run_in_bands
@@ -129,14 +129,14 @@ def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int
     sheets = site.sheets
     edges = site.edges_of(asked, site.reach)
     has_floor = np.asarray((~np.isnan(edges.floors)).any(axis=1))
-    rim = find_rims(edges, sheets.lattice)
-    certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & (rim == 0)
+    in_hole = find_holes(edges, sheets.lattice)
+    certain = ((edges.cells[:, 0] >= 0) | ~site.cropped[edges.way]) & ~in_hole
     chosen = ~(site.share(edges, has_floor, certain | has_floor) < DROP_SHARE)[edges.sheet]
-    edges, rim = edges.only(chosen), rim[chosen]
+    edges, in_hole = edges.only(chosen), in_hole[chosen]
     endings = site.endings(edges)
     drops = endings.kind == DROP
     # other holes are where things stand on the sheet, such as pillows
-    known = endings.is_known & ((rim == 0) | drops)
+    known = endings.is_known & (~in_hole | drops)
     is_top = site.share(edges, drops, known) >= DROP_SHARE
     found = []
     for sheet in np.flatnonzero(asked).tolist():
@@ -148,8 +148,8 @@ def _judge_tops(site: Site, asked: Bool) -> list[tuple[Counter[int], Counter[int
             beside = float(landing[(len(landing) - 1) // 2])
             if _count_over_room(site, sheet, beside) <= ROOM_SHARE * sheets.size[sheet]:
                 drops_to.update(sheets.key[endings.floor[own & drops]].tolist())
-                in_holes.update(sheets.key[endings.floor[own & drops & (rim > 0)]].tolist())
-        found.append((in_holes, drops_to, int((rim[own] == 0).sum())))
+                in_holes.update(sheets.key[endings.floor[own & drops & in_hole]].tolist())
+        found.append((in_holes, drops_to, int((~in_hole[own]).sum())))
     return found
 
 
@@ -185,22 +185,26 @@ def _find_roofs(site: Site, candidates: Bool, over: Float) -> Bool:
 def _have_no_walls(site: Site, asked: Bool) -> Bool:
     """Which sheets have walls along at most half of their outline, within `floors.shrink` of it."""
     agent = site.agent.model_copy(update={"height": max(site.agent.height, MIN_WALL)})
-    sheets, edges = site.sheets, _outer_edges(site, asked, reach=1)
+    lattice, edges = site.sheets.lattice, _outer_edges(site, asked, reach=0)
 
     def look(some: Bool) -> NDArray[np.uint8]:
         stale = edges.only(some)
-        kind, _, _, is_known = site.endings(stale, agent)
-        for k in range(1, int(np.ceil(site.settings.shrink / sheets.lattice.cell_size)) + 1):
-            inner = beside(sheets.lattice, stale.cell, stale.way, -k)
-            near = np.flatnonzero(is_known & (kind != WALL) & (inner >= 0))
+        steps = range(-int(np.ceil(site.settings.shrink / lattice.cell_size)), 2)
+        beyond = [beside(lattice, stale.cell, stale.way, k) for k in steps]
+        cells = np.concatenate(beyond)
+        site.columns.at(cells[cells >= 0])  # of all at once, as parts of these are asked for below
+        kind = site.barriers(stale, agent)
+        known = site.is_known(kind, stale.way)
+        for inner in beyond[-3::-1]:
+            near = np.flatnonzero(known & (kind != WALL) & (inner >= 0))
             for band in probe_bands(agent):
                 near = near[site.is_occupied(inner[near], stale.z[near], band)]
             kind[near] = WALL
         return kind
 
-    block = sheets.blocks.of(edges.cell)
+    block = site.sheets.blocks.of(edges.cell)
     places = np.stack([edges.cell * 4 + edges.way, edges.z.view(np.int64)], axis=1)
-    kind = site.walls.find(block, places, site.last, sheets.now, look)
+    kind = site.walls.find(block, places, site.last, site.sheets.now, look)
     is_known = site.is_known(kind, edges.way)
     return asked & (site.share(edges, kind == WALL, is_known) <= HALF)
 
@@ -208,7 +212,7 @@ def _have_no_walls(site: Site, asked: Bool) -> Bool:
 def _outer_edges(site: Site, chosen: Bool, reach: int) -> Edges:
     """The edges of some sheets but for those of their holes."""
     edges = site.edges_of(chosen, reach)
-    return edges.only(find_rims(edges, site.sheets.lattice) == 0)
+    return edges.only(~find_holes(edges, site.sheets.lattice))
 
 
 def _find_shelves(site: Site, candidates: Bool) -> Bool:

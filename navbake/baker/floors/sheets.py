@@ -170,13 +170,14 @@ class Sheets:
         mask[self.labels.block[chosen[self.of_part]]] = True
         return mask
 
-    def members(self, sheet: int) -> Members:
-        """The surfaces of a sheet."""
+    def members(self, sheet: int, window: Sequence[int] | None = None) -> Members:
+        """The surfaces of a sheet, all or those in a window: rows and columns as of `box`."""
         chosen, num = np.arange(len(self.key)) == sheet, int(self.size[sheet])
-        ids, heights = (np.empty((2, num), dtype) for dtype in (np.int64, np.float64))
-        members = Members(ids[0], heights[0], np.empty(num, dtype=np.int32), ids[1])
-        fill_members(self.labelled(chosen), tuple(self.box[sheet].tolist()), members)
-        return members
+        types = np.int64, np.float64, np.int32, np.int64
+        members = Members._make(np.empty(num, dtype) for dtype in types)
+        window = self.box[sheet].tolist() if window is None else window
+        count = fill_members(self.labelled(chosen), tuple(window), members)
+        return Members._make(array[:count] for array in members)
 
     def between(self, chosen: Bool, low: float, high: float) -> Bool:
         """Which of the chosen sheets have a surface from a height up to below another one [m]."""
@@ -228,24 +229,36 @@ class Patch:
         geom: the geom that most of it belongs to.
         area: [m²].
         place: x, y, z of a place near its middle, in world coordinates [m].
-        cells: its cells, shape (n,), int32.
+        list_cells: lists `cells`, before the next update.
     """
 
     geom: int
     area: float
     place: tuple[float, float, float]
-    cells: Int32 = field(repr=False, compare=False)
+    list_cells: Callable[[], Int | Int32] = field(repr=False, compare=False)
+
+    @property
+    def cells(self) -> Int | Int32:
+        """Its cells, shape (n,)."""
+        return self.list_cells()
 
 
-def describe_members(lattice: Lattice, members: Members, largest: Members | None = None) -> Patch:
-    """Describe some surfaces, one at least; the place is near the middle of the `largest` part."""
-    cells, z, *_ = largest or members
-    row, col = np.divmod(cells, lattice.width)
-    nearest = int(((row - row.mean()) ** 2 + (col - col.mean()) ** 2).argmin())
-    x, y = lattice.center_x()[col[nearest]], lattice.center_y()[row[nearest]]
-    area, geom = len(members.cell) * lattice.cell_size**2, np.bincount(members.geom).argmax()
-    place = float(x), float(y), float(z[nearest])
-    return Patch(int(geom), area, place, members.cell.astype(np.int32))
+def describe_members(lattice: Lattice, members: Members) -> Patch:
+    """Describe some surfaces, one at least."""
+    row, col = np.divmod(members.cell, lattice.width)
+    cells, area = members.cell.astype(np.int32), len(members.cell) * lattice.cell_size**2
+    place = place_near(lattice, members, row.mean(), col.mean())
+    return Patch(int(np.bincount(members.geom).argmax()), area, place, lambda: cells)
+
+
+def place_near(
+    lattice: Lattice, members: Members, row: float, col: float
+) -> tuple[float, float, float]:
+    """x, y, z of the surface nearest to a row and a column [m]."""
+    rows, cols = np.divmod(members.cell, lattice.width)
+    nearest = int(((rows - row) ** 2 + (cols - col) ** 2).argmin())
+    x, y = lattice.center_x()[cols[nearest]], lattice.center_y()[rows[nearest]]
+    return float(x), float(y), float(members.z[nearest])
 
 
 class SheetFacts:

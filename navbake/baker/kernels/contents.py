@@ -1,13 +1,15 @@
 """Lists of the geoms in each cell of a storey: count, measure, mark and copy them, in one pass."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import BUILDING, WALL
+from navbake.baker.kernels.tiles import block_window
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
-from navbake.compiled import UNCOUNTED, kernel
+from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int32
 
 
@@ -56,42 +58,73 @@ def take_entries(listed, cells):
     return entries
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def measure_level(listed, floors, standable, heights, limits, over, counts, stood_on):
-    """Measure how a storey's geoms stand over its floors, and carry them, into (geoms,) arrays.
+@part(**UNCOUNTED)
+def _open_row(columns, row_of, before, num, geom):
+    """The row of a geom in the block whose rows begin at `before`, -1 for no room."""
+    rows, over = columns
+    at = row_of[geom]
+    if at < before:
+        if num == rows.shape[0]:
+            return np.int64(-1)
+        at = row_of[geom] = num
+        rows[at, 0], rows[at, 1:] = geom, 0
+        over[at, 0], over[at, 1] = math.inf, -math.inf
+    return at
+
+
+@kernel(nogil=True)
+def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, begin, end):
+    """Measure how a storey's geoms stand over its floors, and carry them, by blocks and geoms.
+
+    The rows, see `navbake.baker.blocks.list_rows`: the geom, in how many cells it stands, stands in
+    the walls' band, carries the floor, lies on a floor, and covers one, and whether one can stand
+    on it anywhere, 1 or 0, int64; the least (low - floor), and the greatest (high - max(low,
+    floor)), float64 [m].
 
     Args:
-        floors, standable: (cells,) float64, NaN for none [m], and bool.
+        layers: floors, float64, NaN for none [m], and where one can stand, bool; (cells,).
         heights: of the lower and the upper ends of all geoms [m].
         limits: up to which gaps a geom that carries a floor lies on another one, by geom id, and
             up to which it only covers it [m].
-        over: per geom, in place: the least (low - floor), and the greatest (high - max(low,
-            floor)) [m].
-        counts: per geom, in place, (5, geoms) int64: in how many cells it stands, stands in the
-            walls' band, carries the floor, lies on a floor, and covers one.
-        stood_on: per geom, in place, bool: whether one can stand on it anywhere.
     """
-    (lows, highs), (base, rise), (on_floor, covering) = heights, over, limits
-    for cell in range(floors.shape[0]):
-        i = listed.first[cell]
-        while listed.geom[i] >= 0:
-            g, flags = listed.geom[i], np.int64(listed.flags[i])
-            i += 1
-            if not flags & STANDS:
-                continue
-            counts[0, g] += 1
-            counts[1, g] += 1 if flags & PROBED else 0
-            floor, low, high = floors[cell], lows[g], highs[g]
-            if low - floor < base[g]:  # never of an endless plane, whose heights are NaN
-                base[g] = low - floor
-            if high - max(low, floor) > rise[g]:
-                rise[g] = high - max(low, floor)
-        carrier, gap = listed.carrier[cell], listed.gap[cell]
-        if carrier >= 0:
-            counts[2, carrier] += 1
-            counts[3, carrier] += 1 if gap <= on_floor[carrier] else 0
-            counts[4, carrier] += 1 if gap <= covering else 0
-            stood_on[carrier] |= standable[cell]
+    (rows, over), (floors, standable), (lows, highs) = columns, layers, heights
+    on_floor, covering = limits
+    num, row_of = np.int64(0), np.full(lows.shape[0], np.int64(-1))
+    for k in range(begin, end):
+        before = num
+        row0, row1, col0, col1 = block_window(listed.lattice, blocks[k])
+        for row in range(row0, row1):
+            first = row * listed.lattice.width
+            for cell in range(first + col0, first + col1):
+                i = listed.first[cell]
+                while listed.geom[i] >= 0:
+                    g, flags = listed.geom[i], np.int64(listed.flags[i])
+                    i += 1
+                    if not flags & STANDS:
+                        continue
+                    at = _open_row(columns, row_of, before, num, g)
+                    if at < 0:
+                        return k
+                    num = max(num, at + 1)
+                    rows[at, 1] += 1
+                    rows[at, 2] += 1 if flags & PROBED else 0
+                    floor, low, high = floors[cell], lows[g], highs[g]
+                    if low - floor < over[at, 0]:  # never of an endless plane: heights are NaN
+                        over[at, 0] = low - floor
+                    if high - max(low, floor) > over[at, 1]:
+                        over[at, 1] = high - max(low, floor)
+                carrier, gap = listed.carrier[cell], listed.gap[cell]
+                if carrier >= 0:
+                    at = _open_row(columns, row_of, before, num, carrier)
+                    if at < 0:
+                        return k
+                    num = max(num, at + 1)
+                    rows[at, 3] += 1
+                    rows[at, 4] += 1 if gap <= on_floor[carrier] else 0
+                    rows[at, 5] += 1 if gap <= covering else 0
+                    rows[at, 6] |= 1 if standable[cell] else 0
+        counts[k] = num - before
+    return end
 
 
 @kernel(nogil=True, **UNCOUNTED)

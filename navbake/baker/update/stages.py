@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
 from navbake.baker.blocks import Blocks
-from navbake.baker.column_blocks import cast_at, list_once, place_columns
+from navbake.baker.column_blocks import cast_at, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
 from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
@@ -50,6 +50,7 @@ class KeptColumns:
         self.lattice = columns.lattice
         self._cells = np.arange(self.lattice.width * self.lattice.height)
         self._all: Columns | None = None  # a copy of all, until one changes
+        self._some: tuple[Bool, Columns] | None = None  # the cells that were asked for last
         self._hold(columns.crossings)
 
     def _hold(self, crossings: Crossings) -> None:
@@ -74,10 +75,14 @@ class KeptColumns:
 
     def at(self, cells: Int | Int32) -> Columns:
         """Columns in which those of some cells are known, whatever the order of their ids."""
-        if len(cells) > COPY_SHARE * len(self._cells):
+        if self._all is not None or len(cells) > COPY_SHARE * len(self._cells):
             return next(self.blocks())
-        asked = list_once(self.lattice, cells)
-        return place_columns(self.lattice, asked, self.take(asked))
+        if self._some is None or not self._some[0][cells].all():
+            mask = np.zeros(len(self._cells), dtype=np.bool_)
+            mask[cells] = True
+            asked = np.flatnonzero(mask)
+            self._some = mask, place_columns(self.lattice, asked, self.take(asked))
+        return self._some[1]
 
     def take(self, cells: Int) -> Crossings:
         """The columns of some cells, ascending, numbered as these are."""
@@ -85,7 +90,7 @@ class KeptColumns:
 
     def put(self, cells: Int, crossings: Crossings) -> None:
         """Replace the columns of some cells, ascending; crossings are numbered as these are."""
-        self._all, end = None, self._used + len(crossings.z)
+        self._all, self._some, end = None, None, self._used + len(crossings.z)
         if end > len(self._arrays[0]):
             self._make_room(len(crossings.z))
             end = self._used + len(crossings.z)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -164,7 +165,8 @@ def test_levels_and_links_of_a_window_are_numbered_anew():
         LevelFloor("attic", 9.0, floor + 9, everywhere),
     ]
     links = np.array([[0, 0, 1, 0], [0, 1, 2, 2], [0, 4, 2, 5], [1, 1, 2, 2], [2, 6, 3, 7]])
-    patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), np.array(cells)) for cells in ([0, 4], [4, 5])]
+    cells = np.array([[0, 4], [4, 5]])
+    patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), partial(cells.take, k, axis=0)) for k in (0, 1)]
     unreached = [Unreached(level, patches[1], True) for level in (1, 2)]
     whole = Floors(levels, links, patches, [], [], unreached, [], patches[:1], [], [], [])
     window = crop_floors(whole, (slice(0, 2), slice(1, 4)))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from navbake.baker.floors.kernels.labels import note_row
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import block_of, block_window
 from navbake.compiled import UNCOUNTED, kernel, part
@@ -136,7 +137,7 @@ def sheet_of(labelled, block, j):
 
 @kernel(nogil=True, **UNCOUNTED)
 def fill_members(labelled, window, members):
-    """List the surfaces of sheets in a window of rows and columns, cell by cell."""
+    """List the surfaces of sheets in a window of rows and columns, cell by cell; their number."""
     row0, col0, row1, col1 = window
     lattice, count = labelled.lattice, 0
     for row in range(row0, row1):
@@ -147,6 +148,35 @@ def fill_members(labelled, window, members):
                     members.cell[count], members.z[count] = cell, labelled.z[j]
                     members.geom[count], members.place[count] = labelled.geom[j], j
                     count += 1
+    return count
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def weigh(lattice, surfaces, part, level, blocks, counts, columns, begin, end):
+    """Sum up the surfaces of ``blocks[begin:end]`` that have a part and a level, not less than 0.
+
+    The rows, see `navbake.baker.blocks.list_rows`: the part in its block, the level, the geom, how
+    many, and the sums of their rows and columns. The same three may come in several rows.
+    """
+    (rows,), num = columns, np.int64(0)
+    for k in range(begin, end):
+        before = num
+        row0, row1, col0, col1 = block_window(lattice, blocks[k])
+        for row in range(row0, row1):
+            for col in range(col0, col1):
+                cell = row * lattice.width + col
+                for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
+                    if part[j] < 0 or level[j] < 0:
+                        continue
+                    at = note_row(rows, before, num, part[j], level[j], surfaces.geom[j])
+                    if at < 0:
+                        return k
+                    if at == num:
+                        rows[at, 4:], num = 0, num + 1
+                    rows[at, 4] += row
+                    rows[at, 5] += col
+        counts[k] = num - before
+    return end
 
 
 @part(inline="always")

@@ -1,0 +1,50 @@
+"""Which edges of a sheet are at the rims of holes, next to pairs of cells on a lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from navbake.baker.connect import connect, touching
+from navbake.baker.floors.kernels.members import Edges
+from navbake.baker.floors.outline import beside, find_holes
+from navbake.navgrid.lattice import Lattice
+
+MASKS = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9))
+
+
+def edges_of(mask: np.ndarray, number: int) -> tuple[Lattice, list[np.ndarray]]:
+    """The edges of a sheet with the cells of a mask: its number, their cells and ways."""
+    lattice = Lattice(0.0, float(mask.shape[0]), 1.0, mask.shape[1], mask.shape[0])
+    cell, way = (part.ravel() for part in np.meshgrid(np.flatnonzero(mask), np.arange(4)))
+    other = beside(lattice, cell, way)
+    ends = (other < 0) | ~mask.ravel()[other]
+    return lattice, [np.full(ends.sum(), number, dtype=np.int32), cell[ends], way[ends]]
+
+
+def slow_holes(mask: np.ndarray, cell: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """The same by all pairs of cells beyond the edges, on a lattice with a margin."""
+    inside = np.pad(mask, 2).ravel()
+    width = mask.shape[1] + 4
+    row, col = np.divmod(cell, mask.shape[1])
+    outer = (row + 2) * width + col + 2 + np.array([1, width, -1, -width])[way]
+    cells, where = np.unique(outer, return_inverse=True)
+    one, other = pairs = touching(cells, width)
+    low, high = cells[one], cells[other]
+    at_corner = ~np.isin(high - low, (1, width))
+    pinched = at_corner & inside[high - width] & inside[low + width]
+    return connect(pairs[:, ~pinched], len(cells))[where] > 0
+
+
+@given(mask=MASKS, twice=st.booleans())
+def test_edges_of_holes_are_those_that_no_cells_beyond_join_to_the_first(mask, twice) -> None:
+    lattice, (number, cell, way) = edges_of(mask, 3)
+    if twice:  # two sheets
+        number, cell, way = np.append(number, number + 2), np.tile(cell, 2), np.tile(way, 2)
+    order = np.random.default_rng(0).permutation(len(cell))
+    nothing = np.empty(0)
+    edges = Edges(number[order], cell[order], nothing, way[order], nothing, nothing, nothing)
+    expected = slow_holes(mask, cell[order], way[order])
+    np.testing.assert_array_equal(find_holes(edges, lattice), expected)
