@@ -36,9 +36,9 @@ PADDING = 2
 
 RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
 CHUNK = 4096  # triangles that are looked at together
-# Walls farther from the centres of end cells are ignored: of lines [columns]; of doorways, whose
-# walls lean in the lattice where they are at an angle to it [m]
-FAR, FAR_OF_DOORWAY = 4.0, 0.6
+# Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
+# gaps, `kernels.FAR`, as they lean in the lattice where they are at an angle to it
+FAR_OF_DOORWAY = 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
 
@@ -205,51 +205,45 @@ class WallRays:
         # rays meet what is near to their cells alone, so that nothing is left as often as entered
         triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
         walls = replace(walls, triangles=triangles)
-        self._reach = max(FAR * lattice.cell_size, FAR_OF_DOORWAY)
+        self._reach = max(kernels.FAR * lattice.cell_size, FAR_OF_DOORWAY)
         # by tiles as seen from above, whatever the rays' direction
         self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
-    def measure(
-        self, direction: Direction, row: Int, col: Int, is_after: Bool, far: float | Float = FAR
-    ) -> Float:
-        """How far walls are from cells' centres along a direction, or back, (n,) [columns].
+    def known(self, direction: Direction) -> Float:
+        """How far walls are from cells' centres along a direction, plus 1, (cells, 2) [columns].
 
-        Half a column where there is none within `far`, at most `FAR` or `FAR_OF_DOORWAY`.
+        By cell, as the direction scans them, and way, back or on; inf for none within the rays'
+        reach. Where it is 0, it isn't known before `look`.
         """
-        axes, tiled, known = self._turn(direction)
-        cell = row * self._lattice.width + col
-        way = is_after.astype(np.int64)
-        new = np.flatnonzero(known[cell, way] == 0.0)
-        if len(new):
-            rays = axes, tiled, direction.stretch * self._lattice.cell_size
-            known[cell[new], way[new]] = self._cast(*rays, row[new], col[new], is_after[new])
-        columns = known[cell, way] - 1.0
-        return np.where(columns <= far, columns, 0.5)
+        return self._turn(direction)[2]
 
-    def _cast(
-        self, axes: Float, tiled: TiledShapes, column: float, row: Int, col: Int, is_after: Bool
-    ) -> Float:
-        """How far walls are, plus a column, so that it isn't 0; see `measure`."""
-        centers = np.column_stack([self._lattice.positions(row, col), self._height[row, col]])
-        centers = centers @ axes.T
+    def look(self, direction: Direction, cells: Int) -> None:
+        """Cast rays from `cells`, shape (…, 2), back and on; -1 for none."""
+        axes, tiled, known = self._turn(direction)
+        way = np.broadcast_to([0, 1], cells.shape)[cells >= 0]
+        cell = cells[cells >= 0]
+        new = known[cell, way] == 0.0
+        cell, way = cell[new], way[new]
+        if not len(cell):
+            return
+        lattice = self._lattice
+        row, col = np.divmod(cell, self._height.shape[0 if direction.swapped else 1])
+        row, col = (col, row) if direction.swapped else (row, col)
+        centers = np.column_stack([lattice.positions(row, col), self._height[row, col]]) @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
-        across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
+        across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
         points[:, 0] += np.tile(across, len(row))
-        cells = np.repeat(row * self._lattice.width + col, len(across))
-        crossings = cast_points(tiled, cells, points)
+        crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
-        ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
+        ahead = np.where(way[line] == 1, 1.0, -1.0) * (crossings.z - centers[line, 2])
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
-        return nearest / column + 1.0
+        known[cell, way] = nearest / (direction.stretch * lattice.cell_size) + 1.0
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
-        """A frame in which the direction is up, its axes as rows; the walls in it; what is known.
-
-        That is by cell and way what `_cast` returned, 0 for nothing yet.
-        """
+        """A frame in which the direction is up, its axes as rows; the walls in it; see `known`."""
         key = direction.swapped, direction.slope
         if key not in self._turned:
             way = np.array([1.0, -direction.slope]) / direction.stretch
@@ -257,7 +251,7 @@ class WallRays:
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             turned = self._tiled.shapes.turned(axes)
             tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
-            known = np.zeros((self._lattice.width * self._lattice.height, 2))
+            known = np.zeros((self._height.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]
 
