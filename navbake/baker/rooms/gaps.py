@@ -1,7 +1,6 @@
 """Gaps between walls, and the spaces that they part, see `segment_by_gaps`."""
 
 import heapq
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +69,7 @@ def find_gaps(
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
     # doorways, come first, and close the way for others: so a line across a corridor does not go
     # through a door, and a wall's end at a wide opening is continued up to the opening's line
-    marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
+    marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
     marked, least = np.zeros_like(space), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
         waiting = []
@@ -78,7 +77,7 @@ def find_gaps(
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
             is_open = turned(space & ~marked, direction)
-            lines = is_open, direction.shift, turned(direction.near, direction).copy()
+            lines = is_open, direction.shift, turned(direction.near, direction).copy("K")
             waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
         for wait in waiting:
             wait()
@@ -96,8 +95,10 @@ def find_gaps(
     for direction, own, thick in zip(directions, marks, thickness, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
-        scanned = turned(label, direction), turned(space, direction), direction.shift
-        scan = Scan(*scanned, depths, leans)
+        # lines are followed row by row
+        regions, is_open = (label.T, space.T) if direction.swapped else (label, space)
+        regions, is_open = np.ascontiguousarray(regions), np.ascontiguousarray(is_open)
+        scan = Scan(regions, is_open, direction.shift, depths, leans)
         found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
     return found, label, cells
 
@@ -234,7 +235,7 @@ class Spaces:
         if width > (self._door_width or WIDEST):
             return 1.0
         self._decided[gap] = max(above, below)
-        return max(above, below)
+        return float(self._decided[gap])
 
     def close_calls(self) -> list[CloseCall]:
         """The gaps between two spaces of some size whose share was close to the limit."""

@@ -53,6 +53,22 @@ def squared_distances(target: Bool, reach: int) -> Int32:
     return answer
 
 
+def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
+    """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
+    closed = np.pad(~open_cells, 1, constant_values=True)
+    along, far = np.empty(closed.shape, dtype=np.int16), np.int16(reach // 2 + 2)
+    run_in_bands(kernels.sweep_columns, closed.shape[1], closed, far, along, least=STRIP)
+    nearest = np.full(len(row), (reach + 1) ** 2)
+    over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
+    for shift in range(-(reach // 2) - 1, reach // 2 + 3):
+        beside = np.clip(col // 2 + shift, 0, last)
+        cells = np.minimum(along[over, beside], along[under, beside]).astype(np.int64)
+        down = np.maximum(2 * cells - row % 2, 0)
+        right = np.abs(2 * beside - 1 - col) - 1  # cells are two nodes wide
+        np.minimum(nearest, down**2 + np.maximum(right, 0) ** 2, out=nearest)
+    return nearest
+
+
 def wall_nodes(open_cells: Bool) -> Bool:
     """Mark the nodes, shape (2 height + 1, 2 width + 1), on a closed cell or the lattice's edge.
 
@@ -82,18 +98,18 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     # the edge of the lattice is no wall: what is there goes on beyond it
     closed = np.pad(~open_cells, PADDING, mode="edge")
     squared = squared_distances(closed, reach + 2)
-    distance = np.sqrt(squared, dtype=np.float32)
-    at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
-    rows, cols = np.nonzero(at)
-    rows, cols = rows + 2, cols + 2
-    down = distance[rows + 2, cols] - distance[rows - 2, cols]
-    right = distance[rows, cols + 2] - distance[rows, cols - 2]
+    at = (squared >= (reach - 1) ** 2) & (squared < reach**2)
+    at[[0, 1, -2, -1]] = at[:, [0, 1, -2, -1]] = False
+    cells, width = np.flatnonzero(at), closed.shape[1]
+    beside = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
+    below, above, after, before, distance = np.sqrt(squared.ravel()[beside], dtype=np.float32)
+    down, right = below - above, after - before
     # a wall runs across the slope; where two walls are as near, there is less of one
     clear = np.hypot(down, right) > 3.2
-    rows, cols, down, right = rows[clear], cols[clear], down[clear], right[clear]
+    cells, distance, down, right = cells[clear], distance[clear], down[clear], right[clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
-    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / slope
+    foot = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
     num = 180 // BIN
     bins = np.rint(angle / BIN).astype(np.int64) % num
     # round the corners of walls the slope has all directions alike
@@ -133,16 +149,16 @@ def _smooth(count: Int) -> Int:
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
-def _across(foot: Float, angle: float) -> Float:
-    """In which line each point lies, of lines in a direction [°] that are `LINE` wide."""
-    turn = np.deg2rad(angle)
+def _across(foot: Float, angles: Float) -> Float:
+    """In which line each point lies, (angles, n), of lines in directions [°], `LINE` wide."""
+    turn = np.deg2rad(angles)[:, None]
     across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
-    return np.asarray((across - across.min()) / LINE)
+    return np.asarray((across - across.min(axis=1, keepdims=True)) / LINE)
 
 
 def _on_walls(foot: Float, angle: float, least: float) -> Bool:
     """Which points lie on two neighbouring lines that have as many as a wall."""
-    line = _across(foot, angle).astype(np.int64)
+    line = _across(foot, np.array([angle]))[0].astype(np.int64)
     count = np.pad(np.bincount(line), 1)
     pairs = count[1:] + count[:-1]  # each line with the one before
     is_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= least
@@ -155,15 +171,18 @@ def _align(foot: Float, around: float) -> float:
     It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
     """
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
-    angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
-    sharpness = np.zeros(len(angles))
-    for k, angle in enumerate(angles.tolist()):
-        across = _across(foot, angle)
-        for phase in (0.0, 0.5):  # so that no wall falls between two lines
-            count = np.bincount((across + phase).astype(np.int64))
-            # the squares of the sums of two lines next to each other; whole numbers, so exact
-            sharp = 2 * (count @ count + count[1:] @ count[:-1])
-            sharpness[k] = max(sharpness[k], float(sharp))
+    most = round(1.5 * BIN / FINE)
+    angles = around + FINE * np.arange(-most, most + 1, dtype=np.float64)
+    across = _across(foot, angles)
+    sharpness = np.zeros(len(angles), dtype=np.int64)
+    for phase in (0.0, 0.5):  # so that no wall falls between two lines
+        line = (across + phase).astype(np.int64)
+        lines = int(line.max()) + 1
+        number = line + lines * np.arange(len(angles))[:, None]
+        count = np.bincount(number.ravel(), minlength=lines * len(angles)).reshape(-1, lines)
+        # the squares of the sums of two lines next to each other; whole numbers, so exact
+        sharp = (count**2).sum(axis=1) + (count[:, 1:] * count[:, :-1]).sum(axis=1)
+        np.maximum(sharpness, sharp, out=sharpness)
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
         return float(angles[is_axis][0])
@@ -181,8 +200,8 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
 
 
 def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
-    """An array as the kernels scan it in a direction."""
-    return np.ascontiguousarray(array.T) if direction.swapped else array
+    """An array as the kernels scan it in a direction: column by column, as it lies in memory."""
+    return np.asfortranarray(array.T if direction.swapped else array)
 
 
 class WallRays:
@@ -272,8 +291,8 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
         bridge = np.zeros_like(scanned[0])
         kernels.mark_bridges(*scanned, direction.shift, bridge)
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
-        for col, top, end, _ in zip(*list_runs(bridge.T), strict=True):
-            if end - top > most:
-                bridge[top:end, col] = False
+        col, top, end, _ = list_runs(bridge.T)
+        for k in np.flatnonzero(end - top > most).tolist():
+            bridge[top[k] : end[k], col[k]] = False
         found |= bridge.T if direction.swapped else bridge
     return found

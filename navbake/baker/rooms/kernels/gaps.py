@@ -91,7 +91,7 @@ def measure_runs(is_open, shift, marked):
     Where one cell of a run is `marked`, all of the run is marked.
     """
     rows, cols = is_open.shape
-    run = np.zeros((rows, cols), dtype=np.int32)
+    run = np.zeros((cols, rows), dtype=np.int32).T
     length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
     base = cols
     for col in range(cols):
@@ -129,8 +129,8 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
     """
     run = measure_runs(is_open, shift, near)
     rows, cols = run.shape
-    for row in range(rows):
-        for col in range(cols):
+    for col in range(cols):
+        for row in range(rows):
             here = run[row, col]
             if here == 0 or here > widest or not near[row, col]:
                 continue
@@ -214,8 +214,8 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
     region of each label.
 
     Shares are measured in cells; and up to the walls where at most `wavering` cells keep the least
-    one from one of the `deciding` ones: from `beside` the centres of the gap's end cells, (gaps, 2),
-    to beyond those of the line's, which is `known` by cell and end, see `WallRays.known`.
+    one from one of the `deciding` ones. The walls lie `beside` the centres of a gap's end cells,
+    (gaps, 2), and beyond those of a line as is `known` by cell and end, see `WallRays.known`.
 
     Returns:
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
