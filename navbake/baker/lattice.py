@@ -17,17 +17,17 @@ Window = tuple[slice, slice]
 """Rows and columns of the whole lattice, with a start and a stop each."""
 
 BOX_ROUNDING = 1e-6  # of a box's farthest coordinate; float32 has 6e-8, and is computed with
-
 # Where the two cells of each edge are in an array: left and right, upper and lower
 EDGES: tuple[tuple[Any, Any], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
 
 
 def list_differing(values: NDArray[Any]) -> Int:
     """The ids of cells beside each other whose values differ, (height, width); shape (2, n)."""
-    width, pairs = values.shape[1], list[Int]()
-    for (one, other), offset in zip(EDGES, (1, width), strict=True):
-        row, col = np.nonzero(values[one] != values[other])
-        pairs.append(row * width + col + np.array([[0], [offset]]))
+    width, flat = values.shape[1], values.ravel()
+    right = np.flatnonzero(flat[:-1] != flat[1:])
+    right = right[(right + 1) % width > 0]
+    down = np.flatnonzero(flat[:-width] != flat[width:])
+    pairs = [right, right + 1], [down, down + width]
     return np.concatenate(pairs, axis=1)
 
 

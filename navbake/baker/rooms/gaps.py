@@ -1,7 +1,6 @@
 """Gaps between walls, and the spaces that they part, see `segment_by_gaps`."""
 
 import heapq
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,15 +8,8 @@ from numpy.typing import NDArray
 
 from navbake.baker.connect import connect, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.kernels.gaps import Gaps, Scan
-from navbake.baker.rooms.walls import (
-    FAR,
-    FAR_OF_DOORWAY,
-    Direction,
-    WallRays,
-    find_directions,
-    turned,
-)
+from navbake.baker.rooms.kernels.gaps import FAR, Gaps, Scan
+from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
@@ -77,7 +69,7 @@ def find_gaps(
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
     # doorways, come first, and close the way for others: so a line across a corridor does not go
     # through a door, and a wall's end at a wide opening is continued up to the opening's line
-    marks = [np.zeros(turned(space, d).shape, dtype=np.uint8) for d in directions]
+    marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
     marked, least = np.zeros_like(space), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
         waiting = []
@@ -85,7 +77,7 @@ def find_gaps(
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
             is_open = turned(space & ~marked, direction)
-            lines = is_open, direction.shift, turned(direction.near, direction).copy()
+            lines = is_open, direction.shift, turned(direction.near, direction).copy("K")
             waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
         for wait in waiting:
             wait()
@@ -103,8 +95,10 @@ def find_gaps(
     for direction, own, thick in zip(directions, marks, thickness, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
-        scanned = turned(label, direction), turned(space, direction), direction.shift
-        scan = Scan(*scanned, depths, leans)
+        # lines are followed row by row
+        regions, is_open = (label.T, space.T) if direction.swapped else (label, space)
+        regions, is_open = np.ascontiguousarray(regions), np.ascontiguousarray(is_open)
+        scan = Scan(regions, is_open, direction.shift, depths, leans)
         found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
     return found, label, cells
 
@@ -172,17 +166,24 @@ class Spaces:
         self._start = np.cumsum([0, *counts])
         self._number = np.repeat(np.arange(len(found)), counts)
         # from the centre of a gap's first cell, and of its last one, to the wall [columns]
-        self._beside = np.full((len(self._number), 2), 0.5)
+        self._beside = list[Float]()
+        self._known = list[Float]()  # by direction, see `WallRays.known`
         self._width = np.ones(len(self._number))  # [cells]
         for number, (direction, scan, gaps) in enumerate(found):
             own = slice(self._start[number], self._start[number + 1])
+            known = np.full((scan.label.size, 2), 1.5) if rays is None else rays.known(direction)
             cols = np.stack([gaps.first, gaps.last], axis=1)
-            rows = (gaps.top + gaps.bottom) // 2
+            ends = (gaps.top + gaps.bottom) // 2 * scan.label.shape[1] + cols
+            if rays is not None:
+                rays.look(direction, ends)
             doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
-            far = np.where(gaps.is_doorway, doorway, FAR)
-            self._beside[own] = self._beyond(number, rows * scan.label.shape[1] + cols, far)
+            far = np.where(gaps.is_doorway, doorway, FAR)[:, None]
+            beside = known[ends, [0, 1]] - 1.0
+            beside = np.where(beside <= far, beside, 0.5)
+            self._known.append(known)
+            self._beside.append(beside)
             inner = gaps.last - gaps.first
-            self._width[own] = (inner + self._beside[own].sum(axis=1)) * direction.stretch
+            self._width[own] = (inner + beside.sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
         pairs = [np.stack([gaps.above, gaps.below], axis=1) for *_, gaps in found]
         self._pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
@@ -209,7 +210,7 @@ class Spaces:
             while queue:
                 order, gap = heapq.heappop(queue)
                 # gaps measured again are in the queue again; a passage may have grown long
-                if not len(self.list_apart([gap])) or order != self._order(gap, both):
+                if not self._parts(gap) or order != self._order(gap, both):
                     continue
                 for k in self.join(gap):
                     if (again := self._order(k, both)) is not None:
@@ -217,14 +218,14 @@ class Spaces:
 
     def _order(self, gap: int, both: bool) -> tuple[bool, float] | None:
         """The priority of joining at a gap, by the share of both or the narrower; None if never."""
-        share = float(self._shares[gap].min()) if both else self._decide(gap)
+        share = min(self._shares[gap].tolist()) if both else self._decide(gap)
         if share < (BOTH if both else NARROWER):
             return None
         return both and bool(self._is_doorway[gap]), -share if both else -float(self._width[gap])
 
     def _decide(self, gap: int) -> float:
         """The share by which a gap is decided, 0 for one that parts a long passage."""
-        above, below = (float(share) for share in self._shares[gap])
+        above, below = self._shares[gap].tolist()
         narrow = self.whole[self._pairs[gap, 0 if above >= below else 1]]
         is_long = self._cells[narrow] >= LONG * self._width[gap] ** 2
         width = float(self._width[gap]) * self._cell_size - ROUNDING
@@ -234,7 +235,7 @@ class Spaces:
         if width > (self._door_width or WIDEST):
             return 1.0
         self._decided[gap] = max(above, below)
-        return max(above, below)
+        return float(self._decided[gap])
 
     def close_calls(self) -> list[CloseCall]:
         """The gaps between two spaces of some size whose share was close to the limit."""
@@ -242,7 +243,7 @@ class Spaces:
         close &= self._width * self._cell_size >= CLOSE_WIDTH
         calls = []
         for k in np.flatnonzero(close).tolist():
-            parts, pair = len(self.list_apart([k])) > 0, self._pairs[k]
+            parts, pair = self._parts(k), self._pairs[k]
             sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
             if (sizes < CLOSE_AREA / self._cell_size**2).any():
                 continue
@@ -255,52 +256,35 @@ class Spaces:
             calls.append(CloseCall(cell, float(self._width[k]) * self._cell_size, parts))
         return calls
 
-    def list_apart(self, gaps: Sequence[int] | Int) -> Int:
+    def list_apart(self, gaps: Int) -> Int:
         """Those of some gaps that still part two spaces."""
-        chosen = np.asarray(gaps, dtype=np.int64)
-        sides = self.whole[self._pairs[chosen]]
-        apart: Int = chosen[sides[:, 0] != sides[:, 1]]
+        sides = self.whole[self._pairs[gaps]]
+        apart: Int = gaps[sides[:, 0] != sides[:, 1]]
         return apart
+
+    def _parts(self, gap: int) -> bool:
+        above, below = self._pairs[gap]
+        return bool(self.whole[above] != self.whole[below])
 
     def measure(self, gaps: Int) -> None:
         """Measure the share that gaps have of the spaces on both sides."""
         numbers = self._number[gaps]
         for number in sorted(set(numbers.tolist())):
-            _, scan, listed = self._found[number]
-            chosen, start = gaps[numbers == number], int(self._start[number])
-            asked = scan, listed, chosen - start, self.whole, DECIDING, WAVERING
-            lines, shares, wavers, met = kernels.measure_gaps(*asked)
+            direction, scan, listed = self._found[number]
+            start = int(self._start[number])
+            chosen = gaps[numbers == number] - start
+            asked = self.whole, self._beside[number], self._known[number], DECIDING, WAVERING
+            lines, shares, waits, met = kernels.measure_gaps(scan, listed, chosen, *asked)
             for k, space in met:
                 self._met_by[space].add(start + k)
-            if len(chosen) == len(listed.first):  # the rays of most later lines, at once
-                self._beyond(number, lines[..., 4:])
-            # for others it makes no difference where in the last cells the walls begin
-            close = np.flatnonzero(wavers)
-            if len(close) and self._rays is not None:
-                some, own = lines[close], self._beside[chosen[close], None, None]
-                passed = some[..., 2:4]
-                # up to the wall at the gap's end, or as far as openings beyond it go
-                beside = np.where(passed > 0, np.maximum(passed + 0.5, own), own).sum(axis=3)
-                beyond = self._beyond(number, some[..., 4:]).sum(axis=3)
-                exact = (some[..., 1] - 1 + beside) / (some[..., 0] - 1 + beyond)
-                shares[close] = np.minimum(exact.min(axis=2), 1.0)
-            self._shares[chosen] = shares
-
-    def _beyond(self, number: int, cells: Int, far: Float | None = None) -> Float:
-        """How far the centres of lines' end `cells` are from walls beyond, shape (…, 2) [columns].
-
-        Half a column for -1, where the line ends at no wall, and for walls that are too `far`,
-        shape (n,) for cells (n, 2).
-        """
-        direction, scan, _ = self._found[number]
-        rest = np.full(cells.shape, 0.5)
-        at = np.nonzero(cells >= 0)
-        if self._rays is not None and len(at[0]):
-            row, col = np.divmod(cells[at], scan.label.shape[1])
-            row, col = (col, row) if direction.swapped else (row, col)
-            limit = FAR if far is None else far[at[0]]
-            rest[at] = self._rays.measure(direction, row, col, at[-1] == 1, limit)
-        return rest
+            self._shares[start + chosen] = shares
+            if self._rays is not None and waits.any():
+                # the rays of most later lines, at once
+                some = slice(None) if len(chosen) == len(listed.first) else waits
+                self._rays.look(direction, lines[some][..., 4:])
+                chosen = chosen[waits]
+                _, shares, _, _ = kernels.measure_gaps(scan, listed, chosen, *asked)
+                self._shares[start + chosen] = shares
 
     def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
@@ -313,6 +297,6 @@ class Spaces:
             small, large = sorted((gaps[to], gaps[gone]), key=len)
             large |= small
             gaps[to], gaps[gone] = large, set()
-        apart = self.list_apart(sorted(changed))
-        self.measure(apart)
-        return [int(k) for k in apart]
+        apart = [k for k in sorted(changed) if self._parts(k)]
+        self.measure(np.array(apart, dtype=np.int64))
+        return apart

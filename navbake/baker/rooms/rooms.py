@@ -64,7 +64,7 @@ class Rooms:
     """The rooms of a scene."""
 
     index: list[RoomIndex]  # by level
-    table: list[Room]  # by level and index; see `with_doors`
+    table: list[Room]  # by level and index; their neighbours: see `with_doors`
     openings: list[Opening]  # where rooms of a level meet
     links: list[tuple[RoomKey, RoomKey]]  # rooms between which a step leads to another level
     lattice: Lattice
@@ -148,7 +148,7 @@ def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Roo
     )
     links = sorted({(a, b) for a, b in ends if a[1] and b[1]})
     found = table, openings, links, flags.lattice, open_cells, assignment.warnings
-    return Rooms(index, *found).with_doors({})
+    return Rooms(index, *found)
 
 
 class _Assignment:

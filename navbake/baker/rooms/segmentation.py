@@ -8,7 +8,7 @@ from navbake.baker.connect import connect, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
-from navbake.baker.rooms.walls import WallRays, squared_distances, wall_nodes
+from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Int32
@@ -85,13 +85,15 @@ def segment_by_gaps(
     cells = np.bincount(label.ravel(), minlength=count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
-    if is_stair.any() or ((cells[1:] > 0) & (cells[1:] < least)).any():
+    joins = is_stair | (cells > 0) & (cells < least)
+    if joins[1:].any():
         # distances matter up to half the widest gap [half cells]
-        distance = squared_distances(wall_nodes(open_cells), int(WIDEST / cell_size) + 2)
-        regions = _Regions(label, cells, distance)
+        reach = int(WIDEST / cell_size) + 2
+        regions = _Regions(label, cells, joins, open_cells, reach)
         if is_stair.any():
             heights = np.bincount(label.ravel(), np.where(label > 0, floor, 0.0).ravel(), count)
-            regions.join_stairs(is_stair, heights / np.maximum(cells, 1))
+            peaks = widest_nodes(label, squared_distances(wall_nodes(open_cells), reach), count)
+            regions.join_stairs(is_stair, heights / np.maximum(cells, 1), np.sqrt(peaks))
         at_edge = np.bincount(label[edge], minlength=count)
         regions.join_small(least, at_edge, WIDEST / cell_size)
         label = regions.wholes(least)[label]
@@ -150,27 +152,24 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
 class _Regions:
     """Regions that touch, as a region adjacency graph, whose nodes are contracted (Haris, 1998)."""
 
-    def __init__(self, label: Int32, cells: Int, distance: Int32) -> None:
-        """`distance` is that of each node squared, see `wall_nodes` [half cells]."""
+    def __init__(self, label: Int32, cells: Int, joins: Bool, open_cells: Bool, reach: int) -> None:
+        """Passes of regions that may join another, `joins`, are known, and widths up to `reach`."""
         self._cells = cells.copy()  # of each region from 1
-        # at the region's widest place [half cells]
-        self._peak = np.sqrt(widest_nodes(label, distance, len(cells)))
         self._whole = np.arange(len(cells), dtype=np.int32)  # what each one is part of now
-        # of each edge between cells of two regions: these, and the distance at its widest node
-        pairs, widest = [], []
-        for regions, nodes in ((label, distance), (label.T, distance.T)):
-            a, b = regions[:, :-1], regions[:, 1:]
-            meet = (a != b) & (a > 0) & (b > 0)
-            on_edges = nodes[:, 2:-1:2]
-            saddle = np.maximum(on_edges[1::2], np.maximum(on_edges[:-2:2], on_edges[2::2]))
-            pairs.append(np.stack([a[meet], b[meet]]))
-            widest.append(np.sqrt(saddle[meet]))
-        ends = np.sort(np.concatenate(pairs, axis=1), axis=0).astype(np.int64)
+        # the edges between cells of two regions: these, and the distance at the widest node of each
+        beside = list_differing(label)
+        ends = np.sort(label.ravel()[beside].astype(np.int64), axis=0)
+        meet = (ends[0] > 0) & joins[ends].any(axis=0)
+        ends, nodes = ends[:, meet], 2 * np.array(np.divmod(beside[:, meet], label.shape[1])) + 1
+        # an edge and its ends lie across the way from cell to cell
+        across = (nodes[:, 0] == nodes[:, 1]) * np.array([-1, 0, 1])[:, None, None]
+        row, col = ((nodes[:, :1] + nodes[:, 1:]) // 2 + across.swapaxes(0, 1)).reshape(2, -1)
+        widest = distances_at(open_cells, reach, row, col).reshape(3, -1).max(axis=0)
         keys, place, length = np.unique(
             ends[0] * len(cells) + ends[1], return_inverse=True, return_counts=True
         )
         saddle = np.zeros(len(keys))
-        np.maximum.at(saddle, place, np.concatenate(widest))
+        np.maximum.at(saddle, place, np.sqrt(widest))
         # by region and neighbour, the distance at the widest place of the pass, and its edges of
         # cells
         self._passes: list[dict[int, tuple[float, int]]] = [{} for _ in cells]
@@ -178,15 +177,20 @@ class _Regions:
             one, other = divmod(key, len(cells))
             self._passes[one][other] = self._passes[other][one] = (met[0], met[1])
 
-    def join_stairs(self, is_stair: Bool, height: Float) -> None:
-        """Join stairs to the lowest region, by mean `height`, that they open to in full width."""
+    def join_stairs(self, is_stair: Bool, height: Float, peak: Float) -> None:
+        """Join stairs to the lowest region, by mean `height`, that they open to in full width.
+
+        `peak` is the distance to walls at each region's widest place [half cells].
+        """
         for region in np.flatnonzero(is_stair).tolist():
             if self._whole[region] != region:
                 continue
-            least = self._peak[region] - ROUGHNESS - ROUNDING
+            least = peak[region] - ROUGHNESS - ROUNDING
             mouths = [to for to, (saddle, _) in self._passes[region].items() if saddle >= least]
             if mouths:
-                self._join(min(mouths, key=lambda to: (height[to], to)), region)
+                to = min(mouths, key=lambda to: (height[to], to))
+                self._join(to, region)
+                peak[to] = max(peak[to], peak[region])
 
     def join_small(self, least: float, at_edge: Int, widest: float) -> None:
         """Join regions of fewer cells, the smallest first, to the one they open to the widest.
@@ -229,7 +233,6 @@ class _Regions:
                 self._passes[to][other] = self._passes[other][to] = met
         self._passes[gone] = {}
         self._cells[to] += self._cells[gone]
-        self._peak[to] = max(self._peak[to], self._peak[gone])
 
 
 def widest_nodes(label: Int32, distance: Int32, num: int) -> Int32:
@@ -337,12 +340,13 @@ def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) ->
         on_level = flags.links[flags.links[:, side[0]] == level]
         is_open[segment.ravel()[on_level[:, side[1]]]] = True
     is_open |= area >= area[1:].max(initial=0.0)
-    if is_open.all():
-        return ~is_open
     least, wide = CAVITY
+    cavities: Bool = ~is_open & (area < least)
+    if (is_open | cavities).all():
+        return cavities
     distance = squared_distances(wall_nodes(segment > 0), int(wide / cell_size) + 2)
     is_wide = widest_nodes(segment, distance, count) >= (wide / cell_size) ** 2 - ROUNDING
-    return ~is_open & ((area < least) | ~is_wide)
+    return cavities | ~is_open & ~is_wide
 
 
 def find_outdoors(segment: Int32, flags: RoomFlags, level: int) -> tuple[Int32, set[int]]:
@@ -389,9 +393,9 @@ def _unite_touching(segment: Int32, chosen: Bool, steep: Bool) -> Int32:
 
 def _longest_runs(segment: Int32, edge: Bool, count: int) -> Float:
     """The extent of each segment's longest connected piece at the edge [cells]."""
-    rows, cols = np.nonzero(edge)
+    cell = np.flatnonzero(edge)
+    rows, cols = np.divmod(cell, segment.shape[1])
     number = segment[rows, cols]
-    cell = rows * segment.shape[1] + cols
     pairs = touching(cell, segment.shape[1])
     run = connect(pairs[:, number[pairs[0]] == number[pairs[1]]], len(cell))
     reach = np.zeros(len(cell))

@@ -36,9 +36,9 @@ PADDING = 2
 
 RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
 CHUNK = 4096  # triangles that are looked at together
-# Walls farther from the centres of end cells are ignored: of lines [columns]; of doorways, whose
-# walls lean in the lattice where they are at an angle to it [m]
-FAR, FAR_OF_DOORWAY = 4.0, 0.6
+# Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
+# gaps, `kernels.FAR`, as they lean in the lattice where they are at an angle to it
+FAR_OF_DOORWAY = 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
 
@@ -51,6 +51,22 @@ def squared_distances(target: Bool, reach: int) -> Int32:
     answer = np.empty(target.shape, dtype=np.int32)
     run_in_bands(kernels.sweep_rows, len(target), along, reach, answer)
     return answer
+
+
+def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
+    """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
+    closed = np.pad(~open_cells, 1, constant_values=True)
+    along, far = np.empty(closed.shape, dtype=np.int16), np.int16(reach // 2 + 2)
+    run_in_bands(kernels.sweep_columns, closed.shape[1], closed, far, along, least=STRIP)
+    nearest = np.full(len(row), (reach + 1) ** 2)
+    over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
+    for shift in range(-(reach // 2) - 1, reach // 2 + 3):
+        beside = np.clip(col // 2 + shift, 0, last)
+        cells = np.minimum(along[over, beside], along[under, beside]).astype(np.int64)
+        down = np.maximum(2 * cells - row % 2, 0)
+        right = np.abs(2 * beside - 1 - col) - 1  # cells are two nodes wide
+        np.minimum(nearest, down**2 + np.maximum(right, 0) ** 2, out=nearest)
+    return nearest
 
 
 def wall_nodes(open_cells: Bool) -> Bool:
@@ -82,18 +98,18 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     # the edge of the lattice is no wall: what is there goes on beyond it
     closed = np.pad(~open_cells, PADDING, mode="edge")
     squared = squared_distances(closed, reach + 2)
-    distance = np.sqrt(squared, dtype=np.float32)
-    at = (squared[2:-2, 2:-2] >= (reach - 1) ** 2) & (squared[2:-2, 2:-2] < reach**2)
-    rows, cols = np.nonzero(at)
-    rows, cols = rows + 2, cols + 2
-    down = distance[rows + 2, cols] - distance[rows - 2, cols]
-    right = distance[rows, cols + 2] - distance[rows, cols - 2]
+    at = (squared >= (reach - 1) ** 2) & (squared < reach**2)
+    at[[0, 1, -2, -1]] = at[:, [0, 1, -2, -1]] = False
+    cells, width = np.flatnonzero(at), closed.shape[1]
+    beside = cells + np.array([[2 * width], [-2 * width], [2], [-2], [0]])
+    below, above, after, before, distance = np.sqrt(squared.ravel()[beside], dtype=np.float32)
+    down, right = below - above, after - before
     # a wall runs across the slope; where two walls are as near, there is less of one
     clear = np.hypot(down, right) > 3.2
-    rows, cols, down, right = rows[clear], cols[clear], down[clear], right[clear]
+    cells, distance, down, right = cells[clear], distance[clear], down[clear], right[clear]
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
-    foot = np.stack([rows, cols]) - distance[rows, cols] * np.stack([down, right]) / slope
+    foot = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
     num = 180 // BIN
     bins = np.rint(angle / BIN).astype(np.int64) % num
     # round the corners of walls the slope has all directions alike
@@ -133,16 +149,16 @@ def _smooth(count: Int) -> Int:
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
-def _across(foot: Float, angle: float) -> Float:
-    """In which line each point lies, of lines in a direction [°] that are `LINE` wide."""
-    turn = np.deg2rad(angle)
+def _across(foot: Float, angles: Float) -> Float:
+    """In which line each point lies, (angles, n), of lines in directions [°], `LINE` wide."""
+    turn = np.deg2rad(angles)[:, None]
     across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
-    return np.asarray((across - across.min()) / LINE)
+    return np.asarray((across - across.min(axis=1, keepdims=True)) / LINE)
 
 
 def _on_walls(foot: Float, angle: float, least: float) -> Bool:
     """Which points lie on two neighbouring lines that have as many as a wall."""
-    line = _across(foot, angle).astype(np.int64)
+    line = _across(foot, np.array([angle]))[0].astype(np.int64)
     count = np.pad(np.bincount(line), 1)
     pairs = count[1:] + count[:-1]  # each line with the one before
     is_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= least
@@ -155,15 +171,18 @@ def _align(foot: Float, around: float) -> float:
     It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
     """
     foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
-    angles = around + FINE * np.arange(-round(1.5 * BIN / FINE), round(1.5 * BIN / FINE) + 1)
-    sharpness = np.zeros(len(angles))
-    for k, angle in enumerate(angles.tolist()):
-        across = _across(foot, angle)
-        for phase in (0.0, 0.5):  # so that no wall falls between two lines
-            count = np.bincount((across + phase).astype(np.int64))
-            # the squares of the sums of two lines next to each other; whole numbers, so exact
-            sharp = 2 * (count @ count + count[1:] @ count[:-1])
-            sharpness[k] = max(sharpness[k], float(sharp))
+    most = round(1.5 * BIN / FINE)
+    angles = around + FINE * np.arange(-most, most + 1, dtype=np.float64)
+    across = _across(foot, angles)
+    sharpness = np.zeros(len(angles), dtype=np.int64)
+    for phase in (0.0, 0.5):  # so that no wall falls between two lines
+        line = (across + phase).astype(np.int64)
+        lines = int(line.max()) + 1
+        number = line + lines * np.arange(len(angles))[:, None]
+        count = np.bincount(number.ravel(), minlength=lines * len(angles)).reshape(-1, lines)
+        # the squares of the sums of two lines next to each other; whole numbers, so exact
+        sharp = (count**2).sum(axis=1) + (count[:, 1:] * count[:, :-1]).sum(axis=1)
+        np.maximum(sharpness, sharp, out=sharpness)
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
         return float(angles[is_axis][0])
@@ -181,8 +200,8 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
 
 
 def turned(array: NDArray[T], direction: Direction) -> NDArray[T]:
-    """An array as the kernels scan it in a direction."""
-    return np.ascontiguousarray(array.T) if direction.swapped else array
+    """An array as the kernels scan it in a direction: column by column, as it lies in memory."""
+    return np.asfortranarray(array.T if direction.swapped else array)
 
 
 class WallRays:
@@ -205,51 +224,45 @@ class WallRays:
         # rays meet what is near to their cells alone, so that nothing is left as often as entered
         triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
         walls = replace(walls, triangles=triangles)
-        self._reach = max(FAR * lattice.cell_size, FAR_OF_DOORWAY)
+        self._reach = max(kernels.FAR * lattice.cell_size, FAR_OF_DOORWAY)
         # by tiles as seen from above, whatever the rays' direction
         self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
-    def measure(
-        self, direction: Direction, row: Int, col: Int, is_after: Bool, far: float | Float = FAR
-    ) -> Float:
-        """How far walls are from cells' centres along a direction, or back, (n,) [columns].
+    def known(self, direction: Direction) -> Float:
+        """How far walls are from cells' centres along a direction, plus 1, (cells, 2) [columns].
 
-        Half a column where there is none within `far`, at most `FAR` or `FAR_OF_DOORWAY`.
+        By cell, as the direction scans them, and way, back or on; inf for none within the rays'
+        reach. Where it is 0, it isn't known before `look`.
         """
-        axes, tiled, known = self._turn(direction)
-        cell = row * self._lattice.width + col
-        way = is_after.astype(np.int64)
-        new = np.flatnonzero(known[cell, way] == 0.0)
-        if len(new):
-            rays = axes, tiled, direction.stretch * self._lattice.cell_size
-            known[cell[new], way[new]] = self._cast(*rays, row[new], col[new], is_after[new])
-        columns = known[cell, way] - 1.0
-        return np.where(columns <= far, columns, 0.5)
+        return self._turn(direction)[2]
 
-    def _cast(
-        self, axes: Float, tiled: TiledShapes, column: float, row: Int, col: Int, is_after: Bool
-    ) -> Float:
-        """How far walls are, plus a column, so that it isn't 0; see `measure`."""
-        centers = np.column_stack([self._lattice.positions(row, col), self._height[row, col]])
-        centers = centers @ axes.T
+    def look(self, direction: Direction, cells: Int) -> None:
+        """Cast rays from `cells`, shape (…, 2), back and on; -1 for none."""
+        axes, tiled, known = self._turn(direction)
+        way = np.broadcast_to([0, 1], cells.shape)[cells >= 0]
+        cell = cells[cells >= 0]
+        new = known[cell, way] == 0.0
+        cell, way = cell[new], way[new]
+        if not len(cell):
+            return
+        lattice = self._lattice
+        row, col = np.divmod(cell, self._height.shape[0 if direction.swapped else 1])
+        row, col = (col, row) if direction.swapped else (row, col)
+        centers = np.column_stack([lattice.positions(row, col), self._height[row, col]]) @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
-        across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
+        across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
         points[:, 0] += np.tile(across, len(row))
-        cells = np.repeat(row * self._lattice.width + col, len(across))
-        crossings = cast_points(tiled, cells, points)
+        crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
-        ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
+        ahead = np.where(way[line] == 1, 1.0, -1.0) * (crossings.z - centers[line, 2])
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
-        return nearest / column + 1.0
+        known[cell, way] = nearest / (direction.stretch * lattice.cell_size) + 1.0
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
-        """A frame in which the direction is up, its axes as rows; the walls in it; what is known.
-
-        That is by cell and way what `_cast` returned, 0 for nothing yet.
-        """
+        """A frame in which the direction is up, its axes as rows; the walls in it; see `known`."""
         key = direction.swapped, direction.slope
         if key not in self._turned:
             way = np.array([1.0, -direction.slope]) / direction.stretch
@@ -257,7 +270,7 @@ class WallRays:
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             turned = self._tiled.shapes.turned(axes)
             tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
-            known = np.zeros((self._lattice.width * self._lattice.height, 2))
+            known = np.zeros((self._height.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]
 
@@ -278,8 +291,8 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
         bridge = np.zeros_like(scanned[0])
         kernels.mark_bridges(*scanned, direction.shift, bridge)
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
-        for col, top, end, _ in zip(*list_runs(bridge.T), strict=True):
-            if end - top > most:
-                bridge[top:end, col] = False
+        col, top, end, _ = list_runs(bridge.T)
+        for k in np.flatnonzero(end - top > most).tolist():
+            bridge[top[k] : end[k], col[k]] = False
         found |= bridge.T if direction.swapped else bridge
     return found

@@ -9,19 +9,13 @@ from scipy import ndimage
 
 from navbake.baker.rooms.gaps import DECIDING, GROWTH, WAVERING, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.walls import (
-    FAR,
-    WallRays,
-    direction_of,
-    find_directions,
-    squared_distances,
-)
+from navbake.baker.rooms.walls import WallRays, direction_of, find_directions, squared_distances
 from offices import make_plan
 from offices_truth import bake_plan, overlaps
 
 CELL = 0.1
 ANGLES = (0.0, 7.0, 26.5, 44.0, -12.0, -38.0, 90.0, 61.0, 118.0)
-REACH = kernels.REACH
+REACH, FAR = kernels.REACH, kernels.FAR
 
 
 def blobs(rng, rows=38, cols=46, smooth=1.6, most=0.1):
@@ -247,11 +241,16 @@ def test_the_share_that_a_gap_has(angle):
             whole[whole == max(one, other)] = min(one, other)
         for _, scan, gaps in found:
             chosen = np.arange(len(gaps.first))
-            asked = scan, gaps, chosen, whole, DECIDING, WAVERING
-            lines, shares, wavers, met = kernels.measure_gaps(*asked)
+            beside, known = np.full((len(chosen), 2), 0.5), np.full((scan.label.size, 2), 1.5)
+            asked = scan, gaps, chosen, whole, beside, known, DECIDING, WAVERING
+            lines, shares, waits, met = kernels.measure_gaps(*asked)
+            assert not waits.any()
+            nothing = *asked[:5], np.zeros_like(known), *asked[6:]
+            waits = kernels.measure_gaps(*nothing)[2]
+            ended = (lines[..., 4:] >= 0).any(axis=(1, 2, 3))
             far = np.abs(shares[..., None] - DECIDING).min(axis=2) * lines[..., 0].min(axis=2)
             is_apart = whole[gaps.above] != whole[gaps.below]
-            assert (wavers == (far <= WAVERING).any(axis=1))[is_apart].all()
+            assert (waits == ((far <= WAVERING).any(axis=1) & ended))[is_apart].all()
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}
                 if whole[gaps.above[k]] == whole[gaps.below[k]]:
@@ -371,9 +370,12 @@ def test_rays_to_walls(as_mesh, tmp_path):
         step = (-step[::-1] if direction.swapped else step) * lattice.cell_size
         across = np.array([-step[1], step[0]]) / np.hypot(*step) * lattice.cell_size
         for is_after in (False, True):
-            asked = direction, row, col, np.full(len(row), is_after)
-            found = rays.measure(*asked)
-            np.testing.assert_array_equal(found, rays.measure(*asked))
+            cells = col * lattice.height + row if direction.swapped else row * lattice.width + col
+            sides = np.full((len(row), 2), -1)
+            sides[:, int(is_after)] = cells
+            rays.look(direction, sides)
+            found = rays.known(direction)[cells, int(is_after)] - 1.0
+            found = np.where(found <= FAR, found, 0.5)
             for k in range(len(row)):
                 here = lattice.positions(row[k], col[k])
                 way = step if is_after else -step

@@ -16,6 +16,8 @@ from navbake.baker.kernels.constants import SAME, SLACK
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Bool, Int, Int32
 
+# Walls farther from the centres of lines' end cells are ignored [columns]
+FAR = 4.0
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
 # The bit of a way that follows its line exactly, see `_hold`
@@ -89,7 +91,7 @@ def measure_runs(is_open, shift, marked):
     Where one cell of a run is `marked`, all of the run is marked.
     """
     rows, cols = is_open.shape
-    run = np.zeros((rows, cols), dtype=np.int32)
+    run = np.zeros((cols, rows), dtype=np.int32).T
     length = np.zeros(rows + 2 * cols, dtype=np.int32)  # of the run on each line so far
     base = cols
     for col in range(cols):
@@ -127,8 +129,8 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
     """
     run = measure_runs(is_open, shift, near)
     rows, cols = run.shape
-    for row in range(rows):
-        for col in range(cols):
+    for col in range(cols):
+        for row in range(rows):
             here = run[row, col]
             if here == 0 or here > widest or not near[row, col]:
                 continue
@@ -203,7 +205,7 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, whole, deciding, wavering):
+def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
     """Measure lines behind some gaps, parallel to them, in the regions above and below.
 
     At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
@@ -211,21 +213,26 @@ def measure_gaps(scan, gaps, chosen, whole, deciding, wavering):
     A region that ends before the first depth is measured where it ends. `whole` is the current
     region of each label.
 
+    Shares are measured in cells; and up to the walls where at most `wavering` cells keep the least
+    one from one of the `deciding` ones. The walls lie `beside` the centres of a gap's end cells,
+    (gaps, 2), and beyond those of a line as is `known` by cell and end, see `WallRays.known`.
+
     Returns:
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
         such openings before and after it [columns]; and the cells at which it ends at a wall before
         and after, -1 for none. If both sides are one region, 1, 1, 0, 0, -1, -1.
         By gap and side, the least share of a line that is the gap's width or such openings.
-        By gap, whether at most `wavering` cells keep a share from one of the `deciding` ones.
+        By gap, whether its shares wait for walls that are not known yet.
         Pairs of gaps and other regions that their lines met: only if one of these is joined, the
         lines change.
     """
     lines = np.full((len(chosen), 2, len(scan.depths), 6), -1, dtype=np.int64)
-    shares, wavers = np.ones((len(chosen), 2)), np.zeros(len(chosen), dtype=np.bool_)
+    shares, waits = np.ones((len(chosen), 2)), np.zeros(len(chosen), dtype=np.bool_)
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
         above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
+        wavers = False
         for side in range(2):
             own, other = (above, below) if side == 0 else (below, above)
             # how many open rows lie behind the gap in its middle, up to the first depth
@@ -247,11 +254,36 @@ def measure_gaps(scan, gaps, chosen, whole, deciding, wavering):
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
                 _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
                 share = (measured[1] + measured[2] + measured[3]) / measured[0]
-                shares[i, side] = share if depth == 0 else min(shares[i, side], share)
+                shares[i, side] = min(shares[i, side], share)
                 shortest = min(shortest, measured[0])
             for share in deciding:
-                wavers[i] |= abs(shares[i, side] - share) * shortest <= wavering
-    return lines, shares, wavers, met[1:]
+                wavers |= abs(shares[i, side] - share) * shortest <= wavering
+        # for others it makes no difference where in the last cells the walls begin
+        for side in range(2 if wavers else 0):
+            shares[i, side] = 1.0
+            for depth in range(len(scan.depths)):
+                measured, width, length = lines[i, side, depth], 0.0, 0.0
+                for end in range(2):
+                    # up to the wall at the gap's end, or as far as openings beyond it go
+                    passed, cell = measured[2 + end], measured[4 + end]
+                    width += max(passed + 0.5, beside[k, end]) if passed > 0 else beside[k, end]
+                    beyond = known[cell, end] - 1.0 if cell >= 0 else 0.5
+                    waits[i] |= beyond < 0.0
+                    length += beyond if beyond <= FAR else 0.5
+                share = (measured[1] - 1 + width) / (measured[0] - 1 + length)
+                shares[i, side] = min(shares[i, side], share)
+    return lines, shares, waits, met[1:]
+
+
+@part
+def _meet(met, k, region):
+    """List that lines of gap k met a region, once."""
+    for n in range(len(met) - 1, 0, -1):
+        if met[n][0] != k:
+            break
+        if met[n][1] == region:
+            return
+    met.append((k, region))
 
 
 @part
@@ -296,7 +328,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                 if step == 0:
                     continue
                 if here > 0 and here != own:
-                    met.append((k, here))
+                    _meet(met, k, here)
                     last = np.int64(-1)
                     break
                 if 0 <= col < cols and 0 <= far < cols:
@@ -311,8 +343,8 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                         # another gap that ends here has no label: the line goes on beyond it
                         if there == other or there == 0:
                             opened += 1
-                        elif there > 0 and met[-1] != (k, there):
-                            met.append((k, there))
+                        elif there > 0:
+                            _meet(met, k, there)
                 if here > 0:
                     reached, passed = step, opened
                 if not is_last and opened < step:
