@@ -23,7 +23,7 @@ from navbake.lazy import resolve
 
 if TYPE_CHECKING:
     from navbake import episodes, samples, scores, tensors
-    from navbake.arena.arena import ExploredMap
+    from navbake.arena.map_descriptor import ExploredMap
     from navbake.auditor.audit import audit
     from navbake.baker.pipeline import bake
     from navbake.baker.update.baker import Baker
@@ -88,7 +88,7 @@ _LAZY = {
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "Baker": "navbake.baker.update.baker:Baker",
-    "ExploredMap": "navbake.arena.arena:ExploredMap",
+    "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",
     "SceneGrid2D": "navbake.navgrid.grid:SceneGrid2D",

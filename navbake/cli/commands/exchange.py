@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import Path as Route
 
 ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
-SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -292,7 +291,6 @@ def map_descriptor(
     import numpy as np  # not for --help
 
     from navbake.arena import map_descriptor as descriptor
-    from navbake.arena.arena import find_obstacles, place_squares
     from navbake.formats.npz import read_npy
 
     shape = None if squares.rows is None or squares.cols is None else (squares.rows, squares.cols)
@@ -304,9 +302,10 @@ def map_descriptor(
         levels, number = navbake.load(grid).levels, squares.level or 0
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
-        edge = SQUARE if squares.square is None else squares.square
-        placed = place_squares(levels[number], square=edge, corner=squares.corner, shape=shape)
-        filled = find_obstacles(levels[number], placed)
+        edge = descriptor.SQUARE if squares.square is None else squares.square
+        laid: Any = {"square": edge, "corner": squares.corner, "shape": shape}
+        placed = descriptor.place_squares(levels[number], **laid)
+        filled = descriptor.find_obstacles(levels[number], placed)
         known = np.ones_like(filled) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(known, filled)
     drawing = descriptor.draw(known, filled)
