@@ -171,7 +171,7 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
         if error.errno in (errno.EMFILE, errno.ENFILE):  # not the folder's fault
             raise
         into = f" into {where}" if where else ""
-        text = f"cannot write temporary files{into}: {error.strerror}"
-        raise NavbakeError(f"{text}: free space, or set TMPDIR to a folder with room") from error
+        text = f"cannot write temporary files{into}: {error.strerror}: free space"
+        raise NavbakeError(f"{text}, or set TMPDIR to a folder that has room") from error
     with folder:
         yield Path(folder.name)
