@@ -17,6 +17,7 @@ from navbake.views import tables
 # Functions import views when they run: --help loads no numpy.
 
 NAMED = ("room:", "object:")
+PLACES = f"{PLACE}|room:NAME"
 FACTS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
 
@@ -111,18 +112,10 @@ def path(
     grid: GridFile,
     planner: Planner,
     start: str = option(
-        f"{PLACE}|room:NAME",
-        f"Start, {PLACE_HELP}; or near the middle of a room.",
-        "--from",
-        "--start",
-        default=...,
+        PLACES, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
     ),
     goals: list[str] = option(
-        f"{PLACE}|room:NAME|object:NAME",
-        "A position, a room, or an object to stop beside. The cheapest of several positions.",
-        "--to",
-        "--goal",
-        default=...,
+        f"{PLACES}|object:NAME", "Goal; the cheapest of several.", "--to", "--goal", default=...
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),

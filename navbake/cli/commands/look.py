@@ -25,6 +25,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.views.viewer.view import Watch
@@ -108,7 +109,11 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    options.write_output(page, output)
+    if output == STDOUT:
+        options.write_stdout(page)
+    else:
+        write_bytes(page, output)
+        say_unless_quiet(output)
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
