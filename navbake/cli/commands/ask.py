@@ -40,7 +40,9 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
         tables.agent_table(facts["agents"]),
     ]
     shown = [table for table in lists if table.rows]
-    print_tables(printing.summary_table(facts), tables.level_table(facts), *shown)
+    made_by = [(name.replace("_", " "), value) for name, value in facts["made_by"].items()]
+    summary = [("type", facts["type"]), *tables.summarize(facts), *made_by]
+    print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *shown)
     print_warnings(content.warnings)
 
 
