@@ -72,16 +72,14 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     return path
 
 
-def plot(
-    grid: NavGrid, path: str | PathLike[str] | None = None, **drawn: Any
-) -> Image.Image | Path:
+def plot(grid: NavGrid, path: str | PathLike[str] | None = None, **more: Any) -> Image.Image | Path:
     """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
 
     With a path, the picture is written there, and the path returned; see `plot_grid`.
     """
     if path is not None:
-        return plot_grid(grid, path, **drawn)
-    return Image.open(io.BytesIO(render_picture(grid, **drawn)))
+        return plot_grid(grid, path, **more)
+    return Image.open(io.BytesIO(render_picture(grid, **more)))
 
 
 def render_picture(

@@ -65,10 +65,8 @@ class VoxelGrid:
         with np.errstate(over="ignore"):
             is_near = np.abs(self.bounds).max() <= FARTHEST
         if not is_near or self.res < LEAST_EDGE:
-            text = (
-                f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
-            )
-            raise FormatError(f"{text}, got {self.res:g} m from {self.origin} on")
+            why = f"expected voxels of {LEAST_EDGE:g} m or more within {FARTHEST:g} m of the origin"
+            raise FormatError(f"{why}, got {self.res:g} m from {self.origin} on")
 
     @property
     def shape(self) -> tuple[int, int, int]:
