@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, AuditReport, Found, Remark, count_of
+from navbake.auditor.facts import ERROR, REMARK, AuditReport, Facts, Found, Remark
+from navbake.errors import count_of
 from navbake.formats.route_files import read_routes
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed

@@ -11,7 +11,7 @@ import navbake
 from navbake.cli import options, printing
 from navbake.cli.options import OUTPUT, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_tables, print_warnings, say
-from navbake.errors import QueryError
+from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
 # Functions import views when they run: --help loads no numpy.
@@ -58,7 +58,7 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
         print_json({"scene_id": content.scene_id, **lists})
         return
     print_tables(tables.room_table(found, content.level_names))
-    print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
+    print(count_of(len(found), "room"))
     if doors:
         print()
         print_tables(tables.door_table(doors, content.level_names))

@@ -21,7 +21,7 @@ from navbake._version import __version__
 from navbake.cli import options
 from navbake.cli.options import BAKED_SCENE, OUTPUT, AsJson, GridFile, flag, option
 from navbake.cli.printing import print_json, print_tables, say
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
 from navbake.lazy import lazy
 from navbake.views.tables import make_table
@@ -150,7 +150,6 @@ def audit(
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
     from navbake.auditor.audit import audit as look_at  # loads numpy
-    from navbake.auditor.report import count_of  # loads it too
 
     if on is None:
         content = navbake.load(grid)
