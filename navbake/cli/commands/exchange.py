@@ -35,24 +35,30 @@ class FormatOptions(NamedTuple):
 
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
-    mode: str | None = option("trinary|scale|raw", "The last two have costs.  [default: trinary]")
+    mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]")
     image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]")
-    rules: str | None = option("humble|main", "nav2's, to read a map by.  [default: humble]")
-    inflation: float | None = option("METRES", "Costs as nav2's, so far from obstacles [m].")
+    rules: str | None = option(
+        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
+    )
+    inflation: float | None = option("METRES", "Costs as nav2's, up to so far from obstacles [m].")
     zone: list[str] | None = option("NAME[=PERCENT]", "Room or polygon of a mask. May be repeated.")
     zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some.")
     agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]")
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
-    height: float | None = option("METRES", "Of walls over the highest floor [m].  [default: 2.5]")
+    height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]")
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
     scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
-    categories: Path | None = option("TXT", "room_categories.txt.  [default: one of these rooms]")
+    categories: Path | None = option("TXT", "OmniGibson's room_categories.txt.  [default: new]")
     route: list[str] | None = option(
         "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
     )
-    tolerance: float | None = option("METRES", "Of a mesh's floor [m].  [default: 0.001]", min=0)
+    tolerance: float | None = option(
+        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
+    )
     up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
-    cut_corners: bool | None = Option(None, "--cut-corners", help="Pass blocked corners in graphs.")
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    )
 
 
 def convert(
