@@ -65,11 +65,7 @@ _config_lock = threading.Lock()
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
-    """Compile a function that Python calls; kernels may call it, too.
-
-    Args:
-        options: of `numba.njit`.
-    """
+    """Compile a function that Python calls, and kernels may; `options` are those of `njit`."""
     if function is None:
         return partial(kernel, **options)
     place, name = cache_folder(), function.__module__
@@ -145,17 +141,12 @@ def digest_sources(module: str) -> str:
 
 
 class Entry(NamedTuple):
-    """A kernel of the list.
+    """A kernel of the list."""
 
-    Attributes:
-        name: its module and name, without the package's.
-        seconds: about how long compiling it takes [s].
-        types: of its arguments: "float64 2 C" for an array, a list for a tuple, an object with the
-            name of its class for a named one.
-    """
-
-    name: str
-    seconds: float
+    name: str  # its module and name, without the package's
+    seconds: float  # about how long compiling it takes [s]
+    # of its arguments: "float64 2 C" for an array, a list for a tuple, an object with the name of
+    # its class for a named one
     types: list[Any]
 
     def compile(self) -> None:
@@ -206,21 +197,13 @@ def list_cold(entries: Iterable[Entry]) -> list[Entry]:
 
 @cache
 def ensure_compiled(*rooms: str) -> None:
-    """Compile what bakes call, or other kernels, unless that is done; once in a process.
-
-    Args:
-        rooms: how the names of other kernels begin, as "runtime."; none for bakes.
-    """
+    """Compile what bakes call, or kernels whose names begin with `rooms`; once in a process."""
     bake, others = read_list()
     _compile([each for each in [*bake, *others] if each.name.startswith(rooms)] if rooms else bake)
 
 
 def warm_up() -> list[str]:
-    """Compile all kernels, unless that is done.
-
-    Returns:
-        The names of the kernels that have no code on disk after all.
-    """
+    """Compile all kernels, unless that is done; returns names of those without code on disk."""
     entries = [entry for entries in read_list() for entry in entries]
     _compile(entries)
     return sorted({entry.name for entry in list_cold(entries)})
@@ -234,10 +217,8 @@ def _compile(entries: list[Entry]) -> None:
     count = min(numba.config.NUMBA_DEFAULT_NUM_THREADS, MOST_PROCESSES) if is_python else 1
     about = f"{max(map(_cost, _share(cold, count)), default=0):.0f} s"
     if place is None:
-        LOGGER.warning(
-            f"compiling in memory: about {about}, in each process anew, as no folder for compiled "
-            f"code can be written: {REMEDY}"
-        )
+        why = f"as no folder for compiled code can be written: {REMEDY}"
+        LOGGER.warning(f"compiling in memory: about {about}, in each process anew, {why}")
     elif cold:
         LOGGER.warning(f"compiling for this machine, once: about {about}")
     if place is None or not cold or not is_python:

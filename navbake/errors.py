@@ -1,4 +1,4 @@
-"""Exceptions and warnings that navbake raises on purpose. This module imports nothing."""
+"""Exceptions that navbake raises on purpose, and words of messages; it imports nothing."""
 
 
 class NavbakeError(Exception):
@@ -59,3 +59,8 @@ def printable(message: str) -> str:
     if message.isprintable():
         return message
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+
+
+def count_of(count: int, what: str) -> str:
+    """How many of something, in words."""
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -45,16 +45,11 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
 
 
 @contextmanager
-def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
+def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], object]]:
     """Write a file under another name; yields a commit function that renames it."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
-
-        def write_device() -> None:
-            with open(path, "wb") as device:
-                device.writelines(pieces)
-
-        yield write_device
+        yield lambda: path.write_bytes(b"".join(pieces))
         return
     target = Path(os.path.realpath(path))
     if target.parent not in _swept:  # once per process, as listing a large folder is slow
@@ -176,7 +171,7 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
         if error.errno in (errno.EMFILE, errno.ENFILE):  # not the folder's fault
             raise
         into = f" into {where}" if where else ""
-        text = f"cannot write temporary files{into}: {error.strerror}"
-        raise NavbakeError(f"{text}: free space, or set TMPDIR to a folder with room") from error
+        text = f"cannot write temporary files{into}: {error.strerror}: free space"
+        raise NavbakeError(f"{text}, or set TMPDIR to a folder that has room") from error
     with folder:
         yield Path(folder.name)

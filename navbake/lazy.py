@@ -16,8 +16,8 @@ from typing import Any, Generic, TypeVar
 Result = TypeVar("Result")
 
 
-class LazyModule:
-    """Stands for a module, which is imported when something of it is first asked for."""
+class lazy:
+    """A module by its full name, which is imported when something of it is first used."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -26,11 +26,6 @@ class LazyModule:
         value = getattr(import_module(self._name), attribute)
         setattr(self, attribute, value)  # found without this function from now on
         return value
-
-
-def lazy(name: str) -> Any:
-    """A module by its full name, loaded when something of it is first used."""
-    return LazyModule(name)
 
 
 def resolve(where: str) -> Any:

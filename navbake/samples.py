@@ -48,8 +48,11 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
     Returns the files, the settings first; those that were there with the same content stay. Raises
     a ConfigError if there is no such sample, or another file is there by one of the names.
     """
-    settings, target = path(name), Path(folder)
-    files = [settings, *_scene_files(name)]
+    settings, target, scenes = path(name), Path(folder), _folder() / "scenes"
+    own = sorted(scenes.glob(f"{name}.*"))
+    text = "".join(file.read_text(encoding="utf-8") for file in own if file.suffix == ".xml")
+    assets = [file for file in sorted((scenes / "assets").iterdir()) if file.name in text]
+    files = [settings, *own, *assets]
     copies = {file: target / file.relative_to(settings.parent) for file in files}
     contents = {file: file.read_bytes() for file in files}
     try:
@@ -63,14 +66,6 @@ def copy(name: str, folder: Path | str = ".") -> list[Path]:
     except OSError as error:
         raise ConfigError(f"cannot write {error.filename or target}: {error.strerror}") from error
     return list(copies.values())
-
-
-def _scene_files(name: str) -> list[Path]:
-    """The scene of a sample, and the assets if its XML names any."""
-    scenes = _folder() / "scenes"
-    own = sorted(scenes.glob(f"{name}.*"))
-    text = "".join(file.read_text(encoding="utf-8") for file in own if file.suffix == ".xml")
-    return own + [file for file in sorted((scenes / "assets").iterdir()) if file.name in text]
 
 
 def _folder() -> Path:

@@ -6,7 +6,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from navbake.auditor.audit import audit
-from navbake.auditor.report import AuditReport
+from navbake.auditor.facts import AuditReport
 from navbake.verifier.verify import verify
 
 if TYPE_CHECKING:

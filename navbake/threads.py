@@ -84,9 +84,7 @@ def _run_limited(count: int, task: Callable[..., Result], args: tuple[Any, ...])
         return task(*args)
 
 
-def _work(
-    kernel: Callable[..., Any], args: tuple[Any, ...], bands: Iterator[tuple[int, int]]
-) -> None:
+def _work(kernel: Callable[..., Any], args: tuple[Any, ...], bands: Iterator[Any]) -> None:
     # `next` of a list's iterator is atomic
     for first, last in bands:
         kernel(*args, first, last)

@@ -8,8 +8,7 @@ from os import PathLike
 from typing import Any
 
 from navbake.auditor import cells, levels
-from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, AuditReport, Found, Remark
+from navbake.auditor.facts import ERROR, AuditReport, Facts, Found, Remark
 from navbake.errors import FormatError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import shown_type

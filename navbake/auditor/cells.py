@@ -12,8 +12,8 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import DOWN, RIGHT, Facts, read_inflations
-from navbake.auditor.report import ERROR, REMARK, Found, count_of
+from navbake.auditor.facts import DOWN, ERROR, REMARK, RIGHT, Facts, Found, read_inflations
+from navbake.errors import count_of
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Int
 

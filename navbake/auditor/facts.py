@@ -1,10 +1,11 @@
-"""What the checks of an audit look at: layers of all levels in metres, and what is connected."""
+"""What the checks of an audit look at, layers in metres and what is connected; what they yield."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import permutations
 from typing import Any, NamedTuple
@@ -14,14 +15,16 @@ from scipy.ndimage import label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.report import ERROR, Found, count_of
-from navbake.errors import FormatError, shorten
+from navbake.errors import FormatError, count_of, shorten
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
+ERROR, REMARK = "error", "remark"
+Found = tuple[str, int | None, Vector3 | None, str]
+"""What a check yields: severity, level, place and text of a `Remark`."""
 MODES = ("exact", "minos")
 MOST_INFLATED = 10_000.0  # the largest radius, and the largest clearance [m]
 SLACK = 1e-6  # metres that a step may be over the highest one
@@ -29,6 +32,57 @@ SLACK = 1e-6  # metres that a step may be over the highest one
 
 DOWN, RIGHT = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])
 """Where the cells of an array stand that have one below, or to the right; and where these stand."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One thing that a person would notice."""
+
+    check: str  # what it is about, in a word or two
+    severity: str  # ERROR for what can't be right, REMARK for what may be meant
+    level: int | None  # 0 is the lowest; None for the whole grid
+    place: Vector3 | None  # world x, y, z [m]; None where no place is meant
+    text: str  # what it is, in words
+
+    def __str__(self) -> str:
+        """One line: how bad, where, what."""
+        where = "" if self.level is None else f"level {self.level}"
+        if self.place is not None:
+            where += " ({:.2f}, {:.2f}, {:.2f})".format(*self.place)
+        return f"{self.severity}: {where.strip()}{': ' if where else ''}{self.text}"
+
+    def to_json(self) -> Json:
+        """The remark as JSON."""
+        place = None if self.place is None else [round(v, 6) for v in self.place]
+        return {**vars(self), "place": place}
+
+
+@dataclass
+class AuditReport:
+    """All remarks on a grid."""
+
+    scene_id: str | None
+    remarks: list[Remark] = field(default_factory=list)  # errors first
+    checks: list[str] = field(default_factory=list)  # that ran
+
+    @property
+    def errors(self) -> list[Remark]:
+        """The remarks that can't be right."""
+        return [remark for remark in self.remarks if remark.severity == ERROR]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are no errors."""
+        return not self.errors
+
+    def to_json(self) -> Json:
+        """The report as JSON."""
+        return {
+            "ok": self.ok,
+            "sceneId": self.scene_id,
+            "checks": list(self.checks),
+            "remarks": [remark.to_json() for remark in self.remarks],
+        }
 
 
 def number_islands(

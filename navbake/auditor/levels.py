@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from navbake.auditor.cells import pairs_across
-from navbake.auditor.facts import Facts, find_wrong_sizes
-from navbake.auditor.report import ERROR, REMARK, Found, count_of
+from navbake.auditor.facts import ERROR, REMARK, Facts, Found, find_wrong_sizes
+from navbake.errors import count_of
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.types import Bool, Vector3
 

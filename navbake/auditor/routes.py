@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, AuditReport, Found, Remark, count_of
+from navbake.auditor.facts import ERROR, REMARK, AuditReport, Facts, Found, Remark
+from navbake.errors import count_of
 from navbake.formats.route_files import read_routes
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import FLOOR, Lane, RouteGraph, directed
@@ -139,17 +139,13 @@ def distances(ends: Float, centers: Float, half: float) -> Float:
     return np.where(meets, 0.0, np.min(beyond, axis=0))
 
 
-def _matrix(graph: RouteGraph) -> csr_array:
-    size = len(graph.nodes)
-    ends = np.array([(lane.start, lane.end) for lane in directed(graph.lanes)]).reshape(-1, 2)
-    return csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
-
-
 def _parts(graph: RouteGraph) -> Iterator[Found]:
     if not graph.nodes:
         yield ERROR, None, None, "the graph has no nodes"
         return
-    matrix = _matrix(graph)
+    size = len(graph.nodes)
+    ends = np.array([(lane.start, lane.end) for lane in directed(graph.lanes)]).reshape(-1, 2)
+    matrix = csr_array((np.ones(len(ends)), tuple(ends.T)), shape=(size, size))
     _, part = connected_components(matrix, directed=False)
     sizes = np.bincount(part)
     for number in np.argsort(-sizes, kind="stable")[1:].tolist():

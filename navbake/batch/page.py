@@ -19,12 +19,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from navbake.auditor.report import count_of
 from navbake.batch import store
 from navbake.batch.index import read_index
 from navbake.batch.job import FAILED, LEFT, OK, read_record, stamp, write_record
 from navbake.batch.products import CLASSES, GRID, THUMBNAIL
-from navbake.errors import NavbakeError, printable
+from navbake.errors import NavbakeError, count_of, printable
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.source import write_bytes
 from navbake.types import Json

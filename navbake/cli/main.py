@@ -58,12 +58,9 @@ class _Groups(TyperGroup):
         for title, group in COMMANDS.items():
             names = [function.__name__.replace("_", "-") for function in group]
             with formatter.section(title):
-                formatter.write_dl(
-                    [
-                        (f"{name:<{width}}", self.commands[name].get_short_help_str(100))
-                        for name in names
-                    ]
-                )
+                texts = [self.commands[name].get_short_help_str(100) for name in names]
+                padded = [name.ljust(width) for name in names]
+                formatter.write_dl([*zip(padded, texts, strict=True)])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command by its name, or suggest the nearest."""

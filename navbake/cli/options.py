@@ -21,9 +21,8 @@ from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
 
 from navbake import files, samples
-from navbake.cli.printing import VOLUME, print_error, say_unless_quiet, volume
+from navbake.cli.printing import VOLUME, print_error, volume
 from navbake.errors import ConfigError, NavbakeError
-from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -149,15 +148,6 @@ def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
         write_stdout(render_picture(grid, **drawn))
     else:
         plot_grid(grid, output, **drawn)
-
-
-def write_output(data: bytes, output: Path) -> None:
-    """Write a file, or its content to stdout; prints the file's name unless --quiet is given."""
-    if output == STDOUT:
-        write_stdout(data)
-    else:
-        write_bytes(data, output)
-        say_unless_quiet(output)
 
 
 def write_stdout(data: bytes) -> None:

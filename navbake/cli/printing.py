@@ -14,34 +14,16 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from navbake.errors import printable
 from navbake.lazy import lazy
-from navbake.views.tables import Table, cell_facts, make_table, summarize
+from navbake.views.tables import Table, cell_facts, make_table
 
 if TYPE_CHECKING:
-    from navbake.baker.scene.scene import GeomReport
     from navbake.types import Json
-    from navbake.verifier.report import VerifyReport
 
 rich_console = lazy("rich.console")  # takes 0.1 s; for wide tables and progress
 rich_progress = lazy("rich.progress")  # on a terminal only
 rich_table = lazy("rich.table")
 
 LOG = logging.getLogger("navbake")
-VERIFY_COLUMNS = {
-    "level": "name",
-    "cells": "cells",
-    "free, free": "free_free",
-    "blocked, blocked": "blocked_blocked",
-    "free, touches": "free_touches",
-    "blocked, apart": "blocked_apart",
-    "disputed": "disputed",
-    "floors": "floors",
-    "in cracks": "in_cracks",
-    "floors off": "floors_off",
-    "places lost": "lost",
-}
-"""Headings, and which of a level's counts stand under them: the grid first, then the scene."""
-
-
 VOLUME = SimpleNamespace(quiet=False, verbose=False)
 """Whether the command that runs was given --quiet or --verbose; `volume` sets it."""
 
@@ -131,21 +113,6 @@ def print_tables(*tables: Table) -> None:
         print("\n" * (index > 0) + "\n".join(lay_out(table, width)))
 
 
-def geom_table(geoms: Iterable[GeomReport]) -> Table:
-    """A row for each geom: whether and as what it counts, and why."""
-    rows = [
-        (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
-        for g in geoms
-    ]
-    return make_table(("id", "geom", "body", "type", "counted", "as", "why"), rows, numbers=("id",))
-
-
-def summary_table(facts: Json) -> Table:
-    """A row for each fact about the whole grid, from `navbake.views.describe.describe`."""
-    made_by = ((name.replace("_", " "), value) for name, value in facts["made_by"].items())
-    return make_table(("", ""), [("type", facts["type"]), *summarize(facts), *made_by])
-
-
 def cell_table(facts: Json) -> Table:
     """A row for each fact about a cell, from `navbake.views.describe.describe_cell`."""
     blocked = "no floor here" if facts["floor"] is None else "blocked"
@@ -153,15 +120,6 @@ def cell_table(facts: Json) -> Table:
     rows = {"verdict": verdict, "blocked by": facts["blockers"], **cell_facts(facts)}
     shown = {key: ", ".join(v) or "-" if isinstance(v, list) else v for key, v in rows.items()}
     return make_table(("", ""), shown.items())
-
-
-def verify_table(report: VerifyReport) -> Table:
-    """A row for each level: the numbers of agreements and disagreements."""
-    rows = [
-        [getattr(level, key) for key in VERIFY_COLUMNS.values()]
-        for level in ([*report.levels, report.total] if report.levels[1:] else report.levels)
-    ]
-    return make_table(tuple(VERIFY_COLUMNS), rows, numbers=VERIFY_COLUMNS.keys() - {"level"})
 
 
 def lay_out(table: Table, width: int | None = None) -> list[str]:

@@ -45,9 +45,7 @@ GIVEN_ONLY = ("name", "kind", "one_way", "width")
 
 OptionalPositive = Annotated[Annotated[float, Field(gt=0)] | None, expects("a number > 0, or null")]
 OptionalLength = Annotated[Annotated[float, Field(ge=0)] | None, expects("a number >= 0, or null")]
-AgentNames = Annotated[
-    list[Name] | None, OneOrMore, expects("a list of names of `agents`, or null")
-]
+Agents = Annotated[list[Name] | None, OneOrMore, expects("a list of names of `agents`, or null")]
 
 
 class NamedAgent(Settings):
@@ -86,7 +84,7 @@ class AreaSettings(Settings):
         expects("a number > 0, or .inf"),
     ] = setting(1.0, "a path's price of a metre there, > 0, or .inf: nobody goes there")
     speed: OptionalPositive = setting(None, "the highest speed there [m/s], > 0, or null")
-    agents: AgentNames = setting(None, "names of the agents that may enter; null for all")
+    agents: Agents = setting(None, "names of the agents that may enter; null for all")
 
     @property
     def keeps_out(self) -> bool:
@@ -114,7 +112,7 @@ class LinkSettings(Settings):
     width: OptionalPositive = setting(None, "diameter of agents that fit [m], > 0, or null")
     cost: OptionalLength = setting(None, "a path's price of it [m], >= 0", "its length")
     seconds: OptionalLength = setting(None, "how long it takes [s], >= 0", "cost over speed")
-    agents: AgentNames = setting(None, "names of the agents that may use it; null for all")
+    agents: Agents = setting(None, "names of the agents that may use it; null for all")
     state: Literal["open", "closed"] = setting("open", "open or closed")
     auto: Annotated[
         Literal["drop", "jump", "ladder", "lift"] | None,

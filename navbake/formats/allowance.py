@@ -196,7 +196,7 @@ class Allowance:
         if self._memory < 0:
             place.fail(f"more memory than {self._rule}", self._remedy)
         if self._keyword == "max_voxels":
-            from navbake.voxels.placement import check_memory  # loads numpy
+            from navbake.voxels.grid import check_memory  # loads numpy
 
             try:
                 check_memory(shape, itemsize)

@@ -23,8 +23,7 @@ from navbake.errors import FormatError
 from navbake.formats.allowance import MAX_HEADER, Allowance, JsonPath, shown
 from navbake.formats.source import read_bytes
 from navbake.navgrid.lattice import FARTHEST
-from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import check_three
+from navbake.voxels.grid import VoxelGrid, check_three
 
 IdMapping: TypeAlias = Mapping[int, int] | Literal["compact"]
 Layout: TypeAlias = Literal["auto", "binvox", "airsim"]

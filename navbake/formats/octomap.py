@@ -22,8 +22,7 @@ from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.binvox import read_header
 from navbake.formats.source import read_bytes
 from navbake.types import Int
-from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import finite_array
+from navbake.voxels.grid import VoxelGrid, finite_array
 
 MAGIC = b"# Octomap OcTree"
 DEPTH, CENTER = 16, 2**15  # key of the world's origin

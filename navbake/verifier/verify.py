@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from navbake.auditor.report import count_of
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
-from navbake.errors import FormatError, QueryError
+from navbake.errors import FormatError, QueryError, count_of
 from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.cells import FloorCheck, OccupancyCheck

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.auditor.report import count_of
-from navbake.errors import QueryError
+from navbake.errors import QueryError, count_of
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines

@@ -10,8 +10,7 @@ from base64 import b64encode
 import numpy as np
 from PIL import Image, ImageDraw
 
-from navbake.auditor.report import count_of
-from navbake.errors import printable
+from navbake.errors import count_of, printable
 from navbake.navgrid.colors import ROUTE
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path

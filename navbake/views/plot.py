@@ -72,16 +72,14 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:
     return path
 
 
-def plot(
-    grid: NavGrid, path: str | PathLike[str] | None = None, **drawn: Any
-) -> Image.Image | Path:
+def plot(grid: NavGrid, path: str | PathLike[str] | None = None, **more: Any) -> Image.Image | Path:
     """Draw a grid: an image, which notebooks show and which has ``show()``; see `render_picture`.
 
     With a path, the picture is written there, and the path returned; see `plot_grid`.
     """
     if path is not None:
-        return plot_grid(grid, path, **drawn)
-    return Image.open(io.BytesIO(render_picture(grid, **drawn)))
+        return plot_grid(grid, path, **more)
+    return Image.open(io.BytesIO(render_picture(grid, **more)))
 
 
 def render_picture(
@@ -125,7 +123,7 @@ def render_picture(
         raise QueryError("expected at least one layer to draw, got none")
     shown = [(number, make_panel(grid, layer, number)) for number in chosen for layer in layers]
     panels = [panel for _, panel in shown]
-    kinds = color_kinds(mark.kind for mark in marks)
+    kinds = color_kinds(kind for *_, kind in marks)
     bounds = np.array([grid.levels[number].lattice.bounds for number in chosen])
     view = (*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 2:].max(axis=0).tolist())
     texts = [grid.scene_id or "", *kinds, *(panel.title for panel in panels)]
@@ -150,10 +148,10 @@ def render_picture(
                 style = {"color": ROUTE, "markeredgecolor": "white", "markersize": 8}
                 for end, marker in ((0, "o"), (-1, "X")):
                     ax.plot(x[end], y[end], marker, clip_on=False, **style)
-            for mark in marks:
-                if mark.level in (number, -1):
-                    style = {"color": kinds[mark.kind], "markersize": 5, "mew": 1.2}
-                    ax.plot(mark.x, mark.y, "s", markerfacecolor="none", **style)
+            for on, x, y, kind in marks:
+                if on in (number, -1):
+                    style = {"color": kinds[kind], "markersize": 5, "mew": 1.2}
+                    ax.plot(x, y, "s", markerfacecolor="none", **style)
         legend = _draw_legend(figure, panels, kinds, route is not None)
         figure.draw_without_rendering()  # the layout: names need to know how large rooms are
         figure.set_layout_engine("none")

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
-from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import check_memory
+from navbake.voxels.grid import VoxelGrid, check_memory
 
 
 def lattice_of(voxels: VoxelGrid) -> Lattice:

@@ -18,8 +18,7 @@ from navbake.baker.voxelize.voxelizer import Voxelizer
 from navbake.config.settings import parse_config
 from navbake.formats.binvox import encode_binvox
 from navbake.formats.octomap import encode_octomap
-from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import Placement
+from navbake.voxels.grid import Placement, VoxelGrid
 
 RES = 0.05  # [m]
 SHAPE = (385, 385, 116)

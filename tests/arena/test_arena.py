@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from navbake.arena.arena import find_obstacles, place_squares
+from navbake.arena.map_descriptor import find_obstacles, place_squares
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from navbake.arena.arena import ExploredMap
-from navbake.arena.map_descriptor import decode
+from navbake.arena.map_descriptor import ExploredMap, decode
 from navbake.errors import FormatError, QueryError
 
 ARENA = """

@@ -14,8 +14,7 @@ import pytest
 import navbake
 from grid_maps import house_from, level_from
 from navbake.auditor.audit import CHECKS, run_check
-from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK, Remark
+from navbake.auditor.facts import ERROR, REMARK, Facts, Remark
 from navbake.errors import FormatError
 from navbake.navgrid.islands import clearance, find_islands
 from navbake.testing import assert_sound

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.auditor.facts import Facts
-from navbake.auditor.report import ERROR, REMARK
+from navbake.auditor.facts import ERROR, REMARK, Facts
 from navbake.navgrid.islands import find_islands
 from navbake.testing import assert_sound
 from project_paths import GOLDEN

@@ -9,8 +9,7 @@ from navbake.config.settings import load_config
 from navbake.errors import QueryError
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.voxels.floor_plan import cut_band, lattice_of, plan_of, voxels_of
-from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.placement import Placement
+from navbake.voxels.grid import Placement, VoxelGrid
 from project_paths import CONFIGS
 
 SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")

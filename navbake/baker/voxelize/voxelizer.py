@@ -25,8 +25,7 @@ from navbake.errors import ConfigError, SceneError
 from navbake.formats.convert import OCTREES
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_bands
-from navbake.voxels.grid import VoxelGrid, dtype_of
-from navbake.voxels.placement import Placement, check_memory, place_grid
+from navbake.voxels.grid import Placement, VoxelGrid, check_memory, dtype_of, place_grid
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Unpack

@@ -11,12 +11,13 @@ import navbake
 from navbake.cli import options, printing
 from navbake.cli.options import OUTPUT, PLACE, PLACE_HELP, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_tables, print_warnings, say
-from navbake.errors import QueryError
+from navbake.errors import QueryError, count_of
 from navbake.views import tables
 
 # Functions import views when they run: --help loads no numpy.
 
 NAMED = ("room:", "object:")
+PLACES = f"{PLACE}|room:NAME"
 FACTS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
 
 
@@ -39,7 +40,9 @@ def info(grid: GridFile, as_json: AsJson = False) -> None:
         tables.agent_table(facts["agents"]),
     ]
     shown = [table for table in lists if table.rows]
-    print_tables(printing.summary_table(facts), tables.level_table(facts), *shown)
+    made_by = [(name.replace("_", " "), value) for name, value in facts["made_by"].items()]
+    summary = [("type", facts["type"]), *tables.summarize(facts), *made_by]
+    print_tables(tables.make_table(("", ""), summary), tables.level_table(facts), *shown)
     print_warnings(content.warnings)
 
 
@@ -55,7 +58,7 @@ def rooms(grid: GridFile, as_json: AsJson = False) -> None:
         print_json({"scene_id": content.scene_id, **lists})
         return
     print_tables(tables.room_table(found, content.level_names))
-    print(f"{len(found)} room{'' if len(found) == 1 else 's'}")
+    print(count_of(len(found), "room"))
     if doors:
         print()
         print_tables(tables.door_table(doors, content.level_names))
@@ -111,18 +114,10 @@ def path(
     grid: GridFile,
     planner: Planner,
     start: str = option(
-        f"{PLACE}|room:NAME",
-        f"Start, {PLACE_HELP}; or near the middle of a room.",
-        "--from",
-        "--start",
-        default=...,
+        PLACES, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
     ),
     goals: list[str] = option(
-        f"{PLACE}|room:NAME|object:NAME",
-        "A position, a room, or an object to stop beside. The cheapest of several positions.",
-        "--to",
-        "--goal",
-        default=...,
+        f"{PLACES}|object:NAME", "Goal; the cheapest of several.", "--to", "--goal", default=...
     ),
     radius: float | None = option("METRES", "Inflate the grid for this agent radius first [m]."),
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),

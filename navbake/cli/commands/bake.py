@@ -26,7 +26,7 @@ from navbake.cli.options import (
 from navbake.cli.printing import print_error, print_json, print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.convert import OCTREES, VOXELS
-from navbake.views.tables import level_table
+from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:
     from navbake.config.settings import BakeConfig
@@ -93,13 +93,14 @@ def geoms(
     options.say_if_sample(config)
     scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
+    found = [vars(geom) for geom in scene.geoms]
     if as_json:
-        keys = ("id", "name", "body", "type", "counted", "shape", "reason")
-        rows = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
-        print_json({"scene_id": scene.id, "geoms": rows, "warnings": list(scene.warnings)})
+        print_json({"scene_id": scene.id, "geoms": found, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
-    printing.print_tables(printing.geom_table(scene.geoms))
+    rows = [(geom | {"counted": "yes" if geom["counted"] else "no"}).values() for geom in found]
+    headings = ("id", "geom", "body", "type", "counted", "as", "why")
+    printing.print_tables(make_table(headings, map(tuple, rows), numbers=("id",)))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 

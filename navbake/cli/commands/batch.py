@@ -16,7 +16,7 @@ from typer import BadParameter, Exit
 from navbake.cli import options, printing
 from navbake.cli.options import OUTPUT, STDOUT, Overrides, argument, flag, option
 from navbake.cli.printing import VOLUME, print_error, print_warnings, say, say_unless_quiet
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, count_of
 
 if TYPE_CHECKING:
     from navbake.batch.index import Slice
@@ -164,7 +164,6 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     """Print what a batch would bake: a line for each reason, or of JSON for each scene."""
     from rich.filesize import decimal
 
-    from navbake.auditor.report import count_of
     from navbake.batch.index import read_index
     from navbake.batch.run import BROKEN, measure_cost, preview
     from navbake.batch.workers import DONE

@@ -7,7 +7,7 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from ctypes.util import find_library
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -18,15 +18,15 @@ from typer import BadParameter, Exit
 import navbake
 from navbake import samples
 from navbake._version import __version__
-from navbake.cli import options, printing
+from navbake.cli import options
 from navbake.cli.options import BAKED_SCENE, OUTPUT, AsJson, GridFile, flag, option
 from navbake.cli.printing import print_json, print_tables, say
-from navbake.errors import NavbakeError
+from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
 from navbake.lazy import lazy
+from navbake.views.tables import make_table
 
 if TYPE_CHECKING:
-    from navbake.navgrid.grid import NavGrid
     from navbake.verifier.report import VerifyReport
 
 compiled = lazy("navbake.compiled")  # numba loads slowly
@@ -34,6 +34,20 @@ config = lazy("navbake.config.settings")
 pipeline = lazy("navbake.baker.pipeline")
 threads = lazy("navbake.threads")
 
+COLUMNS = {
+    "level": "name",
+    "cells": "cells",
+    "free, free": "free_free",
+    "blocked, blocked": "blocked_blocked",
+    "free, touches": "free_touches",
+    "blocked, apart": "blocked_apart",
+    "disputed": "disputed",
+    "floors": "floors",
+    "in cracks": "in_cracks",
+    "floors off": "floors_off",
+    "places lost": "lost",
+}
+"""Headings, and which of a level's counts stand under them: the grid first, then the scene."""
 SAMPLE = 100_000
 SHOWN = 20  # printed disagreements
 BAKED = "apartment"
@@ -91,13 +105,16 @@ def verify(
             _print(report)
     if output is not None:
         marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
-        _write_marked(navbake.load(grid), output, marks)
+        drawn = navbake.load(grid)
+        options.write_picture(drawn, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 
 
 def _print(report: VerifyReport) -> None:
-    print_tables(printing.verify_table(report))
+    shown = [*report.levels, report.total] if report.levels[1:] else report.levels
+    rows = [[getattr(level, key) for key in COLUMNS.values()] for level in shown]
+    print_tables(make_table(tuple(COLUMNS), rows, numbers=COLUMNS.keys() - {"level"}))
     if report.sweeps is not None:
         swept = report.sweeps
         say(
@@ -133,7 +150,6 @@ def audit(
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([on] if on else [])])
     from navbake.auditor.audit import audit as look_at  # loads numpy
-    from navbake.auditor.report import count_of  # loads it too
 
     if on is None:
         content = navbake.load(grid)
@@ -155,19 +171,9 @@ def audit(
     if output is not None:
         placed = [(-1 if r.level is None else r.level, r.place, r.check) for r in report.remarks]
         marks = [(level, *place[:2], kind) for level, place, kind in placed if place is not None]
-        _write_marked(content, output, marks)
+        options.write_picture(content, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
-
-
-def _write_marked(
-    grid: NavGrid, output: Path, marks: Sequence[tuple[int, float, float, str]]
-) -> None:
-    """Draw a grid's occupancy with marks: level, world x and y [m], and text."""
-    from navbake.views.plot import Mark  # loads numpy
-
-    made = [Mark(*mark) for mark in marks]
-    options.write_picture(grid, output, layers=("occupancy",), marks=made)
 
 
 def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:

@@ -9,7 +9,7 @@ from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli import options
-from navbake.cli.options import OUTPUT, AsJson, flag, option
+from navbake.cli.options import OUTPUT, AsJson, argument, flag, option
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
@@ -129,10 +129,7 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
 def score(
     content: Annotated[Path, Argument(metavar="SET", help="The episodes.")],
     trajectories: Annotated[Path, Argument(metavar="TRAJECTORIES", help=".jsonl or .npz.")],
-    grids: Annotated[
-        list[Path] | None,
-        Argument(metavar="GRID…", help="Grids of the set.  [default: those it names, beside it]"),
-    ] = None,
+    grids: list[Path] | None = argument("GRID…", "Of the set.  [default: those it names]", None),
     by: str = option("GROUP", "all, distance, ratio, room, scene or split.", default="all"),
     threshold: float = option("METRES", "Of nDTW [m].", default=3.0),
     seed: int = option("N", "Seed of the intervals.", default=0, min=0),

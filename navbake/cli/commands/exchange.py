@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, BadParameter, Option
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from navbake.runtime.paths import Path as Route
 
 ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
-SQUARE = 0.1  # edge of a descriptor's square unless given [m]
 
 # Functions import what reads grids when they run: --help stays quick.
 
@@ -42,24 +41,30 @@ class FormatOptions(NamedTuple):
 
     level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
-    mode: str | None = option("trinary|scale|raw", "The last two have costs.  [default: trinary]")
+    mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]")
     image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]")
-    rules: str | None = option("humble|main", "nav2's, to read a map by.  [default: humble]")
-    inflation: float | None = option("METRES", "Costs as nav2's, so far from obstacles [m].")
+    rules: str | None = option(
+        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
+    )
+    inflation: float | None = option("METRES", "Costs as nav2's, up to so far from obstacles [m].")
     zone: list[str] | None = option("NAME[=PERCENT]", "Room or polygon of a mask. May be repeated.")
     zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some.")
     agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]")
     absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
-    height: float | None = option("METRES", "Of walls over the highest floor [m].  [default: 2.5]")
+    height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]")
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
     scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
-    categories: Path | None = option("TXT", "room_categories.txt.  [default: one of these rooms]")
+    categories: Path | None = option("TXT", "OmniGibson's room_categories.txt.  [default: new]")
     route: list[str] | None = option(
         "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
     )
-    tolerance: float | None = option("METRES", "Of a mesh's floor [m].  [default: 0.001]", min=0)
+    tolerance: float | None = option(
+        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
+    )
     up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
-    cut_corners: bool | None = Option(None, "--cut-corners", help="Pass blocked corners in graphs.")
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    )
 
 
 def convert(
@@ -296,7 +301,6 @@ def map_descriptor(
     import numpy as np  # not for --help
 
     from navbake.arena import map_descriptor as descriptor
-    from navbake.arena.arena import find_obstacles, place_squares
     from navbake.formats.npz import read_npy
 
     shape = None if squares.rows is None or squares.cols is None else (squares.rows, squares.cols)
@@ -308,9 +312,10 @@ def map_descriptor(
         levels, number = navbake.load(grid).levels, squares.level or 0
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
-        edge = SQUARE if squares.square is None else squares.square
-        placed = place_squares(levels[number], square=edge, corner=squares.corner, shape=shape)
-        filled = find_obstacles(levels[number], placed)
+        edge = descriptor.SQUARE if squares.square is None else squares.square
+        laid: Any = {"square": edge, "corner": squares.corner, "shape": shape}
+        placed = descriptor.place_squares(levels[number], **laid)
+        filled = descriptor.find_obstacles(levels[number], placed)
         known = np.ones_like(filled) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(known, filled)
     drawing = descriptor.draw(known, filled)

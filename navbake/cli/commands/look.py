@@ -25,6 +25,7 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.views.viewer.view import Watch
@@ -108,7 +109,11 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    options.write_output(page, output)
+    if output == STDOUT:
+        options.write_stdout(page)
+    else:
+        write_bytes(page, output)
+        say_unless_quiet(output)
 
 
 def _report_on_batch(folders: list[Path], output: Path | None) -> None:
@@ -130,14 +135,10 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
 class Address(NamedTuple):
     """Options of the page's address."""
 
-    host: str = option(
-        "HOST", "Address to listen at; 0.0.0.0 lets other machines in.", default="127.0.0.1"
-    )
+    host: str = option("HOST", "Where to listen; 0.0.0.0 lets others in.", default="127.0.0.1")
     port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535)
     no_open: bool = flag("--no-open", "Only print the link.")
-    allow_origin: list[str] | None = option(
-        "URL", "Another address of the page, as of a proxy. May be repeated."
-    )
+    allow_origin: list[str] | None = option("URL", "An address of a proxy. May be repeated.")
 
 
 def view(

@@ -26,7 +26,7 @@ from navbake.views.report.difference import describe_changes, describe_place, fl
 from navbake.views.tables import Table, make_table, summarize
 
 if TYPE_CHECKING:
-    from navbake.auditor.report import AuditReport
+    from navbake.auditor.facts import AuditReport
 
 PRINTED = "what `navbake verify --json` prints"
 Place = tuple[float, float, float]

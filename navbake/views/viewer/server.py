@@ -12,7 +12,7 @@ import socket
 import sys
 import threading
 import urllib.request
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, redirect_stdout, suppress
 from email.message import Message
@@ -57,9 +57,7 @@ class PageServer(AbstractContextManager["PageServer"]):
         NavbakeError: nothing can listen at the address, or an origin is none.
     """
 
-    def __init__(
-        self, host: str = HOST, port: int = PORT, *, allowed: Collection[str] = ()
-    ) -> None:
+    def __init__(self, host: str = HOST, port: int = PORT, *, allowed: Iterable[str] = ()) -> None:
         try:
             import viser  # of the extra [view], and slow to load
         except ImportError as error:

@@ -446,15 +446,13 @@ def find_files(paths: Iterable[Path]) -> list[Path]:
 class Watch:
     """Notices when files have changed and rest again, from when it is made.
 
-    `read` reads or bakes the exhibit; `list_files` is called again after each change, for a scene
+    `read` reads or bakes the exhibit; `files` is called again after each change, for a scene
     may name others then.
     """
 
-    def __init__(
-        self, read: Callable[[], Exhibit], list_files: Callable[[], Iterable[Path]]
-    ) -> None:
-        self.read, self._list_files = read, list_files
-        self._known = self._last = self._state_of(list_files())
+    def __init__(self, read: Callable[[], Exhibit], files: Callable[[], Iterable[Path]]) -> None:
+        self.read, self._list_files = read, files
+        self._known = self._last = self._state_of(files())
 
     def _state_of(self, files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
         """When each file was written, and its size; None for one that isn't there."""

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE
 from navbake.baker.voxelize.voxelizer import Voxelizer
-from navbake.voxels.placement import Placement
+from navbake.voxels.grid import Placement
 from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms
 from oracles.scene import Thing, cross_part, part_meets_prisms, part_of, scene_xml
 from oracles.surfaces import Surface, surface_meets_prisms

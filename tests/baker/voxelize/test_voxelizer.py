@@ -7,7 +7,7 @@ import pytest
 import navbake
 from navbake import ConfigError, SceneError, Voxelizer, create_voxel_grid
 from navbake.threads import limit_threads
-from navbake.voxels.placement import Placement, place_grid
+from navbake.voxels.grid import Placement, place_grid
 
 SCENE = """
 <mujoco>
