@@ -14,7 +14,7 @@ from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, plac
 from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import check_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
-from navbake.runtime.surroundings import find_blocked
+from navbake.runtime.surroundings import free_for
 from navbake.types import Float, Int
 
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
@@ -214,10 +214,8 @@ class DrawQuestions(PlaceQuestions):
             allowed = search.allowed(level=level, islands=islands)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:  # as in `grid.inflate`
-                ledges, levels = ledges_of(grid) if grid.inflated_radius else "avoid", grid.levels
-                blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
-                allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
+            if clearance is not None:
+                allowed = allowed & free_for(grid, clearance, ledges_of(grid))
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
         cells = search.keep("spawns", (numbers, level, islands, clearance), find)

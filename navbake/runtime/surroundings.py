@@ -81,6 +81,13 @@ def find_blocked(
     return blocked[inside]
 
 
+def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
+    """The free cells of ``grid.inflate(radius)``, by flat id, without inflating the grid."""
+    levels = enumerate(grid.levels)
+    free = [v.free_for_point & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
+    return np.concatenate([mask.ravel() for mask in free])
+
+
 def block_by_others(
     grid: NavGrid,
     number: int,
@@ -90,10 +97,7 @@ def block_by_others(
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Update `blocked` by other levels and floors, which may block or free cells.
-
-    `offsets` are the steps from an agent's cell to the cells within its radius [m].
-    """
+    """Update `blocked` by other levels and floors, within `offsets` of an agent's cell."""
     level = grid.levels[number]
     # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
@@ -112,9 +116,8 @@ def block_by_others(
         here = extreme.reduce(tiles, axis=(2, 4))
         here = np.where(np.isnan(here), beyond, here).astype(np.float64)
         ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
-    kernels.block_by_floors(
-        storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
-    )
+    counts = counts_higher, ledges == "avoid"
+    kernels.block_by_floors(storeys, tuple(ranges), offsets, *counts, blocked)
 
 
 def disc(
