@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
 
 import msgspec
 import numpy as np
@@ -34,6 +34,9 @@ from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Kind = TypeVar("Kind")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -142,6 +145,15 @@ def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
         raise ConfigError(str(error)) from error
 
 
+class Robot(TypedDict, total=False):
+    """For whom episodes are drawn; the grids' own agent unless given."""
+
+    radius: float | None  #: Grids are inflated for it if need be [m].
+    height: float | None  #: At most the grids' [m].
+    speed: float | None  #: For the header [m/s].
+    agent: str | None  #: The name of one of the grids' agents, in place of size and speed.
+
+
 def make_episodes(
     grids: NavGrid | Sequence[NavGrid],
     task: str | Task = "point",
@@ -151,10 +163,7 @@ def make_episodes(
     seed: int = 0,
     splits: Splits | None = None,
     files: Sequence[str | None] = (),
-    radius: float | None = None,
-    height: float | None = None,
-    speed: float | None = None,
-    agent: str | None = None,
+    **robot: Unpack[Robot],
 ) -> EpisodeSet:
     """Draw episodes on grids; all can be solved, and the same arguments give the same set.
 
@@ -169,16 +178,18 @@ def make_episodes(
         seed: of the draw, >= 0.
         splits: parts of the set.
         files: the grids' names, for the header.
-        radius: of the agent, the grids' own unless given; grids are inflated for it [m].
-        height: of the agent, at most the grids', which it is unless given [m].
-        speed: of the agent, for the header [m/s].
-        agent: the name of one of the grids' agents, in place of size and speed.
+        robot: for whom, see `Robot`.
 
     Raises:
         QueryError: there is no episode, no such object or room, the agent is too high, or two
             grids are of one scene.
         ConfigError: there is no such task or sampler.
     """
+    if unknown := robot.keys() - Robot.__annotations__.keys():
+        raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
+    radius, height, speed, agent = (
+        robot.get("radius"), robot.get("height"), robot.get("speed"), robot.get("agent")
+    )  # fmt: skip
     scenes = list(grids) if isinstance(grids, Sequence) else [grids]
     wanted = task if isinstance(task, Task) else make_task(task)
     rules, parts = make_rules(sampler), splits or Splits()

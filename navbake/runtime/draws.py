@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
@@ -45,7 +46,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_point(
         self,
-        rng: np.random.Generator | None = None,
+        rng: Generator | None = None,
         count: int | None = None,
         *,
         level: int | None = None,
@@ -74,7 +75,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_point_near(
         self,
-        rng: np.random.Generator | None,
+        rng: Generator | None,
         position: ArrayLike,
         max_distance: float,
         count: int | None = None,
@@ -109,7 +110,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_pose(
         self,
-        rng: np.random.Generator | None = None,
+        rng: Generator | None = None,
         target: ArrayLike | None = None,
         max_distance: float = 1.0,
         *,
@@ -151,7 +152,7 @@ class DrawQuestions(PlaceQuestions):
 
     def spawn(
         self,
-        rng: np.random.Generator | None,
+        rng: Generator | None,
         n: int,
         *,
         rooms: str | Sequence[str] | None = None,
@@ -286,12 +287,7 @@ class DrawQuestions(PlaceQuestions):
         return np.concatenate(found)
 
     def _draw(
-        self,
-        cells: Int,
-        rng: np.random.Generator | None,
-        count: int | None,
-        anywhere: bool,
-        **limits: object,
+        self, cells: Int, rng: Generator | None, count: int | None, anywhere: bool, **limits: object
     ) -> Float:
         """Draw places in some cells; `limits` are named in the error if there are none."""
         rng = as_generator(rng)
@@ -333,11 +329,11 @@ class DrawQuestions(PlaceQuestions):
         return cells, {"distance [m]": f"{low:g} to {high:g}"}
 
 
-def as_generator(rng: object) -> np.random.Generator:
+def as_generator(rng: object) -> Generator:
     """The given generator, or a new one for None; raises QueryError for anything else."""
     if rng is None:
         return np.random.default_rng()
-    if not isinstance(rng, np.random.Generator):
+    if not isinstance(rng, Generator):
         wanted = "a numpy.random.Generator, or None"
         raise QueryError(f"expected {wanted}, got {rng!r}: make one with numpy.random.default_rng")
     return rng

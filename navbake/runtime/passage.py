@@ -34,6 +34,11 @@ MAX_NAMES = 4  # of obstacles, listed in a sentence
 BESIDE = 3  # cells along a route before and after its block, for its rise
 
 
+Widest = tuple[float, Bool, Bool]
+"""The largest radius that passes [m], inf if none is too large, and the cells that are free for it
+and for the next larger one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Passage:
     """The widest agent that passes from one place to another."""
@@ -78,11 +83,10 @@ def find_passage(
 
 def find_widest(
     grid: NavGrid, search: Search, origin: int, goals: Int, ledges: str, *, corners: bool = False
-) -> tuple[float, Bool, Bool] | None:
+) -> Widest | None:
     """Find the largest radius that passes from a cell to the nearest of several, by flat ids.
 
-    Returns the radius [m], inf if no radius is too large, and the cells free for it and for the
-    next larger radius; None if not even a point passes. Links and areas are as `search` has them.
+    None if not even a point passes. Links and areas are as `search` has them.
     """
     flat, is_barred = search.flat, ~np.isfinite(search.flat.price)
 
@@ -157,18 +161,13 @@ def search_as(grid: NavGrid, like: Search, **options: Any) -> Search:
 
 
 def find_bottleneck(
-    grid: NavGrid,
-    search: Search,
-    origin: int,
-    goals: Int,
-    widest: tuple[float, Bool, Bool],
-    corners: bool,
+    grid: NavGrid, search: Search, origin: int, goals: Int, widest: Widest, corners: bool
 ) -> int:
     """Find the flat id of the bottleneck, the cell where the widest agent only just fits.
 
     The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
     middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
-    diagonal step. `widest` is what `find_widest` returns.
+    diagonal step.
     """
     flat, (radius, free, for_larger) = search.flat, widest
     lost = free & ~for_larger

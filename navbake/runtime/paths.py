@@ -175,13 +175,7 @@ def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
 
 
 def find_path(
-    search: Search,
-    start: ArrayLike,
-    goal: Goal,
-    level: int | None,
-    *,
-    smooth: bool,
-    by: str = "cost",
+    search: Search, start: ArrayLike, goal: Goal, level: int | None, *, by: str, smooth: bool
 ) -> Path | None:
     """`PathFinder.find_path`."""
     check_word(by, BY, "by")

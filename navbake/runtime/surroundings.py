@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import step_limit
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int, Int32
 
 if TYPE_CHECKING:
@@ -147,8 +146,13 @@ def find_surroundings(
 ) -> tuple[Storeys, tuple[slice, slice]]:
     """The cells near an agent on a level, and the level's own rectangle among them."""
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
-    shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}
-    placed = {k: shift for k, shift in shifts.items() if shift is not None}
+    placed, (x_min, y_max, size, *_) = dict[int, tuple[int, int]](), level.lattice
+    for k, other in enumerate(part.lattice for part in grid.levels):
+        # row and column of its cell (0, 0) in the level's lattice, whose cells must coincide
+        row, col = (y_max - other.y_max) / size, (other.x_min - x_min) / size
+        growth = abs(other.cell_size / size - 1) * max(*level.shape, *other.shape)
+        if max(abs(row - round(row)), abs(col - round(col)), growth) < ALIGNED:
+            placed[k] = round(row), round(col)
     top = left = 0
     if len(grid.levels) == 1:
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
@@ -204,14 +208,6 @@ def _floor(level: SceneGrid2D) -> NDArray[np.float32]:
     """World z of the level's floor [m]."""
     floor = np.ascontiguousarray(level.floor_height)
     return floor if level.unit == 1 else floor * np.float32(level.unit)
-
-
-def _shift(a: Lattice, b: Lattice) -> tuple[int, int] | None:
-    """Row and column in lattice a of b's cell (0, 0); None if the cells do not coincide."""
-    col, row = (b.x_min - a.x_min) / a.cell_size, (a.y_max - b.y_max) / a.cell_size
-    size = abs(b.cell_size / a.cell_size - 1) * max(*a.shape, *b.shape)
-    off = max(abs(row - round(row)), abs(col - round(col)), size)
-    return (round(row), round(col)) if off < ALIGNED else None
 
 
 def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type: ignore[type-arg]
