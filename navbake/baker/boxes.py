@@ -32,20 +32,13 @@ DIGITS = 9  # decimals of other lengths: what is smaller is rounding
 
 
 class LevelBoxes(NamedTuple):
-    """Where the levels lie, lowest first, and what their boxes cost.
+    """Where the levels lie, lowest first, and what their boxes cost."""
 
-    Attributes:
-        windows: rows and columns of the lattice that each level's grid has.
-        boxes: the box of each level.
-        lost: how many free cells, doors being open, the original client puts on another level, or
-            on none.
-        lost_on: the levels whose cells these are, ascending.
-    """
-
-    windows: list[Window]
-    boxes: list[Box]
+    windows: list[Window]  # rows and columns of the lattice that each level's grid has
+    boxes: list[Box]  # of each level
+    # how many free cells, doors being open, the original client puts on another level, or on none
     lost: int
-    lost_on: list[int]
+    lost_on: list[int]  # the levels whose cells these are, ascending
 
 
 def find_level_boxes(
@@ -62,12 +55,8 @@ def find_level_boxes(
     to the scene's sides, from `MARGIN` below its lowest floor to `GAP` below the next box above it,
     or to the scene's top. Doors change neither.
 
-    Args:
-        levels: lowest first.
-        occupied: the occupied cells of each level, as its floor is shaped, doors left out.
-        lattice: of the whole scene.
-        scene_box: (2, 3), of all finite geoms [m], None if there are none.
-        agent_height: an agent on the highest floor is in the highest level's box [m].
+    `levels` are the lowest first, `occupied` their cells without doors, `scene_box` is that of all
+    finite geoms, (2, 3) [m]. An agent on the highest floor is in the highest level's box.
     """
     written = [level.floor.astype(np.float32) for level in levels]
     lowest = [float(np.fmin.reduce(floor, axis=None)) for floor in written]

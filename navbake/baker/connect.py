@@ -13,11 +13,9 @@ from navbake.types import Int, Int32
 
 
 def connect(pairs: Int, count: int) -> Int32:
-    """Number the connected parts of a graph from 0, in the order of their first nodes.
+    """Number the connected parts of a graph from 0, in the order of their first of `count` nodes.
 
-    Args:
-        pairs: the nodes that hang together, shape (2, n).
-        count: how many nodes there are.
+    `pairs` are the nodes that hang together, shape (2, n).
     """
     part: Int32 = number_parts(np.ascontiguousarray(pairs, dtype=np.int64), count)
     return part
@@ -26,9 +24,7 @@ def connect(pairs: Int, count: int) -> Int32:
 def touching(cells: Int, width: int) -> Int:
     """The pairs of cells that meet at an edge or a corner, as places in `cells`, shape (2, n).
 
-    Args:
-        cells: ascending cell ids, shape (m,).
-        width: of the lattice.
+    `cells` are ascending ids, shape (m,), of a lattice of a `width`.
     """
     col, pairs = cells % width, list[Int]()
     for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
@@ -48,18 +44,12 @@ def ranges(begin: Int, end: Int) -> tuple[Int, Int]:
 
 
 class Runs(NamedTuple):
-    """Runs of cells with one value in rows, by rows, shape (n,).
-
-    Attributes:
-        row: of each.
-        first, end: its first column, and past its last.
-        value: of its cells.
-    """
+    """Runs of cells with one value in rows, by rows, shape (n,)."""
 
     row: Int
-    first: Int
-    end: Int
-    value: NDArray[Any]
+    first: Int  # column
+    end: Int  # past the last column
+    value: NDArray[Any]  # of its cells
 
 
 def list_runs(values: NDArray[Any]) -> Runs:
@@ -77,11 +67,8 @@ def list_runs(values: NDArray[Any]) -> Runs:
 def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
     """Label the 4-connected parts of cells with one value (Rosenfeld and Pfaltz, 1966).
 
-    Args:
-        values: shape (rows, cols), bool or integer; cells with 0 are in no part.
-
-    Returns:
-        The label of each cell, int32, 0 for none, by first cells from 1; and the number of labels.
+    Takes shape (rows, cols), bool or integer; cells with 0 are in no part. Returns the label of
+    each cell, int32, 0 for none, by first cells from 1; and the number of labels.
     """
     rows, cols = values.shape
     row, first, end, value = list_runs(values)

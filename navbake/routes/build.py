@@ -400,9 +400,8 @@ class _Builder:
         level = int(self.flat.level_of(self.places[one].cell))
         if level != self.flat.level_of(self.places[other].cell):
             return
-        found = find_path(
-            self.search, self.points[one, :2], self.points[other, :2], level, smooth=True
-        )
+        start, end = self.points[one, :2], self.points[other, :2]
+        found = find_path(self.search, start, end, level, by="cost", smooth=True)
         if found is None or found.links or (found.levels != level).any():
             return
         if self.distance[one, other] <= STRETCH * self._cost_of(found.positions[:, :2], level):

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 from weakref import WeakSet
 
+import numpy as np
+
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.agents import Agent
@@ -48,10 +50,8 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
         ("steps", "traversable_floor_height", agent.step, grid.max_step),
     ):
         if stated is not None and stated > most + SAME:
-            raise QueryError(
-                f"{of} is for {what} up to {most:g} m, got {stated:g} m{name}: bake it with "
-                f"agent.{key}={stated:g}"
-            )
+            got = f"got {stated:g} m{name}: bake it with agent.{key}={stated:g}"
+            raise QueryError(f"{of} is for {what} up to {most:g} m, {got}")
     clean: NavGrid = grid.without_blocks()
     fitted, radius = clean, agent.radius
     if agent.step is not None and agent.step < grid.max_step - SAME:
@@ -59,12 +59,9 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SAME):
         check_radius(radius)
         if radius < grid.inflated_radius:
-            raise QueryError(
-                f"{of} was inflated to {grid.radius:g} m, got {radius:g} m{name}: plan on the "
-                "grid as it was baked"
-            )
-        ledges = ledges_of(grid) if grid.inflated_radius else "avoid"
-        fitted = fitted.inflate(radius, ledges=ledges)
+            got = f"got {radius:g} m{name}: plan on the grid as it was baked"
+            raise QueryError(f"{of} was inflated to {grid.radius:g} m, {got}")
+        fitted = fitted.inflate(radius, ledges=ledges_of(grid))
     if fitted is clean:
         return grid
     grid.fitted = grid.fitted or WeakSet()
@@ -76,16 +73,13 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
 
 def _with_step(grid: NavGrid, step: float) -> NavGrid:
     """The grid for an agent that takes lower steps."""
-    floors = [level.floor.ravel() for level in grid.levels]
-    rows = grid.step_array.tolist()
-    lower: list[Any] = [
-        row
-        for row in rows
-        if not abs(floors[row[0]][row[1]] - floors[row[2]][row[3]]) > step + ROUNDING
-    ]
+    floor = np.concatenate([level.floor.ravel() for level in grid.levels])
+    start = np.cumsum([0] + [level.width * level.height for level in grid.levels])
+    ends = start[grid.step_array[:, ::2]] + grid.step_array[:, 1::2]
+    is_high = np.abs(np.diff(floor[ends])[:, 0]) > step + ROUNDING
     metadata: dict[str, Any] = {**grid.metadata, "traversableFloorHeight": step / grid.unit}
-    if len(lower) < len(rows):
-        links = [*lower, *(link.to_json() for link in grid.links)]
+    if is_high.any():
+        links = [*grid.step_array[~is_high].tolist(), *(link.to_json() for link in grid.links)]
         metadata["navbake"] = {**grid.navbake, "links": links}
     changed = grid.with_levels([level.with_layers() for level in grid.levels], metadata)
     renew_islands(changed)

@@ -8,6 +8,7 @@ centres are less than `reach` [m] apart on the map and their floors less than `h
 import math
 
 import numpy as np
+from numpy.random import Generator
 
 from navbake.errors import QueryError
 from navbake.runtime.flat_grid import FlatGrid
@@ -25,7 +26,7 @@ def place_crowd(
     parts: list[Int],
     n: int,
     apart: tuple[float, float],
-    rng: np.random.Generator,
+    rng: Generator,
     words: tuple[str, str],
 ) -> Int:
     """Draw a cell for each of n agents: flat ids in random order; QueryError if they don't fit.
@@ -98,11 +99,7 @@ def _take(flat: FlatGrid, apart: tuple[float, float], taken: Bool, cell: int) ->
 
 
 def _draw_crowd(
-    flat: FlatGrid,
-    parts: list[Int],
-    apart: tuple[float, float],
-    owner: Int,
-    rng: np.random.Generator,
+    flat: FlatGrid, parts: list[Int], apart: tuple[float, float], owner: Int, rng: Generator
 ) -> Int:
     """Draw a cell for each agent from its part, else from another; stops early if none is left."""
     left, chosen = list(parts), np.empty(len(owner), dtype=np.int64)
@@ -128,7 +125,7 @@ def _draw_crowd(
 
 
 def _pack_crowd(
-    flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: np.random.Generator
+    flat: FlatGrid, cells: Int, apart: tuple[float, float], n: int, rng: Generator
 ) -> Int:
     """Place up to n agents row by row from a random side, each in the first cell left."""
     swap, signs = rng.integers(2), rng.choice([-1.0, 1.0], size=2)
@@ -142,7 +139,7 @@ def _pack_crowd(
     return np.array(chosen, dtype=np.int64)
 
 
-def draw_cells(flat: FlatGrid, cells: Int, rng: np.random.Generator, count: int) -> Int:
+def draw_cells(flat: FlatGrid, cells: Int, rng: Generator, count: int) -> Int:
     """Draw indices into cells, with probability in proportion to the cells' areas."""
     sizes = flat.layout.cell_size
     if len(set(sizes)) == 1:

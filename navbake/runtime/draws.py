@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
@@ -14,7 +15,7 @@ from navbake.runtime.crowd import along_hilbert, draw_cells, parts_of_area, plac
 from navbake.runtime.flat_grid import REAL, check_distance, text_of
 from navbake.runtime.inflation import check_radius, ledges_of
 from navbake.runtime.places import SLACK, PlaceQuestions, cells_in_annulus
-from navbake.runtime.surroundings import find_blocked
+from navbake.runtime.surroundings import free_for
 from navbake.types import Float, Int
 
 walks = lazy("navbake.runtime.kernels.walks")  # numba loads slowly
@@ -45,7 +46,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_point(
         self,
-        rng: np.random.Generator | None = None,
+        rng: Generator | None = None,
         count: int | None = None,
         *,
         level: int | None = None,
@@ -74,7 +75,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_point_near(
         self,
-        rng: np.random.Generator | None,
+        rng: Generator | None,
         position: ArrayLike,
         max_distance: float,
         count: int | None = None,
@@ -109,7 +110,7 @@ class DrawQuestions(PlaceQuestions):
 
     def random_pose(
         self,
-        rng: np.random.Generator | None = None,
+        rng: Generator | None = None,
         target: ArrayLike | None = None,
         max_distance: float = 1.0,
         *,
@@ -151,7 +152,7 @@ class DrawQuestions(PlaceQuestions):
 
     def spawn(
         self,
-        rng: np.random.Generator | None,
+        rng: Generator | None,
         n: int,
         *,
         rooms: str | Sequence[str] | None = None,
@@ -214,10 +215,8 @@ class DrawQuestions(PlaceQuestions):
             allowed = search.allowed(level=level, islands=islands)
             if numbers:
                 allowed = allowed & np.isin(search.rooms.number, numbers)
-            if clearance is not None:  # as in `grid.inflate`
-                ledges, levels = ledges_of(grid) if grid.inflated_radius else "avoid", grid.levels
-                blocked = [find_blocked(grid, k, clearance, ledges) for k in range(len(levels))]
-                allowed = allowed & ~np.concatenate([mask.ravel() for mask in blocked])
+            if clearance is not None:
+                allowed = allowed & free_for(grid, clearance, ledges_of(grid))
             return along_hilbert(search.flat, np.flatnonzero(allowed))
 
         cells = search.keep("spawns", (numbers, level, islands, clearance), find)
@@ -288,12 +287,7 @@ class DrawQuestions(PlaceQuestions):
         return np.concatenate(found)
 
     def _draw(
-        self,
-        cells: Int,
-        rng: np.random.Generator | None,
-        count: int | None,
-        anywhere: bool,
-        **limits: object,
+        self, cells: Int, rng: Generator | None, count: int | None, anywhere: bool, **limits: object
     ) -> Float:
         """Draw places in some cells; `limits` are named in the error if there are none."""
         rng = as_generator(rng)
@@ -335,11 +329,11 @@ class DrawQuestions(PlaceQuestions):
         return cells, {"distance [m]": f"{low:g} to {high:g}"}
 
 
-def as_generator(rng: object) -> np.random.Generator:
+def as_generator(rng: object) -> Generator:
     """The given generator, or a new one for None; raises QueryError for anything else."""
     if rng is None:
         return np.random.default_rng()
-    if not isinstance(rng, np.random.Generator):
+    if not isinstance(rng, Generator):
         wanted = "a numpy.random.Generator, or None"
         raise QueryError(f"expected {wanted}, got {rng!r}: make one with numpy.random.default_rng")
     return rng

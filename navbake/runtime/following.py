@@ -62,7 +62,7 @@ class Follower:
         self._speed, self._acceleration, self._turn_rate = list(limits.values())[:3]
         self._lookahead, self._tolerance = limits["lookahead"], limits["tolerance"]
         self.state, self.num_replans = DRIVING, 0
-        self._version, self._length, self._distance = -1, 0.0, 0.0
+        self._version, self._length, self._distance, self._taken = -1, 0.0, 0.0, 0
         self._take(path)
 
     @property
@@ -128,10 +128,14 @@ class Follower:
     def _advance(self, position: ArrayLike) -> Float:
         """Update the progress along the path, changes of the grid, and the state."""
         p, search = self._check(position), self._search
-        if self.state == RIDING:
-            self._leave_link(p)
-            if self.state == RIDING:
+        if self.state == RIDING:  # drive on where the base is at the link's next stop
+            here, there = self.path.positions[self.path.stops[self._taken]]
+            off, rise = float(np.hypot(*(p - there)[:2])), abs(p[2] - there[2])
+            is_nearer = np.linalg.norm(p - there) < np.linalg.norm(p - here)
+            if not is_nearer or off > self._lookahead or rise > search.flat.floors.max_step:
                 return p
+            self._distance = float(self._run[self.path.stops[self._taken, 1]])
+            self.state, self._taken = DRIVING, self._taken + 1
         self._distance = self._nearest(p)
         if search.version != self._version:  # look at the path again
             self._version = search.version
@@ -199,15 +203,14 @@ class Follower:
         first = max(int(np.searchsorted(run, begin, side="right")) - 1, 0)
         for k in range(first, len(self._leg_level)):
             length = float(run[k + 1] - run[k])
-            low, high = max(begin - float(run[k]), 0.0) / max(length, LEAST), 1.0
-            if self._is_free(k, low, high):
-                continue
-            skipped = low
-            for _ in range(HALVINGS):
-                middle = (low + high) / 2
-                is_free = self._is_free(k, skipped, middle)
-                low, high = (middle, high) if is_free else (low, middle)
-            return float(run[k]) + length * low
+            skipped = low = max(begin - float(run[k]), 0.0) / max(length, LEAST)
+            high = 1.0
+            if not self._is_free(k, low, high):
+                for _ in range(HALVINGS):
+                    middle = (low + high) / 2
+                    is_free = self._is_free(k, skipped, middle)
+                    low, high = (middle, high) if is_free else (low, middle)
+                return float(run[k]) + length * low
         return self._length
 
     def _is_free(self, leg: int, begin: float, end: float) -> bool:
@@ -233,16 +236,6 @@ class Follower:
         """The point of the path where the next link begins, None for none."""
         left = self.path.stops[self._taken :]
         return int(left[0, 0]) if len(left) else None
-
-    def _leave_link(self, p: Float) -> None:
-        """Drive on where the base is at the next stop of the link at whose stop it stood."""
-        here, there = self.path.positions[self.path.stops[self._taken]]
-        off, rise = float(np.hypot(*(p - there)[:2])), abs(p[2] - there[2])
-        is_nearer = np.linalg.norm(p - there) < np.linalg.norm(p - here)
-        step = self._search.flat.floors.max_step
-        if is_nearer and off <= self._lookahead and rise <= step:
-            self._distance = float(self._run[self.path.stops[self._taken, 1]])
-            self.state, self._taken = DRIVING, self._taken + 1
 
     def _level_at(self, distance: float) -> int:
         stop = self._next_stop

@@ -200,9 +200,9 @@ def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> 
 
 
 def ledges_of(grid: NavGrid) -> str:
-    """The `ledges` of the grid's inflation; ``ignore`` in files without it."""
+    """The `ledges` of the grid's inflation; ``ignore`` in files without it, ``avoid`` for none."""
     avoids = any(entry.get("ledges") == "avoid" for entry in grid.exact_inflations)
-    return "avoid" if avoids else "ignore"
+    return "avoid" if avoids or not grid.inflated_radius else "ignore"
 
 
 def margins_of(grid: NavGrid, radius: float | None = None) -> tuple[float, float, float]:

@@ -23,7 +23,7 @@ from navbake.runtime.flat_grid import doors_on, map_islands, text_of
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.place import place_in
 from navbake.runtime.search import NO_CELLS, Search
-from navbake.runtime.surroundings import find_blocked
+from navbake.runtime.surroundings import free_for
 from navbake.types import Bool, Float, Int
 
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
@@ -32,6 +32,11 @@ NARROW = 1000.0  # weight of a cell that is blocked for a larger agent: a way av
 SHUT = 10_000.0  # weight of a cell that a door blocks: a way of 10 km costs as much as 1 m of it
 MAX_NAMES = 4  # of obstacles, listed in a sentence
 BESIDE = 3  # cells along a route before and after its block, for its rise
+
+
+Widest = tuple[float, Bool, Bool]
+"""The largest radius that passes [m], inf if none is too large, and the cells that are free for it
+and for the next larger one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +83,10 @@ def find_passage(
 
 def find_widest(
     grid: NavGrid, search: Search, origin: int, goals: Int, ledges: str, *, corners: bool = False
-) -> tuple[float, Bool, Bool] | None:
+) -> Widest | None:
     """Find the largest radius that passes from a cell to the nearest of several, by flat ids.
 
-    Returns the radius [m], inf if no radius is too large, and the cells free for it and for the
-    next larger radius; None if not even a point passes. Links and areas are as `search` has them.
+    None if not even a point passes. Links and areas are as `search` has them.
     """
     flat, is_barred = search.flat, ~np.isfinite(search.flat.price)
 
@@ -125,13 +129,6 @@ def find_widest(
     return radii[good], *(free_for(grid, radii[k], ledges) for k in (good, good + 1))
 
 
-def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
-    """The free cells of ``grid.inflate(radius)``, by flat id, without inflating the grid."""
-    levels = enumerate(grid.levels)
-    free = [v.free_for_point & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
-    return np.concatenate([mask.ravel() for mask in free])
-
-
 def deflated(grid: NavGrid) -> NavGrid:
     """The grid for a point agent, with weights of 1; itself if it wasn't inflated."""
     if "inflation" not in grid.metadata:
@@ -164,18 +161,13 @@ def search_as(grid: NavGrid, like: Search, **options: Any) -> Search:
 
 
 def find_bottleneck(
-    grid: NavGrid,
-    search: Search,
-    origin: int,
-    goals: Int,
-    widest: tuple[float, Bool, Bool],
-    corners: bool,
+    grid: NavGrid, search: Search, origin: int, goals: Int, widest: Widest, corners: bool
 ) -> int:
     """Find the flat id of the bottleneck, the cell where the widest agent only just fits.
 
     The route avoids the cells that are lost to a larger agent if it can. The bottleneck is the
     middle of the first run of them on it; without one, the stop of a link, or a lost cell beside a
-    diagonal step. `widest` is what `find_widest` returns.
+    diagonal step.
     """
     flat, (radius, free, for_larger) = search.flat, widest
     lost = free & ~for_larger
@@ -225,8 +217,7 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
         _blocked_for_now(search, origin, goals)
         or _doors(search, origin, goals)
         or _links_and_areas(search, origin, goals)
-        or _cuts(search, origin, goals)
-        or _gap(search, origin, goals)
+        or _too_narrow(search, origin, goals)
         or _steps(search, origin, goals)
     )
     if not because and cells is not None:  # objects on the line between the nearest cells
@@ -344,39 +335,33 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
 
 
-def _cuts(search: Search, origin: int, goals: Int) -> str | None:
-    """Name the steps and doors on the way that the agent's radius closed; None if it isn't it."""
-    grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
-    if not agent:
-        return None
-    plain = search_as(deflated(grid.without_blocks()), search)
-    weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
-    route = find_route(with_weights(plain.grid, weights), search, origin, goals)
-    if route is None:
-        return None
-    closed = [cut for cut in find_cuts(plain, search) if np.isin(cut.cells, route).any()]
-    widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
-    if not closed or widest is None:
-        return None
-    names, verb = " and ".join(cut.name for cut in closed), "is" if len(closed) == 1 else "are"
-    verb = "are" if names.startswith("the stairs") else verb
-    return f"{names} {verb} closed for a radius of {agent:g} m, and {widest[0]:g} m passes"
-
-
-def _gap(search: Search, origin: int, goals: Int) -> str | None:
-    """Describe the gap, its width between obstacles [m], that is too narrow for the agent.
+def _too_narrow(search: Search, origin: int, goals: Int) -> str | None:
+    """Name what the agent's radius closed: steps, links and doors on the way, else the gap [m].
 
     None if the grid isn't inflated, or no smaller radius passes.
     """
     grid, flat, agent = search.grid, search.flat, search.grid.inflated_radius
-    plain = deflated(grid.without_blocks())
-    widest = find_widest(plain, search, origin, goals, inflation.ledges_of(grid)) if agent else None
-    if widest is None or math.isinf(widest[0]):
+    if not agent:
         return None
-    radius, cell = widest[0], find_bottleneck(plain, search, origin, goals, widest, False)
+    plain = search_as(deflated(grid.without_blocks()), search)
+    widest = find_widest(plain.grid, search, origin, goals, inflation.ledges_of(grid))
+    if widest is None:
+        return None
+    radius, width = widest[0], 2 * widest[0]
+    weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
+    route = find_route(with_weights(plain.grid, weights), search, origin, goals)
+    way = NO_CELLS if route is None else route
+    closed = [cut.name for cut in find_cuts(plain, search) if np.isin(cut.cells, way).any()]
+    if closed:
+        is_one = len(closed) == 1 and not closed[0].startswith("the stairs")
+        names = f"{' and '.join(closed)} {'is' if is_one else 'are'}"
+        return f"{names} closed for a radius of {agent:g} m, and {radius:g} m passes"
+    if math.isinf(radius):
+        return None
+    cell = find_bottleneck(plain.grid, search, origin, goals, widest, False)
     # the occupied squares round it
     number, row, col = flat.cell(cell)
-    level, size, width = plain.levels[number], flat.layout.cell_size[number], 2 * radius
+    level, size = plain.grid.levels[number], flat.layout.cell_size[number]
     span = int(4 * radius / size) + 2
     row0, col0 = max(row - span, 0), max(col - span, 0)
     rows, cols = np.nonzero(level.solid[row0 : row + span + 1, col0 : col + span + 1])

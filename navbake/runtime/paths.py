@@ -16,7 +16,7 @@ from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_on
 from navbake.runtime.inflation import check_word
 from navbake.runtime.search import Search
-from navbake.types import Bool, Float, Int, Json
+from navbake.types import Float, Int, Json
 
 lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
@@ -135,7 +135,8 @@ def cells_around(search: Search, name: str) -> Int:
             if is_goal.any():
                 break
             if over_objects:
-                passable |= _hold_objects(UserData.of(level.user_data).find(ids.ravel()), ids.shape)
+                entries = UserData.of(level.user_data).find(ids.ravel())
+                passable |= np.reshape(_hold_objects(entries), ids.shape)
             ring = np.where(own, 0, -1)
             for step in range(1, reach + 1):
                 ring[ndimage.binary_dilation(ring >= 0) & passable & (ring < 0)] = step
@@ -147,42 +148,34 @@ def cells_around(search: Search, name: str) -> Int:
     return np.concatenate(found)
 
 
-def _hold_objects(entries: list[Json], shape: tuple[int, ...]) -> Bool:
+def _hold_objects(entries: list[Json]) -> list[bool]:
     """Whether cells are empty or blocked by objects alone, and by no wall."""
     walls = {name for entry in entries for name in names_in(entry, "walls")}
     in_way = [{*names_in(entry, "objects"), *names_in(entry, "blockers")} for entry in entries]
-    holds = [
+    return [
         bool(names) and not names_in(entry, "walls") and not names & walls
         for entry, names in zip(entries, in_way, strict=True)
     ]
-    return np.array(holds).reshape(shape)
 
 
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:
     """The flat ids of a named object's, door's or wall's cells, at least one."""
     if not isinstance(name, str):
         raise QueryError(f"expected the name of an object, got {name!r}")
-    cells = [
-        start + cell
-        for level, start in zip(grid.levels, flat.layout.start.tolist(), strict=False)
-        for cell, entry in level.user_data.items()
-        if any(name in names_in(entry, key) for key in NAMES)
-    ]
-    if not cells:
-        entries = (entry for level in grid.levels for entry in level.user_data.values())
-        known = {n for entry in entries for key in NAMES for n in names_in(entry, key)}
+    found, known = list[Int](), set[str]()
+    for start, level in zip(flat.layout.start.tolist(), grid.levels, strict=False):
+        cells, number, entries = UserData.of(level.user_data).shared()
+        names = [{n for key in NAMES for n in names_in(entry, key)} for entry in entries]
+        has_name = np.array([name in of_entry for of_entry in names], dtype=np.bool_)
+        found.append(start + cells[has_name[number]])
+        known.update(*names)
+    if name not in known:
         raise QueryError(f"no object {name!r} in {grid.scene_id!r}: {suggest(name, sorted(known))}")
-    return np.array(cells, dtype=np.int64)
+    return np.concatenate(found)
 
 
 def find_path(
-    search: Search,
-    start: ArrayLike,
-    goal: Goal,
-    level: int | None,
-    *,
-    smooth: bool,
-    by: str = "cost",
+    search: Search, start: ArrayLike, goal: Goal, level: int | None, *, by: str, smooth: bool
 ) -> Path | None:
     """`PathFinder.find_path`."""
     check_word(by, BY, "by")

@@ -308,16 +308,11 @@ def snap(
 
 
 def _snap_in_sight(
-    search: Search,
-    allowed: Bool,
-    p: Float,
-    level: int | None,
-    same_level: bool,
-    max_distance: float,
+    search: Search, allowed: Bool, p: Float, level: int | None, same_level: bool, farthest: float
 ) -> Float | None:
     """`PathFinder.snap` in sight; searches growing radii, as lines cost more than distances."""
     flat, home = search.flat, int(search.flat.cells_at(p, level))
-    place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=max_distance)
+    place, cell = snap(flat, allowed, p, level, same_level=same_level, max_distance=farthest)
     if home < 0 or cell < 0:
         return None
     if cell == home:
@@ -325,7 +320,7 @@ def _snap_in_sight(
     axes = 2 if same_level or len(p) == 2 else 3
     levels = [int(flat.level_of(home))] if axes == 2 else list(range(flat.num_levels))
     most = sum(np.count_nonzero(allowed[flat.cells_of(k)]) for k in levels)
-    radius = min(FIRST_LOOK, float(max_distance))
+    radius = min(FIRST_LOOK, float(farthest))
     while True:
         discs = [cells_in_annulus(flat, k, p, (0.0, radius), allowed) for k in levels]
         cells = np.concatenate(discs)
@@ -339,9 +334,9 @@ def _snap_in_sight(
         )
         if found >= 0:
             return np.asarray(centers[near[found]])
-        if len(near) == most or radius >= max_distance:
+        if len(near) == most or radius >= farthest:
             return None
-        radius = min(2.0 * radius, float(max_distance))
+        radius = min(2.0 * radius, float(farthest))
 
 
 def _find_obstacles(

@@ -8,7 +8,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
@@ -109,9 +109,8 @@ class Search:
         """
         if by == "cost" and not (backwards and len(self.flat.arcs.ends)):
             return self.graph
-        if by == "cost":
-            return self.graph._replace(links=self.flat.links(self.radius, backwards=True))
-        return self.keep("graphs", (by, backwards), lambda: self._make_graph(by, backwards))
+        make = partial(self._make_graph, by, backwards)
+        return self.keep("graphs", (by, backwards), make)
 
     def _make_graph(self, by: str, backwards: bool) -> Graph:
         flat, weight, weights = self.flat, self.flat.weight, np.ones(1)
@@ -138,35 +137,27 @@ class Search:
         """Take over cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
             state = level.block_state
-            if state is None or state.revision == self._seen[number]:
-                continue
-            whole = [(0, level.height, 0, level.width)]
-            for window in state.windows_since(self._seen[number]) or whole:
-                self._copy_changes(number, level, state, window)
-            self._seen[number] = state.revision
-            self.version += 1
+            if state is not None and state.revision != self._seen[number]:
+                whole = [(0, level.height, 0, level.width)]
+                for window in state.windows_since(self._seen[number]) or whole:
+                    self._copy_changes(number, level, state, window)
+                self._seen[number] = state.revision
+                self.version += 1
 
     def _copy_changes(
         self, number: int, level: SceneGrid2D, state: BlockState, window: Window
     ) -> None:
         """Copy a changed window of a level, and find the moves in and round it again."""
         row0, row1, col0, col1 = window
-        inside, cells = np.s_[row0:row1, col0:col1], self.flat.cells_of(number)
-
-        def cut(array: NDArray[Any]) -> NDArray[Any]:
-            return array[cells].reshape(level.shape)[inside]
-
-        first = cells.start + np.arange(row0, row1)[:, None] * level.width
+        inside, first = np.s_[row0:row1, col0:col1], self.flat.cells_of(number).start
+        cells = first + np.arange(row0, row1)[:, None] * level.width + np.arange(col0, col1)
         weight = level.weights[inside].astype(np.float64)
-        weight = self.flat.priced(weight, first + np.arange(col0, col1))
-        free = np.isfinite(weight)
-        cut(self.flat.free)[:] = free
-        cut(self.flat.weight)[:] = weight
+        self.flat.weight[cells] = self.flat.priced(weight, cells)
+        self.flat.free[cells] = free = np.isfinite(self.flat.weight[cells])
         for k, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
-            cut(self._masks[k])[:] = free
+            self._masks[k][cells] = free
             if self._room is not None:
-                held = state.count[layer].reshape(level.shape)[inside]
-                cut(self._masks[k])[:] &= cut(self._room[k]) & (held == 0)
+                self._masks[k][cells] &= self._room[k][cells] & (state.count[layer][inside] == 0)
         self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
 
     def _find_moves(self, level: int, window: Window) -> None:

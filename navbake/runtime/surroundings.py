@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import step_limit
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Int, Int32
 
 if TYPE_CHECKING:
@@ -81,6 +80,13 @@ def find_blocked(
     return blocked[inside]
 
 
+def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
+    """The free cells of ``grid.inflate(radius)``, by flat id, without inflating the grid."""
+    levels = enumerate(grid.levels)
+    free = [v.free_for_point & ~find_blocked(grid, k, radius, ledges) for k, v in levels]
+    return np.concatenate([mask.ravel() for mask in free])
+
+
 def block_by_others(
     grid: NavGrid,
     number: int,
@@ -90,10 +96,7 @@ def block_by_others(
     ledges: str,
     blocked: Bool,
 ) -> None:
-    """Update `blocked` by other levels and floors, which may block or free cells.
-
-    `offsets` are the steps from an agent's cell to the cells within its radius [m].
-    """
+    """Update `blocked` by other levels and floors, within `offsets` of an agent's cell."""
     level = grid.levels[number]
     # up to the baked radius, `occupied` has the higher floors; a layer `solid` has none
     has_solid = bool(level.navbake) and "solid" in level.attributes
@@ -112,9 +115,8 @@ def block_by_others(
         here = extreme.reduce(tiles, axis=(2, 4))
         here = np.where(np.isnan(here), beyond, here).astype(np.float64)
         ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
-    kernels.block_by_floors(
-        storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
-    )
+    counts = counts_higher, ledges == "avoid"
+    kernels.block_by_floors(storeys, tuple(ranges), offsets, *counts, blocked)
 
 
 def disc(
@@ -144,8 +146,13 @@ def find_surroundings(
 ) -> tuple[Storeys, tuple[slice, slice]]:
     """The cells near an agent on a level, and the level's own rectangle among them."""
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
-    shifts = {k: _shift(level.lattice, other.lattice) for k, other in enumerate(grid.levels)}
-    placed = {k: shift for k, shift in shifts.items() if shift is not None}
+    placed, (x_min, y_max, size, *_) = dict[int, tuple[int, int]](), level.lattice
+    for k, other in enumerate(part.lattice for part in grid.levels):
+        # row and column of its cell (0, 0) in the level's lattice, whose cells must coincide
+        row, col = (y_max - other.y_max) / size, (other.x_min - x_min) / size
+        growth = abs(other.cell_size / size - 1) * max(*level.shape, *other.shape)
+        if max(abs(row - round(row)), abs(col - round(col)), growth) < ALIGNED:
+            placed[k] = round(row), round(col)
     top = left = 0
     if len(grid.levels) == 1:
         floor, occupied = _floor(level)[None], np.ascontiguousarray(level.solid)[None]
@@ -201,14 +208,6 @@ def _floor(level: SceneGrid2D) -> NDArray[np.float32]:
     """World z of the level's floor [m]."""
     floor = np.ascontiguousarray(level.floor_height)
     return floor if level.unit == 1 else floor * np.float32(level.unit)
-
-
-def _shift(a: Lattice, b: Lattice) -> tuple[int, int] | None:
-    """Row and column in lattice a of b's cell (0, 0); None if the cells do not coincide."""
-    col, row = (b.x_min - a.x_min) / a.cell_size, (a.y_max - b.y_max) / a.cell_size
-    size = abs(b.cell_size / a.cell_size - 1) * max(*a.shape, *b.shape)
-    off = max(abs(row - round(row)), abs(col - round(col)), size)
-    return (round(row), round(col)) if off < ALIGNED else None
 
 
 def _paste(canvas: NDArray, piece: NDArray, row: int, col: int) -> None:  # type: ignore[type-arg]

@@ -16,6 +16,8 @@ from navbake.errors import QueryError
 
 Array: TypeAlias = Any
 """An array of whatever library the tensors were made for."""
+Ids: TypeAlias = Any
+"""An integer, or integers as an array; as `scene_id` None where there is one scene."""
 
 NUMPY = ("numpy", "array_api_compat.numpy")
 PIECE = 16_384  # positions: their coordinates, ids and masks stay in the second cache
@@ -98,9 +100,7 @@ def register_pytree(xp: Any) -> None:
         tree_util.register_dataclass(GridTensors, data_fields=arrays, meta_fields=list(STATIC))
 
 
-def locate(
-    t: GridTensors, positions: Array, scene_id: Array | int | None
-) -> tuple[Array, Array, Array]:
+def locate(t: GridTensors, positions: Array, scene_id: Ids) -> tuple[Array, Array, Array]:
     """Ids of the cells and levels of checked positions, 0 for none, and whether there is one."""
     xp, first = t.xp, first_level(t, scene_id)
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
@@ -141,7 +141,7 @@ def on_level(t: GridTensors, x: Array, y: Array, first: Array | int) -> tuple[Ar
     return (first * shape.rows + row) * shape.cols + col, in_cols & in_rows
 
 
-def first_level(t: GridTensors, scene_id: Array | int | None) -> Array | int:
+def first_level(t: GridTensors, scene_id: Ids) -> Array | int:
     """The number of each scene's first level among those of all scenes."""
     return 0 if scene_id is None else t.xp.where(scene_id >= 0, scene_id, 0) * t.shape.levels
 
@@ -171,7 +171,7 @@ def as_array(t: GridTensors, values: Array) -> Array:
     return values
 
 
-def check_scenes(t: GridTensors, scene_id: Array | int | None, shape: tuple[int, ...]) -> Array:
+def check_scenes(t: GridTensors, scene_id: Ids, shape: tuple[int, ...]) -> Array:
     """Scenes in a shape (...), -1 for unknown ones; None for tensors of one scene."""
     if scene_id is None:
         if t.shape.scenes > 1:
@@ -192,7 +192,7 @@ def check_number(given: int | np.integer, what: str, count: int) -> int:
 
 
 def check_numbers(
-    t: GridTensors, given: Array | int, what: str, count: int, shape: tuple[int, ...]
+    t: GridTensors, given: Ids, what: str, count: int, shape: tuple[int, ...]
 ) -> Array:
     """Numbers, 0 to count - 1, in a shape; -1 for others, as traced arrays can't raise."""
     if isinstance(given, int | Sequence | np.ndarray | np.integer):

@@ -20,6 +20,7 @@ from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import (
     Array,
     GridTensors,
+    Ids,
     answer_all,
     as_array,
     bounded,
@@ -37,7 +38,7 @@ from navbake.tensors.grid_tensors import (
 MODES = ("nearest", "bilinear")
 
 
-def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """The level of each position, int32, as in `PathFinder.cell_at`; -1 for none."""
 
     def answer(p: Array, scenes: Array) -> Array:
@@ -47,22 +48,22 @@ def level_at(t: GridTensors, positions: Array, scene_id: Array | int | None = No
     return _ask(t, answer, positions, scene_id)
 
 
-def floor(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """World z of the floor under each position [m], NaN for none."""
     return _value(t, t.floor, t.xp.nan, positions, scene_id)
 
 
-def room(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """The room of each position, int32, 0 for none; ``t.rooms[scene][number - 1]`` is its id."""
     return _value(t, t.room, 0, positions, scene_id)
 
 
-def area(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """The area of each position, int32, 0 for none; ``t.areas[scene][number - 1]`` is its name."""
     return _value(t, t.area, 0, positions, scene_id)
 
 
-def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """The connected part of each position, int32, 0 for none.
 
     Parts are numbered through all scenes in order. In tensors of one grid, the numbers are those of
@@ -71,7 +72,7 @@ def island(t: GridTensors, positions: Array, scene_id: Array | int | None = None
     return _value(t, t.island, 0, positions, scene_id)
 
 
-def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None = None) -> Array:
+def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Whether an agent can stand at each position, by the `max_drop` of `make_tensors`; bool."""
 
     def answer(p: Array, scenes: Array) -> Array:
@@ -82,7 +83,7 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Array | int | None 
 
 
 def clearance(
-    t: GridTensors, positions: Array, scene_id: Array | int | None = None, mode: str = "bilinear"
+    t: GridTensors, positions: Array, scene_id: Ids = None, mode: str = "bilinear"
 ) -> Array:
     """The distance from each position to the nearest cell that isn't free [m]; NaN outside.
 
@@ -126,9 +127,7 @@ def clearance(
     return _ask(t, answer, positions, scene_id)
 
 
-def _value(
-    t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Array | int | None
-) -> Array:
+def _value(t: GridTensors, layer: Array, outside: float, positions: Array, scene_id: Ids) -> Array:
     """The values of a layer in the cells of positions."""
 
     def answer(p: Array, scenes: Array) -> Array:
@@ -138,9 +137,7 @@ def _value(
     return _ask(t, answer, positions, scene_id)
 
 
-def _ask(
-    t: GridTensors, answer: Callable[..., Array], positions: Array, scene_id: Array | int | None
-) -> Array:
+def _ask(t: GridTensors, answer: Callable[..., Array], positions: Array, scene_id: Ids) -> Array:
     p = check_positions(t, positions)
     return answer_all(t, answer, p, check_scenes(t, scene_id, p.shape[:-1]))
 
@@ -157,11 +154,7 @@ LAYERS: dict[str, Any] = {
 
 
 def heights(
-    t: GridTensors,
-    positions: Array,
-    yaw: Array,
-    pattern: Array,
-    scene_id: Array | int | None = None,
+    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids = None
 ) -> Array:
     """A height scan: floor heights at a pattern of points round each agent, rotated with it.
 
@@ -179,7 +172,7 @@ def patch(
     shape: tuple[int, int] = (64, 64),
     cell: float = 0.05,
     layer: str = "free",
-    scene_id: Array | int | None = None,
+    scene_id: Ids = None,
 ) -> Array:
     """Cut an egocentric map of a layer round each agent, with its heading up.
 
@@ -204,7 +197,7 @@ def patch(
 
 
 def _turned(
-    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Array | int | None
+    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
 ) -> tuple[Array, Array]:
     """World positions of a pattern's points round agents, shape (..., k, 3), and their scenes."""
     xp = t.xp
@@ -223,7 +216,7 @@ def _turned(
 
 
 def distance_to_goal(
-    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
+    t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None
 ) -> Array:
     """The cost of the cheapest path from each position to a goal, as in `PathFinder.distances`.
 
@@ -239,7 +232,7 @@ def distance_to_goal(
 
 
 def distances(
-    t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Array | int | None = None
+    t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Ids = None
 ) -> Array:
     """`distance_to_goal` from each start to each of several goals, shape (..., m).
 
@@ -258,9 +251,7 @@ def distances(
     return _ask(t, answer, starts, scene_id)
 
 
-def path_step(
-    t: GridTensors, positions: Array, goal: Array | int = 0, scene_id: Array | int | None = None
-) -> Array:
+def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None) -> Array:
     """The direction from each position to the centre of the next cell of the cheapest path.
 
     Following it stays in the cells of that path, also over steps to other levels; at the stop of a
@@ -287,11 +278,7 @@ def path_step(
 
 
 def _ask_goal(
-    t: GridTensors,
-    answer: Callable[..., Array],
-    positions: Array,
-    goal: Array | int,
-    scene_id: Array | int | None,
+    t: GridTensors, answer: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
 ) -> Array:
     xp, p, num_cells = t.xp, check_positions(t, positions), int(t.floor.shape[0])
     shape = p.shape[:-1]
@@ -314,10 +301,10 @@ def _num_goals(t: GridTensors) -> int:
 def sample(
     t: GridTensors,
     u: Array,
-    room: Array | int | None = None,
+    room: Ids = None,
     min_clearance: Array | float | None = None,
     reachable_from: Array | None = None,
-    scene_id: Array | int | None = None,
+    scene_id: Ids = None,
 ) -> Array:
     """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
 

@@ -126,6 +126,7 @@ class _Building:
 
     def gather(self) -> Gathered:
         lifts: Json = self.content.get("lifts") or {}
+        thick, high = WALL
         shafts = {name: self._shaft(lift) for name, lift in lifts.items()}
         for level, content in self.levels.items():
             xy, z = self.place(level), float(content.get("elevation", 0.0))
@@ -144,7 +145,9 @@ class _Building:
             for number, (one, other, *_) in enumerate(content.get("walls") or [], 1):
                 name = f"{level}/wall_{number}"
                 with reading(f"{name} of {self.path}"):
-                    self._add_wall(name, xy[[one, other]], z)
+                    (x, y), middle = xy[other] - xy[one], (xy[one] + xy[other]) / 2
+                    size = (math.hypot(x, y) + thick) / 2, thick / 2, high / 2
+                    self._add_box(name, size, pose_of((*middle, z + high / 2), math.atan2(y, x)))
             for number, (one, other, values) in enumerate(content.get("doors") or [], 1):
                 with reading(f"door {number} of level {level!r} in {self.path}"):
                     self._add_door(xy[[one, other]], z, {k: v[1] for k, v in values.items()})
@@ -158,13 +161,6 @@ class _Building:
 
     def _add_box(self, name: str, size: tuple[float, ...], pose: Float, body: str = "") -> None:
         self.found.pieces.append(Piece(name, body or name, "box", size, pose))
-
-    def _add_wall(self, name: str, ends: Float, z: float) -> None:
-        thick, high = WALL
-        along = ends[1] - ends[0]
-        size = (math.hypot(*along) + thick) / 2, thick / 2, high / 2
-        middle = (*ends.mean(axis=0), z + high / 2)
-        self._add_box(name, size, pose_of(middle, math.atan2(along[1], along[0])))
 
     def _add_door(self, ends: Float, z: float, values: Json) -> None:
         """Add a door's leaves, closed; each moves by a joint."""

@@ -122,9 +122,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> OpenScene:
             model, parts = model_of_parts(found, path, ground, warnings)
         elif suffix == MJB_SUFFIX:
             if ground is not None:
-                raise ConfigError(
-                    f"`scene.ground` can't be added to an MJB: bake the XML that {path} was made of"
-                )
+                hint = f"bake the XML that {path} was made of"
+                raise ConfigError(f"`scene.ground` can't be added to an MJB: {hint}")
             this = f"this is {mujoco_version()}: save it again, or bake its XML"
             hint = f" (an MJB fits only the MuJoCo that wrote it, {this})"
             load = partial(mujoco.MjModel.from_binary_path, str(path))
@@ -167,20 +166,16 @@ def load_isolated(settings: SceneSettings, limits: CompileLimits, warnings: list
         except subprocess.TimeoutExpired:
             status = -ALARM
         if status == -ALARM:
-            raise SceneError(
-                f"MuJoCo did not compile {scene} within {limits.seconds:g} s: make the scene "
-                "smaller, or give it more time"
-            )
+            hint = "make the scene smaller, or give it more time"
+            raise SceneError(f"MuJoCo did not compile {scene} within {limits.seconds:g} s: {hint}")
+        ended = f"({ending_of(status)})"
         if not (place / STARTED).exists():
-            raise NavbakeError(
-                f"cannot start a process to compile {scene} in ({ending_of(status)}): does "
-                f"{sys.executable!r} find navbake?"
-            )
+            hint = f"does {sys.executable!r} find navbake?"
+            raise NavbakeError(f"cannot start a process to compile {scene} in {ended}: {hint}")
         if not (place / RESULT).exists():
-            raise SceneError(
-                f"MuJoCo crashed as it compiled {scene} ({ending_of(status)}): the scene asks for "
-                f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
-            )
+            too_much = f"too much, or for more than {limits.memory:g} GiB of memory, or is broken"
+            asks = f"the scene asks for {too_much}"
+            raise SceneError(f"MuJoCo crashed as it compiled {scene} {ended}: {asks}")
         warned, error, parts = pickle.loads((place / RESULT).read_bytes())
         warnings += warned
         if error is not None:
@@ -341,13 +336,10 @@ def _not_found(urdf: Path, filename: str) -> str:
     parts = Path(bare).parts
     tails = [repr(str(Path(*parts[first:]))) for first in range(1, len(parts))]
     also = f"also as {', '.join(tails)}; " if tails else ""
-    package = ""
     if scheme == "package" and parts:
-        package = f"put the folder of the package {parts[0]!r} beside or above the URDF, or "
-    return (
-        f"mesh {filename!r} of {urdf} not found there, in {urdf.absolute().parent} or in the "
-        f"folders above it: {also}{package}write its path from the URDF's folder"
-    )
+        also += f"put the folder of the package {parts[0]!r} beside or above the URDF, or "
+    where = f"not found there, in {urdf.absolute().parent} or in the folders above it"
+    return f"mesh {filename!r} of {urdf} {where}: {also}write its path from the URDF's folder"
 
 
 def is_in_memory(scene: Any) -> bool:
@@ -373,10 +365,8 @@ def open_memory(scene: Any, data: Any, settings: SceneSettings) -> OpenScene:
     with catch_warnings() as warned:
         if isinstance(scene, mujoco.MjModel):
             if ground is not None:
-                raise ConfigError(
-                    f"`scene.ground` can't be added to {path}, which is compiled: give its MjSpec "
-                    "or its file"
-                )
+                hint = "which is compiled: give its MjSpec or its file"
+                raise ConfigError(f"`scene.ground` can't be added to {path}, {hint}")
             model = scene
         elif isinstance(scene, mujoco.MjSpec):
             model = compile_model(path, warned, lambda: compile_spec(scene.copy(), ground, warned))

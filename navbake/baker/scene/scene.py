@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -241,20 +241,16 @@ def _digest_arrays(
 # ---------------------------------------------------------------- hulls of buildings
 
 
+@dataclass(eq=False)
 class HiddenRoom:
     """Finds the meshes of a posed model whose hulls hide room for an agent."""
 
-    def __init__(
-        self,
-        model: Any,
-        data: Any,
-        meshes: MeshTriangles,
-        agent: AgentSettings,
-        floors: FloorSettings,
-    ) -> None:
-        self._model, self._data, self._meshes = model, data, meshes
-        self._agent, self._floors = agent, floors
-        self._answers: dict[tuple[int, bytes], bool] = {}
+    model: Any
+    data: Any
+    meshes: MeshTriangles
+    agent: AgentSettings
+    floors: FloorSettings
+    _answers: dict[tuple[int, bytes], bool] = field(default_factory=dict, init=False)
 
     def is_in_hull(self, geom: int) -> bool:
         """Whether a mesh's hull hides room for an agent to stand in.
@@ -266,27 +262,27 @@ class HiddenRoom:
         """
         if not self.is_large(geom):
             return False
-        key = int(self._model.geom_dataid[geom]), self._data.geom_xmat[geom].tobytes()
+        key = int(self.model.geom_dataid[geom]), self.data.geom_xmat[geom].tobytes()
         if key not in self._answers:
             self._answers[key] = self._look(geom)
         return self._answers[key]
 
     def is_large(self, geom: int) -> bool:
         """Whether the box of a mesh is large enough for room."""
-        mat = self._data.geom_xmat[geom].reshape(3, 3)
+        mat = self.data.geom_xmat[geom].reshape(3, 3)
         if not np.isfinite(mat).all():
             return False
-        x, y, z = 2 * np.abs(mat) @ self._model.geom_aabb[geom, 3:]
+        x, y, z = 2 * np.abs(mat) @ self.model.geom_aabb[geom, 3:]
         # floats of Python: NumPy's warn of an area beyond all floats
-        left = [float(side) - 2 * self._floors.shrink for side in (x, y)]
-        if min(left) < 0 or z < self._agent.height - SLACK:
+        left = [float(side) - 2 * self.floors.shrink for side in (x, y)]
+        if min(left) < 0 or z < self.agent.height - SLACK:
             return False
-        return left[0] * left[1] >= self._floors.min_area - SLACK
+        return left[0] * left[1] >= self.floors.min_area - SLACK
 
     def _look(self, geom: int) -> bool:
         chosen = [{geom: Choice(True, "", mode)} for mode in ("surface", "hull")]
         shapes = [
-            collect_shapes(self._model, self._data, one, {}, one, self._meshes).shapes
+            collect_shapes(self.model, self.data, one, {}, one, self.meshes).shapes
             for one in chosen
         ]
         bounds = shapes[1].bounds
@@ -299,8 +295,8 @@ class HiddenRoom:
         spacing = max(SPACING, by_area, by_length)
         lattice = Lattice.cover((x0, y0, x1, y1), spacing)
         in_mesh, in_hull = (cast_columns(tile_shapes(one, lattice, spacing / 2)) for one in shapes)
-        has_room = _find_room(in_mesh, in_hull, self._agent.height)
-        return is_large(lattice, self._floors, has_room)
+        has_room = _find_room(in_mesh, in_hull, self.agent.height)
+        return is_large(lattice, self.floors, has_room)
 
 
 def _find_room(mesh: Columns, hull: Columns, height: float) -> Bool:

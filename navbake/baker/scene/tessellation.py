@@ -66,13 +66,9 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
 def triangulate(vertices: Float, counts: Int, indices: Int, holes: Int) -> Int32:
     """Triangles of polygons in space, which wind as these do, (n, 3).
 
-    Convex ones are fans; of others ears are cut off (Meisters, Polygons have ears, 1975).
-
-    Args:
-        vertices: shape (m, 3).
-        counts: corners of each polygon; those with fewer than three are left out.
-        indices: the vertices of all corners, polygon by polygon.
-        holes: numbers of polygons that are left out.
+    Convex ones are fans; of others ears are cut off (Meisters, Polygons have ears, 1975). Takes
+    vertices, (m, 3), how many corners each polygon has, and the vertices of all corners, polygon by
+    polygon. Those with fewer than three, and those numbered in `holes`, are left out.
     """
     if not len(holes) and (counts == 3).all():
         return np.asarray(indices.reshape(-1, 3).astype(np.int32))

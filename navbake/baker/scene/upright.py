@@ -39,17 +39,11 @@ CLEAR = 0.1, 1.3  # of its size, and times what is so in any other direction, th
 
 
 class Upright(NamedTuple):
-    """A direction that may be up.
+    """A direction that may be up."""
 
-    Attributes:
-        direction: of unit length, in the frame of the mesh.
-        size: area of the largest flat surface that faces along it [m²].
-        standing: area of what stands on such surfaces: of no wall, at heights `STANDING` [m²].
-    """
-
-    direction: Float
-    size: float
-    standing: float
+    direction: Float  # of unit length, in the frame of the mesh
+    size: float  # area of the largest flat surface that faces along it [m²]
+    standing: float  # area of what stands on such ones: of no wall, at heights `STANDING` [m²]
 
 
 def stand_up(
@@ -58,10 +52,8 @@ def stand_up(
     """Take the parts of a mesh in the world frame, as `scene.up` says; warn where that looks wrong.
 
     `auto` is the axis that the file states, else z; or y where a file without one seems to lie on
-    its side, see `lies_on_side`, and `find_up` agrees.
-
-    Args:
-        read: takes ``up``, a direction in the file, and returns the parts [m].
+    its side, see `lies_on_side`, and `find_up` agrees. `read` takes ``up``, a direction in the
+    file, and returns the parts [m].
     """
     said = stated_up(Path(settings.path)) if settings.up == "auto" else None
     is_level = settings.up == "level" or (said is None and settings.up == "auto" and settings.scan)

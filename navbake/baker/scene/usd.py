@@ -14,6 +14,7 @@ Source: Pixar, Universal Scene Description, schemas UsdGeom and UsdPhysics.
 from __future__ import annotations
 
 import re
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -407,16 +408,13 @@ class _Reader:
         poses = np.tile(np.eye(4), (len(world), 1, 1))
         poses[:, :3, :3] = turns
         poses[:, :3, 3] = np.round(world[:, :3, 3], DECIMALS) + 0.0
-        solids: dict[tuple[str, tuple[float, ...]], Mesh] = {}
+        solid = cache(tessellate)
         rows = zip(self._found, world, poses, scales.tolist(), skews.tolist(), strict=True)
         for one, matrix, pose, scale, is_skew in rows:
             size = None if one.mesh is not None else _scaled(one.kind, one.size, scale, is_skew)
             kind, mesh = one.kind, one.mesh
             if size is None:
-                kind, pose = "mesh", matrix
-                if mesh is None:
-                    key = one.kind, one.size
-                    mesh = solids[key] = solids.get(key) or tessellate(*key)
+                kind, pose, mesh = "mesh", matrix, mesh or solid(one.kind, one.size)
             elif kind == "ellipsoid" and size[0] == size[1] == size[2]:
                 kind, size = "sphere", size[:1]
             drawn = bool(one.purpose) and not (has_render and one.purpose == "proxy")

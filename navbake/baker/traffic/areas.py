@@ -34,17 +34,11 @@ BELOW = 0.05  # a geom marks a floor that lies up to so far over it, as a rug do
 
 
 class PaintedAreas(NamedTuple):
-    """The areas of the settings on the whole lattice.
+    """The areas of the settings on the whole lattice."""
 
-    Attributes:
-        layers: the area of each cell of each level, 1-based, 0 for none.
-        table: the areas as a file states them.
-        warnings: what the user should know, one line each.
-    """
-
-    layers: list[NDArray[np.uint8]]
-    table: list[Json]
-    warnings: list[str]
+    layers: list[NDArray[np.uint8]]  # the area of each cell of each level, 1-based, 0 for none
+    table: list[Json]  # the areas as a file states them
+    warnings: list[str]  # what the user should know, one line each
 
 
 Marked = tuple[list[Bool], float, list[str]]

@@ -51,18 +51,12 @@ class Space(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """The levels of a bake as finders of links read them.
+    """The levels of a bake as finders of links read them."""
 
-    Attributes:
-        scene: without its doors.
-        floors, free: of all levels, shape (levels, height, width) of the whole lattice; cells that
-            a door blocks in any of its states are not free.
-    """
-
-    scene: Scene
+    scene: Scene  # without its doors
     lattice: Lattice
-    floors: Float
-    free: Bool
+    floors: Float  # of all levels, shape (levels, height, width) of the whole lattice
+    free: Bool  # the same; not where a door blocks in any of its states
     space: Space
     agent: AgentSettings
 

@@ -101,10 +101,7 @@ def find_ways(corners, directions, way, weight, off, first, end):
     """
     step = RIGHT / directions
     for t in range(first, end):
-        c = corners[t]
-        ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
-        vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
-        x, y = uy * vz - uz * vy, uz * vx - ux * vz
+        x, y, _ = _cross(corners[t, 0], corners[t, 1], corners[t, 2])
         way[t], weight[t], off[t] = 0, math.sqrt(x * x + y * y), 0.0
         if weight[t] > 0.0:
             angle = math.atan2(y, x) % RIGHT
