@@ -184,10 +184,16 @@ def chosen_levels(
     """All levels' numbers, or the given one alone; raises a FormatError."""
     if path.suffix.lower() not in endings:
         raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
-    count = len(grid.levels)
-    if level is not None and not 0 <= level < count:
-        raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
-    return list(range(count)) if level is None else [level]
+    if level is None:
+        return list(range(len(grid.levels)))
+    check_level(grid, level)
+    return [level]
+
+
+def check_level(grid: NavGrid, level: int) -> None:
+    """Raise a FormatError for a level that the grid lacks."""
+    if not 0 <= level < len(grid.levels):
+        raise FormatError(f"no level {level}: the grid has {len(grid.levels)}, counted from 0")
 
 
 def level_paths(

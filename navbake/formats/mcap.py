@@ -24,7 +24,7 @@ from navbake.formats.occupancy import values_of
 from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.types import Float, Json
+from navbake.types import Json
 
 # fields of messages by type, ``name: type`` as in ROS' own definitions
 MESSAGES = {
@@ -126,7 +126,10 @@ def _messages(
 
 def _markers(grid: NavGrid) -> Iterator[Json]:
     """Lines of the steps, in the namespace ``links``, then of each named link, in its own."""
-    lines = [("links", [*_ends_of_steps(grid)])] if grid.steps else []
+    level, cell = grid.step_array.reshape(-1, 2).T
+    width = np.array([level.width for level in grid.levels])[level]
+    steps = grid.position_of((level, *np.divmod(cell, width)))
+    lines = [("links", [*steps])] if len(steps) else []
     for link in grid.links:
         places = [stop.position for stop in link.stops]
         lines.append((link.name, [*chain.from_iterable(pairwise(places))]))
@@ -134,18 +137,6 @@ def _markers(grid: NavGrid) -> Iterator[Json]:
         marker = {"header": FRAME, "ns": name, "id": number, "type": LINE_LIST}
         marker |= {"pose": {"orientation": UPRIGHT}, "scale": {"x": LINE}, "color": COLOR}
         yield marker | {"points": [_point(place) for place in ends]}
-
-
-def _ends_of_steps(grid: NavGrid) -> Float:
-    """World x, y, z of both ends of each step, on their floors, shape (2 n, 3)."""
-    ends = grid.step_array.reshape(-1, 2)
-    found = np.empty((len(ends), 3))
-    for number, level in enumerate(grid.levels):
-        here = ends[:, 0] == number
-        rows, cols = np.divmod(ends[here, 1], level.width)
-        found[here, :2] = level.lattice.positions(rows, cols)
-        found[here, 2] = level.floor_or_ground[rows, cols]
-    return found
 
 
 def _point(place: Any) -> Json:

@@ -51,7 +51,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.user_data import Shared, UserData
-from navbake.types import Json, Vector3
+from navbake.types import Json
 
 if TYPE_CHECKING:
     import msgspec
@@ -192,12 +192,16 @@ def read_level(
             weights[attributes["occupancy"] != 0] = np.inf
         if "floorHeight" in attributes:
             weights[~np.isfinite(attributes["floorHeight"])] = np.inf
+    bbox, at = content.get("bbox"), place["bbox"]
+    if bbox is not None:
+        low, high = (json_object(bbox, at).get(key, MISSING) for key in ("min", "max"))
+        bbox = vector(low, at["min"]), vector(high, at["max"])
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=size,
         min_yup=vector(content.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(content.get("bbox"), place["bbox"]),
+        bbox_yup=bbox,
         unit=unit,
         weights=weights,
         attributes=attributes,
@@ -220,13 +224,6 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
         if not isinstance(name, str):
             place[i]["name"].refuse("a string", name)
     return metadata
-
-
-def _read_bbox(value: object, place: JsonPath) -> tuple[Vector3, Vector3] | None:
-    if value is None:
-        return None
-    low, high = (json_object(value, place).get(key, MISSING) for key in ("min", "max"))
-    return vector(low, place["min"]), vector(high, place["max"])
 
 
 def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -114,10 +115,9 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
         if room.level == 0
     }
     most = int(level.room_index.max())
+    limit = f"a map of OmniGibson numbers rooms and their categories up to {MAX_ROOMS}"
     if most > MAX_ROOMS:
-        raise FormatError(
-            f"a map of OmniGibson numbers rooms up to {MAX_ROOMS}, level 0 has {most}"
-        )
+        raise FormatError(f"{limit}, level 0 has {most}")
     files: Files = {}
     if categories is None:
         known = sorted({*names.values(), "room"})
@@ -127,15 +127,14 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
         for number, name in names.items():
             if name not in known:
                 what = f"room {number} of level 0 is a {name!r}, which {categories} doesn't have"
-                raise FormatError(
-                    f"{what}: name rooms as its lines do, see `rooms` in the settings"
-                )
+                remedy = "name rooms as its lines do, see `rooms` in the settings"
+                raise FormatError(f"{what}: {remedy}")
     kinds = np.zeros(most + 1, dtype=np.int64)
     kinds[1:] = known.index("room") + 1 if "room" in known else 0
     for number, name in names.items():
         kinds[number] = known.index(name) + 1
     if kinds.max() > MAX_ROOMS:
-        raise FormatError(f"a map of OmniGibson numbers categories up to {MAX_ROOMS}")
+        raise FormatError(f"{limit}, there are more")
     index = _sample(level.room_index, level.lattice, half)
     files[folder / ROOMS] = encode_image(index.astype(np.uint8), "PNG")
     files[folder / KINDS] = encode_image(kinds[index].astype(np.uint8), "PNG")
@@ -168,16 +167,12 @@ def read_omnigibson(path: str | PathLike[str]) -> SceneGrid2D:
         raise FormatError(
             f"the cells that the text of {path} states reach beyond its {size} pixels"
         )
-
-    def pick(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return np.ascontiguousarray(pixels[rows[:, None], cols])
-
-    free = pick(np.asarray(image.convert("L"))) == 255
+    picked = rows[:, None], cols
+    free = np.asarray(image.convert("L"))[picked] == 255
     rooms, names = np.zeros(free.shape, dtype=np.uint16), dict[int, str]()
-    if Path(path).stem.endswith("_0") and Path(path).with_name(ROOMS).exists():
-        index, kinds, known = _read_rooms(Path(path).parent, size)
-        rooms = pick(index).astype(np.uint16)
-        names = _name_rooms(index, kinds, known)
+    if list_room_maps(Path(path)):
+        index, names = _read_rooms(Path(path).parent, size)
+        rooms = index[picked].astype(np.uint16)
     return level_from_rooms(free, rooms, names, lattice, ground, readable_stem(path))
 
 
@@ -204,8 +199,11 @@ def _parse_cells(text: str, path: str | PathLike[str]) -> tuple[Lattice, float]:
     return lattice, ground
 
 
-def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]:
-    """The numbers of rooms and of their categories, and the categories' names."""
+def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], dict[int, str]]:
+    """The numbers of rooms, and names as OmniGibson's.
+
+    These are the category of a room's first pixel, and a count from 0 in each.
+    """
     layers = []
     for name in (ROOMS, KINDS):
         if not (folder / name).exists():
@@ -216,25 +214,18 @@ def _read_rooms(folder: Path, size: int) -> tuple[NDArray[np.uint8], NDArray[np.
             got = f"{image.mode} of {image.width} × {image.height}"
             raise FormatError(f"expected bytes of {size} × {size} in {folder / name}, got {got}")
         layers.append(np.asarray(image))
-    there = (folder / CATEGORIES).exists()
-    return layers[0], layers[1], _read_lines(folder / CATEGORIES) if there else []
+    index, kinds = layers
+    known = _read_lines(folder / CATEGORIES) if (folder / CATEGORIES).exists() else []
+    names, counts = dict[int, str](), Counter[str]()
+    numbers, first = np.unique(index, return_index=True)
+    for number, kind in zip(numbers.tolist(), kinds.ravel()[first].tolist(), strict=True):
+        if number and 1 <= kind <= len(known) and known[kind - 1]:
+            name = known[kind - 1]
+            names[number] = f"{name}_{counts[name]}"
+            counts[name] += 1
+    return index, names
 
 
 def _read_lines(path: Path) -> list[str]:
     text = read_bytes(path)[0].decode(errors="replace")
     return [line.rstrip() for line in text.split("\n")]
-
-
-def _name_rooms(
-    index: NDArray[np.uint8], kinds: NDArray[np.uint8], known: list[str]
-) -> dict[int, str]:
-    """Names as OmniGibson's: the category of a room's first pixel, and a count from 0 in each."""
-    found, first = np.unique(index, return_index=True)
-    names, counts = dict[int, str](), dict[str, int]()
-    for number, at in zip(found.tolist(), first.tolist(), strict=True):
-        kind = int(kinds.ravel()[at])
-        if number and 1 <= kind <= len(known) and known[kind - 1]:
-            name = known[kind - 1]
-            names[number] = f"{name}_{counts.get(name, 0)}"
-            counts[name] = counts.get(name, 0) + 1
-    return names

@@ -91,8 +91,7 @@ def read_procthor(path: str | PathLike[str]) -> SceneGrid2D:
     z = float(to_world[2, 2])
     if not abs(z) <= FARTHEST:
         raise FormatError(f"expected a map within {FARTHEST:g} m of the origin, got {path}")
-    text = image.info.get("room_ids_to_name")
-    stated = {} if text is None else _parse(text, "room_ids_to_name", path)
+    stated = _parse(image.info.get("room_ids_to_name", "null"), "room_ids_to_name", path)
     if not isinstance(stated, dict | None):
         raise FormatError(f"expected names by number as `room_ids_to_name` in {path}")
     names = {

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.lazy import Method
-from navbake.navgrid.agents import Agent, parse_agents
-from navbake.navgrid.areas import Area, parse_areas
+from navbake.navgrid.agents import Agent, Area, parse_agents, parse_areas
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice

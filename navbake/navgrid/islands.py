@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.areas import MAX_AREAS
+from navbake.navgrid.agents import MAX_AREAS
 from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.links import find_arcs

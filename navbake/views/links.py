@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.navgrid.areas import Area
+from navbake.navgrid.agents import Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Link
 from navbake.types import Float

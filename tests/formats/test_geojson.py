@@ -55,7 +55,7 @@ def test_reads_a_single_feature(tmp_path):
 @pytest.mark.parametrize(
     ("content", "culprit"),
     [
-        ("{", "can't be read"),
+        ("{", "broken JSON in .*line 1"),
         ("[]", "expected a GeoJSON FeatureCollection"),
         ({"type": "Point", "coordinates": [0, 0]}, "got Point"),
         ({"type": "FeatureCollection", "features": [{}]}, "feature 0 of"),

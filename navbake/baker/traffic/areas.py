@@ -24,7 +24,7 @@ from navbake.config.settings import BakeConfig
 from navbake.config.traffic import AreaSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
-from navbake.navgrid.areas import Area
+from navbake.navgrid.agents import Area
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.polygon import cover_cells, touch_cells
 from navbake.types import Bool, Float, Json

@@ -138,7 +138,6 @@ def batch(
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
     from navbake.batch import store
-    from navbake.batch.cluster import do_on_ray
     from navbake.batch.index import LOCK, NAME, TABLE
     from navbake.batch.job import Plan
     from navbake.batch.page import NAME as PAGE
@@ -147,7 +146,7 @@ def batch(
     from navbake.batch.scenes import list_jobs
     from navbake.batch.settings import read_shared
     from navbake.batch.store import as_folder
-    from navbake.batch.workers import JobLimits
+    from navbake.batch.workers import JobLimits, do_on_ray
 
     is_ray = ways.executor == "ray"
     part = _read_slice(ways.part)
