@@ -151,10 +151,9 @@ def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
     A truncated line, as of a killed batch, is skipped.
     """
     rows: dict[str, Json] = {}
-    try:
+    content = b""
+    with suppress(store.MissingFileError):
         content = store.read_file(store.join(folder, name))
-    except store.MissingFileError:
-        return rows
     for line in content.split(b"\n"):
         try:
             row = json.loads(line, parse_constant=_refuse)

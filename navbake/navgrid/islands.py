@@ -27,9 +27,8 @@ def find_islands(grid: GridBase) -> list[Int32]:
     lead from each to the other. A free cell without floor height is level with each of its
     neighbours. Cells of an area whose cost is infinite count as not free.
 
-    Returns:
-        One array a level, shape (height, width), int32: the number of each free cell's part, else
-        0. Parts of equal size are numbered by their lowest (level, cell id).
+    Returns one array a level, shape (height, width), int32: the number of each free cell's part,
+    else 0. Parts of equal size are numbered by their lowest (level, cell id).
     """
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)
