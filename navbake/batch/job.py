@@ -262,7 +262,8 @@ def fail(plan: Plan, job: Job, how: str, why: str, seconds: float) -> Json:
 
 def stamp() -> str:
     """The time as ISO 8601: UTC, to a millisecond."""
-    return f"{datetime.now(timezone.utc).replace(tzinfo=None).isoformat(timespec='milliseconds')}Z"
+    now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    return now.replace("+00:00", "Z")
 
 
 def prepare(products: Iterable[str], thumbnail: bool) -> None:

@@ -325,9 +325,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
     Returns an object for each scene, in order: `id`, `source`, `bytes` of its files, and `why` it
     would be baked: ``new``, ``failed before``, ``equal to ID`` (which is baked once for both), or a
     reason of `job.check_record`. Or ``done``, or ``broken: REASON`` for a scene that can't be read.
-
-    Raises:
-        ConfigError: an override or a shared setting is wrong.
+    Raises a ConfigError if an override or a shared setting is wrong.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     checked = check_records(plan, jobs)

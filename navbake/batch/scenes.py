@@ -118,18 +118,15 @@ def _name(found: list[Job]) -> list[str]:
     paths = [_parts_of(entry.source) for entry in found]
     depths = [1] * len(found)
     while True:
-        names = [
-            entry.id or "/".join(parts[-depth:])
-            for entry, parts, depth in zip(found, paths, depths, strict=True)
-        ]
+        rows = [*zip(found, paths, depths, strict=True)]
+        names = [entry.id or "/".join(parts[-depth:]) for entry, parts, depth in rows]
         counts = Counter(map(fold_name, names))
-        longer = [
+        depths = [
             depth + (not entry.id and counts[fold_name(name)] > 1 and depth < len(parts))
-            for entry, parts, depth, name in zip(found, paths, depths, names, strict=True)
+            for (entry, parts, depth), name in zip(rows, names, strict=True)
         ]
-        if longer == depths:
+        if depths == [depth for *_, depth in rows]:
             return names
-        depths = longer
 
 
 def _parts_of(source: str) -> tuple[str, ...]:
@@ -226,10 +223,8 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     settings = nest([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
-        raise ConfigError(
-            f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
-            f"`{shorten(key)}` at {place}"
-        )
+        expected = "`id`, `scene`, `config` or a setting such as `agent.radius`"
+        raise ConfigError(f"expected {expected}, got `{shorten(key)}` at {place}")
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
@@ -283,9 +278,8 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
 
     One of the columns `scenes` is expected.
     """
-    lines = csv.reader(
-        (f"{line}\n" for line in _lines(content, name)), strict=True, skipinitialspace=True
-    )
+    text = (f"{line}\n" for line in _lines(content, name))
+    lines = csv.reader(text, strict=True, skipinitialspace=True)
     columns: list[str] = []
     place = f"{name}, line 1"
     try:
@@ -293,15 +287,13 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
             if values and not columns:
                 columns = values
                 if not {*columns} & scenes:
-                    raise ConfigError(
-                        "expected names of columns, `scene` or `config` among them, got "
-                        f"{show_value(','.join(columns))} at {place}"
-                    )
+                    expected = "expected names of columns, `scene` or `config` among them"
+                    got = show_value(",".join(columns))
+                    raise ConfigError(f"{expected}, got {got} at {place}")
             elif len(values) > len(columns):
-                raise ConfigError(
-                    f"expected as many values as columns at {place}: {len(columns)}, got "
-                    f"{len(values)}: {show_value(','.join(values))}"
-                )
+                expected = f"expected as many values as columns at {place}: {len(columns)}"
+                got = show_value(",".join(values))
+                raise ConfigError(f"{expected}, got {len(values)}: {got}")
             elif values:
                 cells = zip(columns, values, strict=False)
                 yield place, {key: v if key in TEXTS else _plain(v) for key, v in cells if v}

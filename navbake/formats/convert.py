@@ -156,14 +156,17 @@ def encode_as(
     """Encode the files of a grid in any format that is written, without writing them.
 
     `name` is the format's, by default that of the path's ending; `options` are those of the
-    format's writer, see `FORMATS`. Raises a FormatError for an unknown format, or a grid that it
-    can't hold.
+    format's writer, see `FORMATS`; a `radius` inflates the grid for a robot of it first [m]. Raises
+    a FormatError for an unknown format, or a grid that it can't hold.
     """
     form = find_format(path, name, writing=True)
     for option in options:
         if option not in form.write_options:
             takes = ", ".join(form.write_options) or "none"
             raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
+    # before all but the maps of nav2, whose costs need the grid as it is
+    radius = options.pop("radius", None) if form.name != "nav2" else None
+    grid = grid if radius is None else grid.inflate(radius)
     made: Files = resolve(f"navbake.formats.{form.encode}")(grid, Path(path), **options)
     return made
 

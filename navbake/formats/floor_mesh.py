@@ -104,12 +104,8 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
     lies on the level's ground.
 
-    Args:
-        grid: a grid of one or several levels.
-        tolerance: largest distance of the mesh from the floor at a cell's centre [m], >= 0.
-
-    Raises:
-        QueryError: the tolerance is invalid.
+    The mesh is off the floor at a cell's centre by at most `tolerance` [m], >= 0. Raises a
+    QueryError if that is invalid.
     """
     is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
     if not is_length:

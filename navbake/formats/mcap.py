@@ -65,19 +65,13 @@ COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 
 
 def encode_mcap(
-    grid: NavGrid,
-    path: Path,
-    *,
-    level: int | None = None,
-    radius: float | None = None,
-    route: Sequence[Route] = (),
+    grid: NavGrid, path: Path, *, level: int | None = None, route: Sequence[Route] = ()
 ) -> Files:
     """Encode a file of a message for each level, for each path, and for all links.
 
     Args:
         path: ends in ``.mcap``.
         level: the map of this level only, without links.
-        radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         route: paths of `PathFinder.find_path`.
 
     Raises:
@@ -85,8 +79,6 @@ def encode_mcap(
         MissingDependencyError: mcap-ros2-support is not installed.
     """
     writing: Any = import_extra("mcap_ros2.writer", "mcap", "MCAP")
-    if radius is not None:
-        grid = grid.inflate(radius)
     chosen = chosen_levels(grid, path, level, (".mcap",))
     if any(found is None for found in route):
         raise FormatError("expected paths as `route`, got None: there is no path")

@@ -290,9 +290,8 @@ def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> Nav
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
-    Raises:
-        FormatError: the format can't hold the grid, the name ends as one of another format, or
-            the path can't be written.
+    Raises a FormatError if the format can't hold the grid, the name ends as one of another format,
+    or the path can't be written.
     """
     name = check_path(path)
     others = [form.name for form in FORMATS[1:] if name.lower().endswith(form.endings)]
@@ -315,11 +314,9 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
-    level's metadata are left out if it can take them over from its MultiLevelGrid.
-
-    Raises:
-        FormatError: NaN or infinity outside of arrays, a dtype that the format lacks, or values
-            in the metadata, user data or extra fields that JSON lacks.
+    level's metadata are left out if it can take them over from its MultiLevelGrid. Raises a
+    FormatError for NaN or infinity outside of arrays, a dtype that the format lacks, or values in
+    the metadata, user data or extra fields that JSON lacks.
     """
     return b"".join(_encode_navgrid(grid))
 

@@ -86,16 +86,9 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
     current state); see `navbake.navgrid.door_lines.find_ends`.
 
-    Args:
-        grid: a grid of one or several levels.
-        kinds: of shapes: ``room``, ``walkable``, ``door``.
-
-    Returns:
-        For each level, lowest first, its rooms by index, its walkable area (none without free
-        cells), and its doors. A door of two levels is on both.
-
-    Raises:
-        QueryError: a kind is unknown.
+    Returns for each level, lowest first, those of `kinds`: its rooms by index, its walkable area
+    (none without free cells), and its doors. A door of two levels is on both. Raises a QueryError
+    for an unknown kind.
     """
     unknown = sorted(set(kinds) - set(KINDS))
     if isinstance(kinds, str) or unknown:

@@ -73,16 +73,11 @@ NUMBER = re.compile(r"[\s_-]*\d*$")  # at the end of a room's name
 # ---------------------------------------------------------------- GRScenes
 
 
-def encode_grscenes(
-    grid: NavGrid, path: Path, *, level: int | None = None, radius: float | None = None
-) -> Files:
+def encode_grscenes(grid: NavGrid, path: Path, *, level: int | None = None) -> Files:
     """Encode an ``occupancy.npy`` of each level, float64; cells without a floor are undefined.
 
-    `path` ends in ``.npy``; `level` is as of `encode_nav2`, `radius` inflates first [m], see
-    `SceneGrid2D.inflate`. Raises a FormatError for an unknown level.
+    `path` ends in ``.npy``; `level` is as of `encode_nav2`. Raises a FormatError for a wrong one.
     """
-    if radius is not None:
-        grid = grid.inflate(radius)
     files: Files = {}
     for number, own_path in level_paths(grid, path, level, (".npy",)).items():
         own = grid.levels[number]
@@ -156,16 +151,12 @@ def _step_of(coordinates: Float, axis: str, place: JsonPath) -> float:
 # ---------------------------------------------------------------- ProcTHOR
 
 
-def encode_procthor(
-    grid: NavGrid, path: Path, *, level: int | None = None, radius: float | None = None
-) -> Files:
+def encode_procthor(grid: NavGrid, path: Path, *, level: int | None = None) -> Files:
     """Encode the ``ProcTHORMap`` of each level; `path` ends in ``.png``.
 
-    `level` is as of `encode_nav2`, `radius` inflates first [m], see `SceneGrid2D.inflate`. Raises a
-    FormatError for an unknown level, or one of more than 255 rooms.
+    `level` is as of `encode_nav2`. Raises a FormatError for an unknown level, or one of more than
+    255 rooms.
     """
-    if radius is not None:
-        grid = grid.inflate(radius)
     files: Files = {}
     for number, own_path in level_paths(grid, path, level, (".png",)).items():
         own = grid.levels[number]
@@ -274,12 +265,7 @@ def _parse_text(text: Any, key: str, path: str | PathLike[str]) -> Any:
 
 
 def encode_omnigibson(
-    grid: NavGrid,
-    path: Path,
-    *,
-    level: int | None = None,
-    radius: float | None = None,
-    categories: Path | None = None,
+    grid: NavGrid, path: Path, *, level: int | None = None, categories: Path | None = None
 ) -> Files:
     """Encode a map for each level, and the room maps of level 0 beside it.
 
@@ -290,7 +276,6 @@ def encode_omnigibson(
         path: ends in ``.png``; the level's number is added: ``floor_trav_0.png``. There are no room
             maps if its name has ``no_obj``, as that of a grid that was baked without furniture.
         level: this level only.
-        radius: inflate for a robot of this radius first [m]; OmniGibson does so by itself.
         categories: the ``room_categories.txt`` of OmniGibson's dataset, which has to have all
             rooms' categories. If None, one of these rooms is written.
 
@@ -298,8 +283,6 @@ def encode_omnigibson(
         FormatError: there is no such level, an image is too large, cells are smaller than a pixel,
             there are more than 255 rooms, or a category isn't in the list.
     """
-    if radius is not None:
-        grid = grid.inflate(radius)
     files: Files = {}
     chosen = chosen_levels(grid, path, level, (".png",))
     for number in chosen:

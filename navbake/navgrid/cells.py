@@ -26,15 +26,9 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
     step (`traversableFloorHeight`) above it included. If no level has such a floor, the levels'
     grounds count instead.
 
-    Args:
-        position: world x, y, z [m]; x, y are enough on one level.
-        level: of the cell, 0 is the lowest; then z is ignored.
-
-    Returns:
-        None outside the grid, and below all of its floors.
-
-    Raises:
-        QueryError: the level does not exist, or the position is invalid.
+    `position` is world x, y, z [m]; x, y are enough on one level. With a `level`, 0 is the lowest,
+    z is ignored. Returns None outside the grid, and below all of its floors. Raises a QueryError
+    if the level does not exist, or the position is invalid.
     """
     found = cells_at(grid, position, level)
     if found.level.ndim:

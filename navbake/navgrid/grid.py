@@ -72,12 +72,9 @@ class GridBase:
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Replace the levels, see `SceneGrid2D.with_layers`.
+        """Replace the levels by as many others, see `SceneGrid2D.with_layers`.
 
-        Args:
-            levels: as many as before.
-            metadata: of the new grid; unchanged if None. Levels with metadata taken over from the
-                grid take over these.
+        Metadata are unchanged if None; levels that took theirs over from the grid take over these.
         """
         raise NotImplementedError
 

@@ -99,11 +99,9 @@ class Link:
             "positions": [list(stop.position) for stop in self.stops],
             "one_way": self.one_way,
         }
-        values = (("width", self.width), ("cost", self.cost), ("seconds", self.seconds))
-        entry |= {key: value for key, value in values if value is not None}
-        if self.agents is not None:
-            entry["agents"] = list(self.agents)
-        entry |= {"car": list(self.car)} if self.car is not None else {}
+        for key in ("width", "cost", "seconds", "agents", "car"):
+            if (value := getattr(self, key)) is not None:
+                entry[key] = list(value) if isinstance(value, tuple) else value
         return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
 
 

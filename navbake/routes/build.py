@@ -47,12 +47,9 @@ DIGITS = 6  # of positions and lengths, after the point: micrometres
 def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
     """Make the graph of routes of a grid for an agent, as the grid is now.
 
-    Args:
-        grid: of one or several levels; it is inflated to the agent's radius.
-        agent: its name in the grid, or an Agent; None for one of the grid's radius with all rights.
-
-    Raises:
-        QueryError: the grid names no such agent, or isn't for one of its size.
+    The grid is inflated to the agent's radius. `agent` is its name in the grid, or an Agent; None
+    for one of the grid's radius with all rights. Raises a QueryError if the grid names no such
+    agent, or isn't for one of its size.
     """
     return _Builder(grid, find_agent(grid, agent)).build()
 
