@@ -36,8 +36,7 @@ from navbake.known_names import suggest
 from navbake.navgrid.agents import MAX_AREAS, SPEED, Agent, Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells, touch_cells
+from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
 

@@ -23,8 +23,7 @@ from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import Lattice, rounded
-from navbake.navgrid.polygon import find_fault
+from navbake.navgrid.lattice import Lattice, find_fault, rounded
 from navbake.types import Float, Int, Json
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.polygon import find_fault
+from navbake.navgrid.lattice import find_fault
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked
