@@ -9,52 +9,77 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from navbake._version import __version__ as __version__
-from navbake.errors import BakeWarning as BakeWarning
-from navbake.errors import ConfigError as ConfigError
-from navbake.errors import FormatError as FormatError
-from navbake.errors import MissingDependencyError as MissingDependencyError
-from navbake.errors import NavbakeError as NavbakeError
-from navbake.errors import QueryError as QueryError
-from navbake.errors import SceneError as SceneError
+from navbake._version import __version__
+from navbake.errors import (
+    BakeWarning,
+    ConfigError,
+    FormatError,
+    MissingDependencyError,
+    NavbakeError,
+    QueryError,
+    SceneError,
+)
 from navbake.lazy import resolve
 
-if TYPE_CHECKING:  # by these forms, type checkers know which names are public
-    from navbake import episodes as episodes
-    from navbake import samples as samples
-    from navbake import scores as scores
-    from navbake import tensors as tensors
-    from navbake.arena.map_descriptor import ExploredMap as ExploredMap
-    from navbake.auditor.audit import audit as audit
-    from navbake.baker.pipeline import bake as bake
-    from navbake.baker.update.baker import Baker as Baker
-    from navbake.baker.voxelize.voxelizer import Voxelizer as Voxelizer
-    from navbake.baker.voxelize.voxelizer import create_voxel_grid as create_voxel_grid
-    from navbake.config.settings import BakeConfig as BakeConfig
-    from navbake.formats.grscenes import read_grscenes
-    from navbake.formats.nav2 import read_nav2
-    from navbake.formats.navgrid import read_navgrid
-    from navbake.formats.npz import read_grid_npz
-    from navbake.formats.omnigibson import read_omnigibson
-    from navbake.formats.procthor import read_procthor
-    from navbake.formats.voxels import read_voxels
-    from navbake.navgrid.agents import Agent as Agent
-    from navbake.navgrid.grid import MultiLevelGrid as MultiLevelGrid
-    from navbake.navgrid.grid import SceneGrid2D as SceneGrid2D
-    from navbake.runtime.path_finder import PathFinder as PathFinder
-    from navbake.verifier.verify import verify as verify
-    from navbake.views.report.report import write_report
-    from navbake.views.viewer.view import view as view
-    from navbake.voxels.grid import VoxelGrid as VoxelGrid
+if TYPE_CHECKING:
+    from navbake import episodes, samples, scores, tensors
+    from navbake.arena.map_descriptor import ExploredMap
+    from navbake.auditor.audit import audit
+    from navbake.baker.pipeline import bake
+    from navbake.baker.update.baker import Baker
+    from navbake.baker.voxelize.voxelizer import Voxelizer, create_voxel_grid
+    from navbake.config.settings import BakeConfig
+    from navbake.formats.nav2 import read_nav2 as from_nav2
+    from navbake.formats.navgrid import read_navgrid as load
+    from navbake.formats.npz import read_grid_npz as from_npz
+    from navbake.formats.simulators import read_grscenes as from_grscenes
+    from navbake.formats.simulators import read_omnigibson as from_omnigibson
+    from navbake.formats.simulators import read_procthor as from_procthor
+    from navbake.formats.voxels import read_voxels as load_voxels
+    from navbake.navgrid.agents import Agent
+    from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.runtime.path_finder import PathFinder
+    from navbake.verifier.verify import verify
+    from navbake.views.report.report import write_report as report
+    from navbake.views.viewer.view import view
+    from navbake.voxels.grid import VoxelGrid
 
-    from_grscenes = read_grscenes
-    from_nav2 = read_nav2
-    load = read_navgrid
-    from_npz = read_grid_npz
-    from_omnigibson = read_omnigibson
-    from_procthor = read_procthor
-    load_voxels = read_voxels
-    report = write_report
+__all__ = [
+    "Agent",
+    "BakeConfig",
+    "BakeWarning",
+    "Baker",
+    "ConfigError",
+    "ExploredMap",
+    "FormatError",
+    "MissingDependencyError",
+    "MultiLevelGrid",
+    "NavbakeError",
+    "PathFinder",
+    "QueryError",
+    "SceneError",
+    "SceneGrid2D",
+    "VoxelGrid",
+    "Voxelizer",
+    "__version__",
+    "audit",
+    "bake",
+    "create_voxel_grid",
+    "episodes",
+    "from_grscenes",
+    "from_nav2",
+    "from_npz",
+    "from_omnigibson",
+    "from_procthor",
+    "load",
+    "load_voxels",
+    "report",
+    "samples",
+    "scores",
+    "tensors",
+    "verify",
+    "view",
+]
 
 # where each public name is that loads dependencies
 _LAZY = {
@@ -70,11 +95,11 @@ _LAZY = {
     "VoxelGrid": "navbake.voxels.grid:VoxelGrid",
     "Voxelizer": "navbake.baker.voxelize.voxelizer:Voxelizer",
     "create_voxel_grid": "navbake.baker.voxelize.voxelizer:create_voxel_grid",
-    "from_grscenes": "navbake.formats.grscenes:read_grscenes",
+    "from_grscenes": "navbake.formats.simulators:read_grscenes",
     "from_nav2": "navbake.formats.nav2:read_nav2",
     "from_npz": "navbake.formats.npz:read_grid_npz",
-    "from_omnigibson": "navbake.formats.omnigibson:read_omnigibson",
-    "from_procthor": "navbake.formats.procthor:read_procthor",
+    "from_omnigibson": "navbake.formats.simulators:read_omnigibson",
+    "from_procthor": "navbake.formats.simulators:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
     "report": "navbake.views.report.report:write_report",
@@ -82,10 +107,13 @@ _LAZY = {
     "view": "navbake.views.viewer.view:view",
 }
 
-# of navbake, loaded when they are first asked for
-_MODULES = ("episodes", "samples", "scores", "tensors")
-_ERRORS = [name for name in globals() if name.endswith(("Error", "Warning"))]
-__all__ = sorted([*_LAZY, *_MODULES, *_ERRORS, "__version__"])
+_MODULES = (
+    "episodes",
+    "samples",
+    "scores",
+    "tensors",
+)  # of navbake, loaded when they are first asked for
+
 
 # first guesses
 _MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}

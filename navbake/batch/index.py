@@ -111,7 +111,6 @@ class LineFile:
             raise store.refused(self._what, error) from error
 
     def close(self) -> None:
-        """Close the file."""
         with suppress(OSError):
             os.close(self._file)
 
@@ -152,10 +151,9 @@ def read_index(folder: store.Folder, name: str = NAME) -> dict[str, Json]:
     A truncated line, as of a killed batch, is skipped.
     """
     rows: dict[str, Json] = {}
-    try:
+    content = b""
+    with suppress(store.MissingFileError):
         content = store.read_file(store.join(folder, name))
-    except store.MissingFileError:
-        return rows
     for line in content.split(b"\n"):
         try:
             row = json.loads(line, parse_constant=_refuse)
@@ -171,14 +169,10 @@ def merge_rows(folder: store.Folder, names: Iterable[str]) -> dict[str, Json]:
     rows: dict[str, Json] = {}
     for name in names:
         for id, row in read_index(folder, name).items():
-            if id not in rows or _ended(row) > _ended(rows[id]):
+            # ISO 8601; a scene that is ``left`` has not ended
+            if id not in rows or str(row.get("ended", "")) > str(rows[id].get("ended", "")):
                 rows[id] = row
     return rows
-
-
-def _ended(row: Json) -> str:
-    """When a scene ended, as ISO 8601; empty if it is ``left``."""
-    return str(row.get("ended", ""))
 
 
 def line_of(row: Json) -> bytes:

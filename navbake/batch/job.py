@@ -127,7 +127,7 @@ def open_scene(plan: Plan, job: Job, *, whole: bool) -> Iterator[Scene]:
 
 def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
     """The files and the key of a scene from its settings."""
-    home = config.inputs[0].parent
+    home, name = config.inputs[0].parent, config.inputs[0].name  # the grid states the name
     inputs: dict[str, Json] = {}
     files: list[list[Any]] = []
     for named in config.inputs:  # the scene is the first
@@ -138,27 +138,20 @@ def _describe(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Scene:
                 files.append([store.shown(url) if url else _relative(path, home), *state.values()])
     left_out: Any = {"output": True, "scene": {"path", "model_path"}}
     settings = config.model_dump(mode="json", exclude=left_out)
-    name = config.inputs[0].name  # which the grid states
-    stated = {
-        "settings": settings,
-        "scene": name,
-        "products": list(plan.products),
-        "version": __version__,
-        "files": sorted(files),
-    }
+    common = {"settings": settings, "scene": name, "version": __version__, "files": sorted(files)}
     unnamed = {
+        **common,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
         "scene": name if suffix_of(name) in MESH_SUFFIXES else suffix_of(name),
-        "version": __version__,
         "files": sorted(["" if file[0] == name else file[0], *file[1:]] for file in files),
     }
-    return Scene(config, inputs, *map(_digest_of, (stated, unnamed, settings)))
-
-
-def _digest_of(value: Json) -> str:
-    canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(canonical.encode()).hexdigest()
+    stated = {**common, "products": list(plan.products)}
+    texts = (
+        json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        for value in (stated, unnamed, settings)
+    )
+    return Scene(config, inputs, *(hashlib.sha256(text.encode()).hexdigest() for text in texts))
 
 
 def check_record(
@@ -194,13 +187,11 @@ def check_record(
 def _what_changed(plan: Plan, record: Json, scene: Scene) -> str:
     now = {"version": __version__, "products": [*plan.products], "settings": scene.settings}
     changed = [name for name, value in now.items() if record.get(name, value) != value]
-    before = record["inputs"]
-    files = [
-        Path(name).name
-        for name in sorted({*before, *scene.inputs})
-        if before.get(name) != scene.inputs.get(name)
-    ]
-    return ", ".join([*changed, *([f"files: {' '.join(files)}"] if files else [])]) or "files"
+    before, inputs = record["inputs"], scene.inputs
+    differ = [name for name in sorted({*before, *inputs}) if before.get(name) != inputs.get(name)]
+    if differ:
+        changed.append(f"files: {' '.join(Path(name).name for name in differ)}")
+    return ", ".join(changed) or "files"
 
 
 def read_record(place: store.Folder) -> Json:
@@ -247,14 +238,13 @@ def bake_scene(plan: Plan, job: Job) -> Json:
     except Exception as error:
         if lacked_memory(error):
             raise MemoryError(str(error)) from error
-        why = printable(str(error))
+        why = str(error)
         if not isinstance(error, NavbakeError | OSError):
-            line = traceback.format_exception_only(error)[-1].strip()
-            why = printable(f"{line} (an unexpected error)")
-        row = fail(plan, job, ERROR, why, time.perf_counter() - begin)
+            why = f"{traceback.format_exception_only(error)[-1].strip()} (an unexpected error)"
+        row = fail(plan, job, ERROR, printable(why), time.perf_counter() - begin)
         if full := store.why_full(error):
-            why = str(store.refused(f"into {store.shown(os.fspath(plan.place(job)))}", full))
-            row = {**begin_row(plan, job, LEFT), "error": why}
+            refused = store.refused(f"into {store.shown(os.fspath(plan.place(job)))}", full)
+            return {**begin_row(plan, job, LEFT), "error": str(refused)}
         return row
 
 
@@ -346,10 +336,10 @@ def _copy_twin(plan: Plan, job: Job, scene: Scene) -> NavGrid | None:
     stated = grid.navbake.get("settings", {}).get("scene", {}).get("path", "")
     if any("/" in line or os.sep in line or stated in line for line in grid.warnings):
         return None
-    named: Json = {"settingsDigest": settings_digest(scene.config)}
-    named["settings"] = settings_to_state(scene.config)
-    metadata = {**grid.metadata, "sceneId": scene.config.scene.id}
-    return grid.with_levels(grid.levels, {**metadata, "navbake": {**grid.navbake, **named}})
+    own = {**grid.navbake, "settings": settings_to_state(scene.config)}
+    own["settingsDigest"] = settings_digest(scene.config)
+    metadata = {**grid.metadata, "sceneId": scene.config.scene.id, "navbake": own}
+    return grid.with_levels(grid.levels, metadata)
 
 
 def _write_products(
@@ -371,9 +361,9 @@ def _write_products(
         if plan.thumbnail:
             write_thumbnail(grid, folder)
         others = [name for name in os.listdir(folder) if name != GRID]
-        own = others
-        if isinstance(place, Path):  # existing files are the user's until replaced
-            own = [name for name in others if not os.path.lexists(place / name)]
+        # existing files are the user's until replaced
+        is_here = isinstance(place, Path)
+        own = [n for n in others if not (is_here and os.path.lexists(store.join(place, n)))]
         if own:
             write_record(place, {"files": {}, "more": own})
         for name in (*others, GRID):

@@ -179,19 +179,14 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         pieces.append(episodes)
     grids = [grid for header in headers for grid in header.grids]
     again = [scene for scene, count in Counter(grid.scene for grid in grids).items() if count > 1]
-    if again:
-        raise NavbakeError(
-            f"the scenes' episodes are no set, as two scenes are called {again[0]!r}: use those of "
-            "each scene"
-        )
     by_agent = {header.agent: id for header, (id, _) in zip(headers, sets, strict=True)}
+    why = f"two scenes are called {again[0]!r}:" if again else ""
     if len(by_agent) > 1:
         sizes = [f"{a.radius:g} x {a.height:g} m in {id!r}" for a, id in by_agent.items() if a]
-        raise NavbakeError(
-            f"the scenes' episodes are no set, as agents differ in size ({' and '.join(sizes[:2])})"
-            ": `--set agent.radius=… --set agent.height=…` gives all scenes one, or use those of "
-            "each scene"
-        )
+        remedy = "`--set agent.radius=… --set agent.height=…` gives all scenes one, or"
+        why = why or f"agents differ in size ({' and '.join(sizes[:2])}): {remedy}"
+    if why:
+        raise NavbakeError(f"the scenes' episodes are no set, as {why} use those of each scene")
     rejected = sum((Counter(header.rejected) for header in headers), Counter[str]())
     merged = msgspec.structs.replace(
         headers[0],

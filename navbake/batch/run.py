@@ -133,7 +133,12 @@ def run_batch(
                 plan.folder / (part.file if part else index.NAME), f"into {plan.folder}"
             )
             stack.callback(lines.close)
-        rows = read_parts(plan, jobs) if only_merge else {}
+        rows: dict[str, Json] = {}
+        if only_merge:  # scenes that slices baked, or that failed there
+            known = {job.id for job in jobs}
+            merged = index.merge_rows(plan.folder, index.find_parts(plan.folder)).items()
+            baked = ((id, row) for id, row in merged if row.get("status") in (OK, FAILED))
+            rows = {id: row for id, row in baked if id in known}
         checked = check_records(plan, [job for job in jobs if job.id not in rows])
         rows |= {row["id"]: row for row, _ in checked if row is not None}
         left = [] if only_merge else [job for job in jobs if job.id not in rows]
@@ -267,13 +272,6 @@ def check_records(plan: Plan, jobs: Sequence[Job]) -> list[tuple[Json | None, st
         return [*pool.map(partial(check_record, plan, sizes=sizes), jobs)]
 
 
-def read_parts(plan: Plan, jobs: Sequence[Job]) -> dict[str, Json]:
-    """The rows that slices wrote of scenes that they baked, or that failed there, by id."""
-    rows = index.merge_rows(plan.folder, index.find_parts(plan.folder))
-    own = {job.id for job in jobs}
-    return {id: row for id, row in rows.items() if id in own and row.get("status") in (OK, FAILED)}
-
-
 def find_twins(plan: Plan, jobs: Sequence[Job], done: Mapping[str, Json]) -> dict[str, str]:
     """The scenes that aren't done but equal another one: its id, by theirs.
 
@@ -327,9 +325,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
     Returns an object for each scene, in order: `id`, `source`, `bytes` of its files, and `why` it
     would be baked: ``new``, ``failed before``, ``equal to ID`` (which is baked once for both), or a
     reason of `job.check_record`. Or ``done``, or ``broken: REASON`` for a scene that can't be read.
-
-    Raises:
-        ConfigError: an override or a shared setting is wrong.
+    Raises a ConfigError if an override or a shared setting is wrong.
     """
     check_settings([job.source for job in jobs], plan.settings, plan.overrides)
     checked = check_records(plan, jobs)

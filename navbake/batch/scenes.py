@@ -46,36 +46,29 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
 
     A source is a scene or settings (YAML); a pattern with ``*``, ``?`` or ``[``, whose files come
     sorted; or a list: ``.txt`` with a path a line, ``.csv``, ``.jsonl`` or ``.parquet`` with a row
-    a scene; all but Parquet also with ``.gz``. Each may be a URL that fsspec knows. Paths in a
-    list are relative to it. A row has
-    ``scene`` or ``config``; it may have ``id``, and settings under their keys (``agent.radius``),
-    in JSON lines and Parquet also as ``"settings": {"agent": {"radius": 0.3}}``. Empty values are
-    ignored. A given id is the grid's, too, and overrides the scene's own settings.
+    a scene; all but Parquet also with ``.gz``. Each may be a URL that fsspec knows. Paths in a list
+    are relative to it. A row has ``scene`` or ``config``; it may have ``id``, and settings under
+    their keys (``agent.radius``), in JSON lines and Parquet also as ``"settings": {"agent":
+    {"radius": 0.3}}``. Empty values are ignored. A given id is the grid's, too, and overrides the
+    scene's own settings; the default is the file's name without its ending, and with the parent
+    folders needed to make it unique.
 
     With `columns`, lists of other programs are read: the names of their columns by those above.
     Their other columns are ignored. A dot leads into an object: ``files.mjcf``.
 
-    The default id is the file's name without its ending, and with the parent folders needed to
-    make it unique.
-
     Raises:
         ConfigError: a source is empty, a list is broken, or ids are not unique. Missing scenes of
             lists and URLs fail later, each by itself.
-        NavbakeError: a list can't be read.
-        MissingDependencyError: a dependency for a URL or Parquet is not installed.
+        NavbakeError: a list can't be read, or a dependency for it is not installed.
     """
     found = [entry for source in sources for entry in _expand(store.plain_path(source), columns)]
     if not found:
         raise ConfigError("expected at least one scene, got none")
-    jobs = [
-        job._replace(
-            id=name,
-            settings=merge(job.settings, of_id(name), job.place) if job.id else job.settings,
-        )
-        for name, job in zip(_name(found), found, strict=True)
-    ]
-    for job in jobs:
-        check_id(job.id, job.place)
+    jobs = []
+    for name, job in zip(_name(found), found, strict=True):
+        check_id(name, job.place)
+        own = merge(job.settings, of_id(name), job.place) if job.id else job.settings
+        jobs.append(job._replace(id=name, settings=own))
     _check_unique(jobs)
     return jobs
 
@@ -88,21 +81,15 @@ def check_id(name: str, place: str) -> None:
     a name that Windows reserves, or has one of ``\:*?"<>|`` or an unprintable character.
     """
     for part in name.split("/"):
-        wanted = ""
-        if (
-            not part.isprintable()
-            or not 0 < len(part.encode()) <= MAX_BYTES
-            or UNFIT.search(part)
-            or RESERVED.fullmatch(part)
-        ):
+        is_fit = part.isprintable() and 0 < len(part.encode()) <= MAX_BYTES
+        if not is_fit or UNFIT.search(part) or RESERVED.fullmatch(part):
             wanted = "that can be the name of a folder on any system, or several between slashes"
         elif OWN.fullmatch(part.casefold()):
             wanted = f"without names of files that navbake writes, as {part}"
-        if wanted:
-            raise ConfigError(
-                f"expected an id {wanted}, got {shorten(repr(name))} at {place}: give it another "
-                "`id`"
-            )
+        else:
+            continue
+        got = f"got {shorten(repr(name))} at {place}: give it another `id`"
+        raise ConfigError(f"expected an id {wanted}, {got}")
 
 
 def fold_name(name: str) -> str:
@@ -122,10 +109,8 @@ def _check_unique(jobs: list[Job]) -> None:
                 f"expected each scene once, got {shorten(job.source)} at {other.place} and at "
                 f"{job.place}: name it once, or give each an `id` of its own in a list"
             )
-        raise ConfigError(
-            f"expected unique ids, got {shorten(repr(other.id))} at {other.place} and "
-            f"{shorten(repr(job.id))} at {job.place}: give each an `id` of its own"
-        )
+        one, two = (f"{shorten(repr(each.id))} at {each.place}" for each in (other, job))
+        raise ConfigError(f"expected unique ids, got {one} and {two}: give each an `id` of its own")
 
 
 def _name(found: list[Job]) -> list[str]:
@@ -133,18 +118,15 @@ def _name(found: list[Job]) -> list[str]:
     paths = [_parts_of(entry.source) for entry in found]
     depths = [1] * len(found)
     while True:
-        names = [
-            entry.id or "/".join(parts[-depth:])
-            for entry, parts, depth in zip(found, paths, depths, strict=True)
-        ]
+        rows = [*zip(found, paths, depths, strict=True)]
+        names = [entry.id or "/".join(parts[-depth:]) for entry, parts, depth in rows]
         counts = Counter(map(fold_name, names))
-        longer = [
+        depths = [
             depth + (not entry.id and counts[fold_name(name)] > 1 and depth < len(parts))
-            for entry, parts, depth, name in zip(found, paths, depths, names, strict=True)
+            for (entry, parts, depth), name in zip(rows, names, strict=True)
         ]
-        if longer == depths:
+        if depths == [depth for *_, depth in rows]:
             return names
-        depths = longer
 
 
 def _parts_of(source: str) -> tuple[str, ...]:
@@ -241,10 +223,8 @@ def _entry(row: Json, folder: store.Folder, place: str) -> Job:
     settings = nest([*nested.items(), *row.items()], folder, place)
     check_shared(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
-        raise ConfigError(
-            f"expected `id`, `scene`, `config` or a setting such as `agent.radius`, got "
-            f"`{shorten(key)}` at {place}"
-        )
+        expected = "`id`, `scene`, `config` or a setting such as `agent.radius`"
+        raise ConfigError(f"expected {expected}, got `{shorten(key)}` at {place}")
     unknown = find_unknown_key(settings, SECTIONS)
     if unknown is not None:
         raise ConfigError(f"{unknown} at {place}")
@@ -298,9 +278,8 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
 
     One of the columns `scenes` is expected.
     """
-    lines = csv.reader(
-        (f"{line}\n" for line in _lines(content, name)), strict=True, skipinitialspace=True
-    )
+    text = (f"{line}\n" for line in _lines(content, name))
+    lines = csv.reader(text, strict=True, skipinitialspace=True)
     columns: list[str] = []
     place = f"{name}, line 1"
     try:
@@ -308,15 +287,13 @@ def _csv_rows(content: bytes, name: str, scenes: set[str]) -> Rows:
             if values and not columns:
                 columns = values
                 if not {*columns} & scenes:
-                    raise ConfigError(
-                        "expected names of columns, `scene` or `config` among them, got "
-                        f"{show_value(','.join(columns))} at {place}"
-                    )
+                    expected = "expected names of columns, `scene` or `config` among them"
+                    got = show_value(",".join(columns))
+                    raise ConfigError(f"{expected}, got {got} at {place}")
             elif len(values) > len(columns):
-                raise ConfigError(
-                    f"expected as many values as columns at {place}: {len(columns)}, got "
-                    f"{len(values)}: {show_value(','.join(values))}"
-                )
+                expected = f"expected as many values as columns at {place}: {len(columns)}"
+                got = show_value(",".join(values))
+                raise ConfigError(f"{expected}, got {len(values)}: {got}")
             elif values:
                 cells = zip(columns, values, strict=False)
                 yield place, {key: v if key in TEXTS else _plain(v) for key, v in cells if v}

@@ -43,19 +43,14 @@ def read_shared(path: str | os.PathLike[str]) -> Json:
 
 def check_shared(settings: Mapping[str, Any], place: str) -> None:
     """Refuse shared settings that select a scene."""
-    scene = settings.get("scene")
-    if scene is None:
-        return
+    scene = {} if settings.get("scene") is None else settings["scene"]
+    hint = "the batch's sources name the scenes"
     if not isinstance(scene, Mapping):
-        raise ConfigError(
-            f"expected settings as `scene` in {place}, got {show_value(scene)}: the batch's "
-            "sources name the scenes"
-        )
+        got = f"got {show_value(scene)}: {hint}"
+        raise ConfigError(f"expected settings as `scene` in {place}, {got}")
     for key in OF_EACH:
         if key in scene:
-            raise ConfigError(
-                f"expected no `scene.{key}` in {place}: the batch's sources name the scenes"
-            )
+            raise ConfigError(f"expected no `scene.{key}` in {place}: {hint}")
 
 
 def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str]) -> None:
@@ -69,7 +64,7 @@ def check_settings(sources: Iterable[str], shared: Json, overrides: Sequence[str
         if key[0] == "scene" and (len(key) == 1 or key[1] in OF_EACH):
             raise ConfigError(f"expected no --set {override}: the batch's sources name the scenes")
     outlines = outlines_of(apply_overrides(shared, overrides))
-    is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_yaml, sources))
+    is_of_each = outlines and not os.path.isabs(outlines) and any(map(is_settings, sources))
     if is_of_each or is_url(outlines):
         overrides = [*overrides, "rooms.polygons=[]"]
     settings_of(Job("scene", "scene.xml", {}, "the batch"), shared, overrides)
@@ -90,7 +85,7 @@ def settings_of(
     place = f"the settings of {job.place}"
     own: Mapping[str, Any] = {"scene": {"path": job.source}}
     outlines = outlines_of(apply_overrides({}, overrides))
-    if is_yaml(job.source):
+    if is_settings(job.source):
         folder = parent(job.source)
         own = _with_files(_read_mapping(job.source), lambda name: join(folder, name))
         outlines = outlines and join(folder, outlines)
@@ -106,10 +101,6 @@ def settings_of(
 def of_id(name: str) -> Json:
     """The settings that give a grid its scene's id, which may have folders; `scene.id` may not."""
     return {"scene": {"id": name.replace("/", "_")}}
-
-
-def is_yaml(source: str) -> bool:
-    return is_settings(source)
 
 
 def nest(settings: Iterable[tuple[str, Any]], folder: Folder, place: str) -> dict[str, Any]:

@@ -162,10 +162,8 @@ def check_inside(folder: Folder, path: Folder) -> None:
     if isinstance(folder, Path):
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(os.path.realpath(folder)):
-            raise NavbakeError(
-                f"expected {path} in the output folder {folder}, got a link to {real}: remove it, "
-                "or choose another folder"
-            )
+            got = f"got a link to {real}: remove it, or choose another folder"
+            raise NavbakeError(f"expected {path} in the output folder {folder}, {got}")
 
 
 def read_file(path: str | Path) -> bytes:
@@ -271,7 +269,7 @@ def describe_file(path: Path) -> Json:
 # ---------------------------------------------------------------- scenes of stores
 
 
-class Mirror:
+class Mirror(ExitStack):
     """A temporary folder for copies of stores' files, at their paths on the stores.
 
     It implements `scene_files.Files`: a file is copied when it is read. Local files stay in place.
@@ -279,23 +277,17 @@ class Mirror:
 
     def __init__(self, named: Iterable[str] = ()) -> None:
         """Make a mirror; `named` as in `check_host`."""
+        super().__init__()
         self._named = [*named]
-        self._stack = ExitStack()
         self._folder: Path | None = None
         self._urls: dict[Path, str] = {}  # of roots of stores and named files
         self._listed: dict[str, dict[str, Any]] = {}  # stores' entries by folder
         self.known: dict[Path, Mapping[str, Any] | None] = {}
 
-    def __enter__(self) -> Mirror:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
-
     def place(self, url: str) -> Path:
         """The path of a store's file in the folder, copied or not."""
         if self._folder is None:
-            self._folder = Path(os.path.realpath(self._stack.enter_context(scratch_folder())))
+            self._folder = Path(os.path.realpath(self.enter_context(scratch_folder())))
         scheme, _, rest = shown(url).partition("://")
         authority, _, path = rest.partition("/")
         root = self._folder / scheme / authority
@@ -366,12 +358,10 @@ class Mirror:
                 elif folder in self._listed:
                     info = self._listed[folder].get(name)
                 else:
-                    infos = self._listed[folder] = {}
-                    infos |= {
-                        posixpath.basename(each["name"]): each
-                        for each in system.ls(folder, detail=True)
-                    }
-                    info = infos.get(name)
+                    self._listed[folder] = {}  # where the folder is missing
+                    infos = system.ls(folder, detail=True)
+                    self._listed[folder] = {posixpath.basename(own["name"]): own for own in infos}
+                    info = self._listed[folder].get(name)
             return info if info is not None and info.get("type", "file") == "file" else None
 
 

@@ -25,7 +25,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from navbake.errors import ConfigError, FormatError, shorten
 from navbake.files import check_regular
 from navbake.known_names import find_near
-from navbake.navgrid.polygon import find_fault
+from navbake.navgrid.lattice import find_fault
 from navbake.yaml_text import override_key
 
 

@@ -59,13 +59,13 @@ FORMATS = (
            "nav2_masks:encode_speed", "nav2_masks:read_speed",
            ("level", "image", "zone", "zones", "agent", "absolute"), "nav2:list_images"),
     Format("procthor", (".png",), "ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
-           "procthor:encode_procthor", "procthor:read_procthor", ("level", "radius")),
+           "simulators:encode_procthor", "simulators:read_procthor", ("level", "radius")),
     Format("omnigibson", (".png",),
            "OmniGibson: floor_trav_N.png of each level, with room maps of level 0",
-           "omnigibson:encode_omnigibson", "omnigibson:read_omnigibson",
-           ("level", "radius", "categories"), "omnigibson:list_room_maps"),
+           "simulators:encode_omnigibson", "simulators:read_omnigibson",
+           ("level", "radius", "categories"), "simulators:list_room_maps"),
     Format("grscenes", (".npy",), "occupancy.npy of GRScenes: free, obstacle or undefined",
-           "grscenes:encode_grscenes", "grscenes:read_grscenes", ("level", "radius")),
+           "simulators:encode_grscenes", "simulators:read_grscenes", ("level", "radius")),
     Format("mcap", (".mcap",),
            "messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",
            "mcap:encode_mcap", None, ("level", "radius", "route")),
@@ -157,14 +157,17 @@ def encode_as(
     """Encode the files of a grid in any format that is written, without writing them.
 
     `name` is the format's, by default that of the path's ending; `options` are those of the
-    format's writer, see `FORMATS`. Raises a FormatError for an unknown format, or a grid that it
-    can't hold.
+    format's writer, see `FORMATS`; a `radius` inflates the grid for a robot of it first [m]. Raises
+    a FormatError for an unknown format, or a grid that it can't hold.
     """
     form = find_format(path, name, writing=True)
     for option in options:
         if option not in form.write_options:
             takes = ", ".join(form.write_options) or "none"
             raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
+    # before all but the maps of nav2, whose costs need the grid as it is
+    radius = options.pop("radius", None) if form.name != "nav2" else None
+    grid = grid if radius is None else grid.inflate(radius)
     made: Files = resolve(f"navbake.formats.{form.encode}")(grid, Path(path), **options)
     return made
 
@@ -185,10 +188,16 @@ def chosen_levels(
     """All levels' numbers, or the given one alone; raises a FormatError."""
     if path.suffix.lower() not in endings:
         raise FormatError(f"expected a name that ends in {' or '.join(endings)}, got {path}")
-    count = len(grid.levels)
-    if level is not None and not 0 <= level < count:
-        raise FormatError(f"no level {level}: the grid has {count}, counted from 0")
-    return list(range(count)) if level is None else [level]
+    if level is None:
+        return list(range(len(grid.levels)))
+    check_level(grid, level)
+    return [level]
+
+
+def check_level(grid: NavGrid, level: int) -> None:
+    """Raise a FormatError for a level that the grid lacks."""
+    if not 0 <= level < len(grid.levels):
+        raise FormatError(f"no level {level}: the grid has {len(grid.levels)}, counted from 0")
 
 
 def level_paths(

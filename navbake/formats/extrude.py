@@ -97,10 +97,9 @@ def encode_mjcf(
         parts.append((f"wall_{k}", _boxes(own.lattice, stands, floor, ceiling)))
     num_boxes = sum(len(boxes) for _, boxes in parts)
     if num_boxes > MAX_BOXES:
-        raise FormatError(
-            f"the scene takes {num_boxes:,} boxes, expected {MAX_BOXES:,} at most: extrude one "
-            "level at a time, or with flat floors"
-        )
+        remedy = "extrude one level at a time, or with flat floors"
+        most = f"expected {MAX_BOXES:,} at most"
+        raise FormatError(f"the scene takes {num_boxes:,} boxes, {most}: {remedy}")
     settings = _settings(grid, path, lattice, levels, stacked)
     settings_path = path.with_suffix(".yaml")
     check_named(path)

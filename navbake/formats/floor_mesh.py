@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from navbake._version import __version__
 from navbake.errors import QueryError
 from navbake.formats.source import Files
-from navbake.navgrid.colors import FREE, color_rooms, rgb_of
+from navbake.navgrid.colors import FREE, color_rooms, rgb_of, to_linear
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import FARTHEST
 from navbake.types import Float, Int, Json
@@ -104,12 +104,8 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height
     lies on the level's ground.
 
-    Args:
-        grid: a grid of one or several levels.
-        tolerance: largest distance of the mesh from the floor at a cell's centre [m], >= 0.
-
-    Raises:
-        QueryError: the tolerance is invalid.
+    The mesh is off the floor at a cell's centre by at most `tolerance` [m], >= 0. Raises a
+    QueryError if that is invalid.
     """
     is_length = isinstance(tolerance, int | float | np.number) and 0 <= tolerance <= FARTHEST
     if not is_length:
@@ -252,26 +248,15 @@ def encode_glb(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE) -> Fi
         for room in np.unique(level.room).tolist():
             # its quads in a row
             first, end = np.searchsorted(level.room, [room, room + 1]).tolist()
-            faces = level.faces[: 2 * (end - first)].astype(np.uint32)
             name, materials = level.rooms[room], document["materials"]
-            primitives.append(
-                {
-                    "attributes": {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])},
-                    "indices": buffer.add_indices(faces),
-                    "material": len(materials),
-                    "extras": {"room": name},
-                }
-            )
-            color = [*(_linear(c) for c in colors[room].tolist()), 1.0]
+            part = {"POSITION": buffer.add_positions(turned[4 * first : 4 * end])}
+            faces = buffer.add_indices(level.faces[: 2 * (end - first)].astype(np.uint32))
+            own = {"material": len(materials), "extras": {"room": name}}
+            primitives.append({"attributes": part, "indices": faces, **own})
+            color = [*np.round(to_linear(colors[room] / 255), 6).tolist(), 1.0]
             looks = {"baseColorFactor": color, "metallicFactor": 0.0}
             materials.append({"name": name, "pbrMetallicRoughness": looks, "doubleSided": True})
     return {path: buffer.pack(document)}
-
-
-def _linear(value: int) -> float:
-    """An sRGB component, 0 to 255, as linear, 0 to 1 (IEC 61966-2-1)."""
-    share = value / 255
-    return round(share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4, 6)
 
 
 def encode_obj(grid: NavGrid, path: Path, *, tolerance: float = TOLERANCE, up: str = "y") -> Files:

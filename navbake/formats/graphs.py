@@ -127,9 +127,7 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     Raises a QueryError if a weight is negative.
     """
     search = Search(grid, cut_corners=cut_corners)
-    flat, moves, weight, links = (
-        search.flat, search.graph.moves, search.flat.weight, search.graph.links
-    )  # fmt: skip
+    flat, moves, links = search.flat, search.graph.moves, search.graph.links
     cells = np.flatnonzero(flat.free)
     # scipy's own dtype, which it doesn't copy
     index = np.int32 if len(cells) * len(WAYS) <= np.iinfo(np.int32).max else np.int64
@@ -141,16 +139,15 @@ def make_cell_graph(grid: NavGrid, *, cut_corners: bool = False) -> CellGraph:
     offset = np.stack([down * width + right for down, right, _ in WAYS], axis=1)
     factor = np.array([np.sqrt(2.0) if down and right else 1.0 for down, right, _ in WAYS])
     target = (cells[:, None] + offset)[is_step]
-    cost = (size[:, None] * factor)[is_step] * weight[target]
+    cost = (size[:, None] * factor)[is_step] * flat.weight[target]
     start = np.zeros(len(cells) + 1, dtype=index)
     np.cumsum(np.count_nonzero(is_step, axis=1), out=start[1:])
     # the neighbours are in the matrix's order; links come beside them
     matrix = sparse.csr_array((cost, node[target], start), shape=(len(cells), len(cells)))
-    one = np.repeat(links.cell, np.diff(links.start))
-    other = links.target
+    one, other = np.repeat(links.cell, np.diff(links.start)), links.target
     is_open = flat.free[one] & flat.free[other]
     if is_open.any():  # if a link joins neighbours, the cheaper step counts
-        spent = links.length[is_open] * weight[other[is_open]] + links.cost[is_open]
+        spent = links.length[is_open] * flat.weight[other[is_open]] + links.cost[is_open]
         steps = matrix.tocoo()
         cost = np.append(steps.data, spent)
         source = np.append(steps.row, node[one[is_open]])
@@ -264,12 +261,11 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
     for door in grid.doors:
         joined = sorted(number_of.get(room, 0) for room in door.rooms)
-        lines = ((k, find_ends(grid, door, k)) for k in door.levels)
-        level, line = next(
-            ((k, np.array(ends)) for k, ends in lines if ends is not None), (0, None)
-        )
-        if line is None or len(joined) != 2 or joined[0] == joined[1]:
+        lines = [(k, find_ends(grid, door, k)) for k in door.levels]
+        lines = [(k, ends) for k, ends in lines if ends is not None]
+        if not lines or len(joined) != 2 or joined[0] == joined[1]:
             continue  # the file names no two rooms for the door
+        level, line = lines[0][0], np.array(lines[0][1])
         closes = [
             k
             for k, opening in openings.items()

@@ -24,7 +24,7 @@ from navbake.formats.occupancy import values_of
 from navbake.formats.source import Files, import_extra
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.paths import Path as Route
-from navbake.types import Float, Json
+from navbake.types import Json
 
 # fields of messages by type, ``name: type`` as in ROS' own definitions
 MESSAGES = {
@@ -65,19 +65,13 @@ COLOR = {"r": 0.9, "g": 0.5, "b": 0.1, "a": 1.0}
 
 
 def encode_mcap(
-    grid: NavGrid,
-    path: Path,
-    *,
-    level: int | None = None,
-    radius: float | None = None,
-    route: Sequence[Route] = (),
+    grid: NavGrid, path: Path, *, level: int | None = None, route: Sequence[Route] = ()
 ) -> Files:
     """Encode a file of a message for each level, for each path, and for all links.
 
     Args:
         path: ends in ``.mcap``.
         level: the map of this level only, without links.
-        radius: inflate for a robot of this radius first [m]; see `SceneGrid2D.inflate`.
         route: paths of `PathFinder.find_path`.
 
     Raises:
@@ -85,8 +79,6 @@ def encode_mcap(
         MissingDependencyError: mcap-ros2-support is not installed.
     """
     writing: Any = import_extra("mcap_ros2.writer", "mcap", "MCAP")
-    if radius is not None:
-        grid = grid.inflate(radius)
     chosen = chosen_levels(grid, path, level, (".mcap",))
     if any(found is None for found in route):
         raise FormatError("expected paths as `route`, got None: there is no path")
@@ -126,7 +118,10 @@ def _messages(
 
 def _markers(grid: NavGrid) -> Iterator[Json]:
     """Lines of the steps, in the namespace ``links``, then of each named link, in its own."""
-    lines = [("links", [*_ends_of_steps(grid)])] if grid.steps else []
+    level, cell = grid.step_array.reshape(-1, 2).T
+    width = np.array([level.width for level in grid.levels])[level]
+    steps = grid.position_of((level, *np.divmod(cell, width)))
+    lines = [("links", [*steps])] if len(steps) else []
     for link in grid.links:
         places = [stop.position for stop in link.stops]
         lines.append((link.name, [*chain.from_iterable(pairwise(places))]))
@@ -134,18 +129,6 @@ def _markers(grid: NavGrid) -> Iterator[Json]:
         marker = {"header": FRAME, "ns": name, "id": number, "type": LINE_LIST}
         marker |= {"pose": {"orientation": UPRIGHT}, "scale": {"x": LINE}, "color": COLOR}
         yield marker | {"points": [_point(place) for place in ends]}
-
-
-def _ends_of_steps(grid: NavGrid) -> Float:
-    """World x, y, z of both ends of each step, on their floors, shape (2 n, 3)."""
-    ends = grid.step_array.reshape(-1, 2)
-    found = np.empty((len(ends), 3))
-    for number, level in enumerate(grid.levels):
-        here = ends[:, 0] == number
-        rows, cols = np.divmod(ends[here, 1], level.width)
-        found[here, :2] = level.lattice.positions(rows, cols)
-        found[here, 2] = level.floor_or_ground[rows, cols]
-    return found
 
 
 def _point(place: Any) -> Json:

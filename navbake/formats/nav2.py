@@ -121,14 +121,14 @@ def encode_map(
     level: SceneGrid2D, values: occupancy.Values, path: Path, mode: str, image: str
 ) -> Files:
     """The image of a level's values, and the YAML that names it."""
-    unknown, grey = values == occupancy.UNKNOWN, np.rint((100 - values.astype(float)) * 2.55)
+    unknown = values == occupancy.UNKNOWN
     if mode == "raw":
         pixels = np.where(unknown, 255, values)
     elif mode == "trinary":
         pixels = np.where(values >= occupancy.INSCRIBED, GREY, FREE_GREY)
         pixels = np.where(unknown, UNKNOWN_GREY, pixels)
     else:  # colours with opacity
-        grey = np.where(unknown, 127, grey)
+        grey = np.where(unknown, 127, np.rint((100 - values.astype(float)) * 2.55))
         pixels = np.stack([grey, grey, grey, np.where(unknown, 0, 255)], axis=-1)
     image_path = path.with_suffix(f".{image}")
     check_named(image_path)

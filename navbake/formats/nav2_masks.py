@@ -26,24 +26,22 @@ import yaml
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import JsonPath, json_object, number
-from navbake.formats.convert import level_paths
+from navbake.formats.convert import check_level, level_paths
 from navbake.formats.nav2 import IMAGES, YAMLS, check_choice, encode_map, read_map
 from navbake.formats.navgrid import checked_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_from_values
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml
-from navbake.navgrid.agents import SPEED, Agent
-from navbake.navgrid.areas import MAX_AREAS, Area
+from navbake.known_names import suggest
+from navbake.navgrid.agents import MAX_AREAS, SPEED, Agent, Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells, touch_cells
+from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)
 KEEPOUT, PERCENT, ABSOLUTE = 0, 1, 2  # types of filters
-KINDS = ("keepout", "speed")
 MAX_LISTED = 20  # names that an error lists
 SLACK = 1e-9  # share of a value by which a limit may be above its own
 ROUND = (1.0, 0.5, 0.1, 0.05, 0.01)  # multipliers that are tried first [m/s]
@@ -171,10 +169,8 @@ def _mark_zones(
             value = int(text)
         found = [own for own in known if name in own[0]]  # on all levels with that name
         if not found:
-            names = list(dict.fromkeys(own[0][-1] for own in known))
-            listed = ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
-            there = f"there are: {listed or 'none'}"
-            raise FormatError(f"no room or polygon is called {name!r}; {there}")
+            there = suggest(name, (own[0][-1] for own in known), MAX_LISTED)
+            raise FormatError(f"no room or polygon is called {name!r}: {there}")
         chosen += [(own, value) for own in found]
     if not chosen:
         raise FormatError("a mask needs zones: rooms by name, id or number, or polygons (GeoJSON)")
@@ -196,20 +192,16 @@ def _find_zones(grid: NavGrid, path: str | PathLike[str] | None, has_limits: boo
         name, level = outline["name"] or f"feature {k}", outline["level"]
         number = names.index(level) if level in names else level
         if not isinstance(number, int) or number >= len(names):
-            whose = f"{name!r} in {path}"
-            there = ", ".join(names)
+            whose, there = f"{name!r} in {path}", ", ".join(names)
             raise FormatError(f"no level {level!r}, which {whose} is on: the grid has {there}")
         rings, lattice = [outline["points"], *outline["rings"]], grid.levels[number].lattice
         touched = touch_cells(rings, lattice)
         mask = cover_cells(rings, lattice) if has_limits else touched
-        if not touched.any():
-            where = f"lies outside of level {number}: it holds no cell"
-            raise FormatError(f"{name!r} in {path} {where}")
         if not mask.any():
-            raise FormatError(
-                f"{name!r} in {path} is thinner than a cell of level {number}: it holds no "
-                f"cell's centre"
-            )
+            where = f"lies outside of level {number}: it holds no cell"
+            if touched.any():
+                where = f"is thinner than a cell of level {number}: it holds no cell's centre"
+            raise FormatError(f"{name!r} in {path} {where}")
         found.append(((name,), number, mask))
     return found
 
@@ -221,14 +213,13 @@ def _info_path(path: Path) -> Path:
 
 def _encode_info(path: Path, scale: Scale) -> bytes:
     """The parameters of the nodes that serve a mask and what it means."""
-    kind = KINDS[scale.type > KEEPOUT]
+    kind = "speed" if scale.type > KEEPOUT else "keepout"
     info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
     info |= {"mask_topic": f"{kind}_filter_mask", "base": scale.base}
+    info["multiplier"] = scale.multiplier
     served = {"yaml_filename": path.name, "topic_name": f"{kind}_filter_mask", "frame_id": "map"}
     content = {
-        f"{kind}_costmap_filter_info_server": {
-            "ros__parameters": {**info, "multiplier": scale.multiplier}
-        },
+        f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
         f"{kind}_filter_mask_server": {"ros__parameters": served},
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True).encode()
@@ -270,8 +261,7 @@ def read_mask(
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
         grid = level_from_values(empty, cell, (x, y, stated.ground), metadata)
         checked_grid(grid, JsonPath(check_path(path)))
-    if not 0 <= level < len(grid.levels):
-        raise FormatError(f"no level {level}: the grid has {len(grid.levels)}, counted from 0")
+    check_level(grid, level)
     target = grid.levels[level].lattice
     rows, cols = np.indices(target.shape)
     rows, cols = Lattice(x, y + height * cell, cell, width, height).rows_cols(
@@ -294,14 +284,13 @@ def read_mask(
         if len(table) > MAX_AREAS:
             raise FormatError(f"expected at most {MAX_AREAS} areas, got more by {path}")
         index[seen == value] = len(table)
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, "areas": [a.to_json() for a in table]}}
-    levels = list(grid.levels)
-    for k, own in enumerate(levels):
+    areas = {"areas": [area.to_json() for area in table]}
+    levels = []
+    for k, own in enumerate(grid.levels):
+        metadata = {**own.metadata, "navbake": {**own.navbake, **areas}}
         attributes = {"area": index} if k == level else {}
-        navbake = {**own.navbake, "areas": metadata["navbake"]["areas"]}
-        levels[k] = own.with_layers(
-            attributes=attributes, metadata={**own.metadata, "navbake": navbake}
-        )
+        levels.append(own.with_layers(attributes=attributes, metadata=metadata))
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, **areas}}
     done: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(done)
     return done

@@ -51,7 +51,7 @@ from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE
 from navbake.navgrid.user_data import Shared, UserData
-from navbake.types import Json, Vector3
+from navbake.types import Json
 
 if TYPE_CHECKING:
     import msgspec
@@ -192,12 +192,16 @@ def read_level(
             weights[attributes["occupancy"] != 0] = np.inf
         if "floorHeight" in attributes:
             weights[~np.isfinite(attributes["floorHeight"])] = np.inf
+    bbox, at = content.get("bbox"), place["bbox"]
+    if bbox is not None:
+        low, high = (json_object(bbox, at).get(key, MISSING) for key in ("min", "max"))
+        bbox = vector(low, at["min"]), vector(high, at["max"])
     return SceneGrid2D(
         width=width,
         height=height,
         cell_size=size,
         min_yup=vector(content.get("min", MISSING), place["min"]),
-        bbox_yup=_read_bbox(content.get("bbox"), place["bbox"]),
+        bbox_yup=bbox,
         unit=unit,
         weights=weights,
         attributes=attributes,
@@ -220,13 +224,6 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
         if not isinstance(name, str):
             place[i]["name"].refuse("a string", name)
     return metadata
-
-
-def _read_bbox(value: object, place: JsonPath) -> tuple[Vector3, Vector3] | None:
-    if value is None:
-        return None
-    low, high = (json_object(value, place).get(key, MISSING) for key in ("min", "max"))
-    return vector(low, place["min"]), vector(high, place["max"])
 
 
 def _unknown(content: Json, known: tuple[str, ...], place: JsonPath) -> Json:
@@ -293,9 +290,8 @@ def warned_of_newer(grid: NavGrid, top: JsonPath, is_newer: bool = False) -> Nav
 def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     """Write a NavGrid file, gzipped if its name ends in ``.gz``, as a whole or not at all.
 
-    Raises:
-        FormatError: the format can't hold the grid, the name ends as one of another format, or
-            the path can't be written.
+    Raises a FormatError if the format can't hold the grid, the name ends as one of another format,
+    or the path can't be written.
     """
     name = check_path(path)
     others = [form.name for form in FORMATS[1:] if name.lower().endswith(form.endings)]
@@ -318,11 +314,9 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, arrays as runs.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
-    level's metadata are left out if it can take them over from its MultiLevelGrid.
-
-    Raises:
-        FormatError: NaN or infinity outside of arrays, a dtype that the format lacks, or values
-            in the metadata, user data or extra fields that JSON lacks.
+    level's metadata are left out if it can take them over from its MultiLevelGrid. Raises a
+    FormatError for NaN or infinity outside of arrays, a dtype that the format lacks, or values in
+    the metadata, user data or extra fields that JSON lacks.
     """
     return b"".join(_encode_navgrid(grid))
 

@@ -118,11 +118,8 @@ def level_from_rooms(
 ) -> SceneGrid2D:
     """Make a flat level of a map that has free cells and rooms.
 
-    Args:
-        free: where an agent can stand, shape (height, width).
-        rooms: numbers of rooms from 1, 0 for none, of the same shape.
-        names: of rooms, by number.
-        ground: world z of the floor [m].
+    `free` is where an agent can stand, shape (height, width); `rooms` has numbers from 1, 0 for
+    none, of the same shape; `names` are the rooms' by number; `ground` is the floor's world z [m].
     """
     level = SceneGrid2D(
         width=lattice.width,

@@ -96,12 +96,8 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
 def _morton_codes(places: Int) -> Int:
     """Interleaved bits of x, y, z below 2**16, x the lowest, shape (n,)."""
     codes = places.copy()
-    for shift, mask in (
-        (16, 0xFF0000FF),
-        (8, 0xF00F00F00F),
-        (4, 0xC30C30C30C3),
-        (2, 0x249249249249),
-    ):
+    masks = (0xFF0000FF, 0xF00F00F00F, 0xC30C30C30C3, 0x249249249249)
+    for shift, mask in zip((16, 8, 4, 2), masks, strict=True):
         codes = (codes | codes << shift) & mask
     spread: Int = codes[:, 0] | codes[:, 1] << 1 | codes[:, 2] << 2
     return spread
@@ -118,11 +114,10 @@ def _first_key(grid: VoxelGrid) -> Int:
             f"grid's lower corner ({', '.join(f'{c:g}' for c in grid.origin)}) is "
             f"{off * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
-    if (np.abs(whole) > CENTER).any() or (np.abs(whole + grid.shape) > CENTER).any():
+    if np.abs([whole, whole + grid.shape]).max() > CENTER:
         raise FormatError(
-            f"an octree reaches {CENTER * grid.res:g} m from the origin with voxels of "
-            f"{grid.res:g} m, and this grid goes beyond: expected larger voxels or a grid nearer "
-            f"to the origin"
+            f"an octree reaches {CENTER * grid.res:g} m from the origin with voxels of {grid.res:g}"
+            " m, and this grid goes beyond: expected larger voxels or a grid nearer to the origin"
         )
     return np.asarray(whole.astype(np.int64) + CENTER)
 

@@ -28,7 +28,7 @@ from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
-from navbake.types import Bool, Float, Json
+from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 
 shapely = lazy("shapely")
@@ -48,17 +48,12 @@ class _Level:
 
     def __init__(self, elevation: float) -> None:
         self.numbers: dict[tuple[float, float, str], int] = {}
-        self.content: Json = {"elevation": round(elevation, DECIMALS)}
-        for kind in ("doors", "floors", "holes", "lanes", "walls"):
-            self.content[kind] = []
+        kinds = ("doors", "floors", "holes", "lanes", "walls")
+        self.content: Json = {"elevation": round(elevation, DECIMALS), **{k: [] for k in kinds}}
 
     def vertex(self, x: float, y: float, name: str = "") -> int:
         place = rounded(x, DECIMALS), rounded(y, DECIMALS), name
         return self.numbers.setdefault(place, len(self.numbers))
-
-    def to_yaml(self) -> Json:
-        vertices = [[x, y, 0, name, {}] for x, y, name in self.numbers]
-        return {**self.content, "vertices": vertices}
 
 
 def encode_building(grid: NavGrid, path: Path) -> Files:
@@ -78,10 +73,12 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     _add_lanes(levels, grid)
     known = {link.name: _lift(link, grid, names) for link in lifts if link.car is not None}
     _say_what_is_lost(grid, known)
+    for own in levels:
+        own.content["vertices"] = [[x, y, 0, name, {}] for x, y, name in own.numbers]
     content = {
         "building_name": grid.scene_id or "building",
         "coordinate_system": "cartesian_meters",
-        "levels": {name: own.to_yaml() for name, own in zip(names, levels, strict=True)},
+        "levels": {name: own.content for name, own in zip(names, levels, strict=True)},
         "lifts": known,
     }
     return {path: encode_yaml(content)}
@@ -103,10 +100,8 @@ def _add_floor(own: _Level, level: SceneGrid2D) -> None:
     for rings in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
         for number, ring in enumerate(rings):
             vertices = [own.vertex(x, y) for x, y in ring.tolist()]
-            if number == 0:
-                own.content["floors"].append({"parameters": {}, "vertices": vertices})
-            else:
-                own.content["holes"].append({"parameters": {}, "vertices": vertices})
+            part = {"parameters": {}, "vertices": vertices}
+            own.content["holes" if number else "floors"].append(part)
 
 
 def _add_walls(own: _Level, grid: NavGrid, number: int, lifts: Iterable[Link]) -> None:
@@ -118,8 +113,10 @@ def _add_walls(own: _Level, grid: NavGrid, number: int, lifts: Iterable[Link]) -
     walls = level.solid != 0
     walls &= named if named.any() else ~np.isnan(level.floor)
     walls &= ~doorway_cells(grid, number, blocked=False)
-    for link in lifts:
-        walls &= ~_in_car(link, level)
+    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
+    for car in filter(None, (link.car for link in lifts)):
+        along, aside = _to_car(car, x, y)
+        walls &= (abs(along) > car[3] / 2 + GAP) | (abs(aside) > car[4] / 2 + GAP)
     parts = trace_polygons(walls.astype(np.uint8), level.lattice).get(1, [])
     for rings in parts:
         area = shapely.Polygon(rings[0], rings[1:]).simplify(level.lattice.cell_size / 2)
@@ -143,16 +140,6 @@ def _inside(area: Any, cell_size: float) -> Iterator[Any]:
                 yield from (polygon.exterior, *polygon.interiors)
             rest = part.difference(inner.buffer(1.05 * inset, join_style="mitre"))
             left += [one for one in shapely.get_parts(rest) if one.area > cell_size**2]
-
-
-def _in_car(link: Link, level: SceneGrid2D) -> Bool:
-    """The cells in a lift's car and the gap round it."""
-    if link.car is None:
-        return np.zeros(level.shape, dtype=np.bool_)
-    x, y = np.meshgrid(level.lattice.center_x(), level.lattice.center_y())
-    along, aside = _to_car(link.car, x, y)
-    inside = abs(along) <= link.car[3] / 2 + GAP
-    return np.asarray(inside & (abs(aside) <= link.car[4] / 2 + GAP))
 
 
 def _to_car(car: tuple[float, ...], x: Any, y: Any) -> tuple[Any, Any]:
@@ -191,7 +178,9 @@ def _door(
     aside = np.array([-back[1], back[0]])
     is_double, kind, direction, axis = len(leaves) > 1, "hinged", 1, "start"
     first = doors[leaves[0].id]
-    opened = _open_cells(first, level, number)
+    cells = first.solid_in("open", number + 1)[number]
+    cells = cells if len(cells) else first.cells_in("open", number + 1)[number]
+    opened = level.lattice.positions(*np.divmod(cells, level.width))
     # without open cells it slides into a wall, but for one that may swing out of the grid
     if not len(opened) and "open" in first.cells and None not in first.rooms:
         kind = "sliding"
@@ -211,13 +200,6 @@ def _door(
         "right_left_ratio": [REAL, 1.0],
     }
     return [own.vertex(*start), own.vertex(*end), values]
-
-
-def _open_cells(door: Door, level: SceneGrid2D, number: int) -> Float:
-    """Centres of the cells that a door's leaf takes when it is open, shape (n, 2) [m]."""
-    cells = door.solid_in("open", number + 1)[number]
-    cells = cells if len(cells) else door.cells_in("open", number + 1)[number]
-    return level.lattice.positions(*np.divmod(cells, level.width))
 
 
 def _add_lanes(levels: list[_Level], grid: NavGrid) -> None:

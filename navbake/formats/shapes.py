@@ -23,8 +23,7 @@ from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
 from navbake.navgrid.door_lines import find_ends
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.lattice import Lattice, rounded
-from navbake.navgrid.polygon import find_fault
+from navbake.navgrid.lattice import Lattice, find_fault, rounded
 from navbake.types import Float, Int, Json
 
 if TYPE_CHECKING:
@@ -86,16 +85,9 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
     current state); see `navbake.navgrid.door_lines.find_ends`.
 
-    Args:
-        grid: a grid of one or several levels.
-        kinds: of shapes: ``room``, ``walkable``, ``door``.
-
-    Returns:
-        For each level, lowest first, its rooms by index, its walkable area (none without free
-        cells), and its doors. A door of two levels is on both.
-
-    Raises:
-        QueryError: a kind is unknown.
+    Returns for each level, lowest first, those of `kinds`: its rooms by index, its walkable area
+    (none without free cells), and its doors. A door of two levels is on both. Raises a QueryError
+    for an unknown kind.
     """
     unknown = sorted(set(kinds) - set(KINDS))
     if isinstance(kinds, str) or unknown:
@@ -272,15 +264,13 @@ def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
             geometry: Any = feature.get("geometry")
             kind = geometry.get("type") if isinstance(geometry, dict) else None
             properties = feature.get("properties")
-            if properties is not None and not isinstance(properties, dict):
-                got = f"got {_shown(properties)} in {where}"
-                raise FormatError(f"expected an object at `properties`, {got}")
+            is_object = isinstance(properties, dict | None)
+            _check(is_object, "an object at `properties`", properties, where)
             feature = dict(properties or {})
-            if section == "links" and kind in ("LineString", "MultiPoint"):
+            if section == "links" and geometry is not None:
+                is_line = kind in ("LineString", "MultiPoint")
+                _check(is_line, "a LineString or MultiPoint", kind, where)
                 feature["stops"] = geometry.get("coordinates")
-            elif section == "links" and geometry is not None:
-                text = f"expected a LineString or MultiPoint, got {_shown(kind)} in {where}"
-                raise FormatError(text)
             elif geometry is not None:
                 feature["polygon"], *feature["rings"] = _read_rings(geometry, kind, where)
         entries.append(feature)
@@ -298,34 +288,29 @@ def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) ->
     features = [content] if kind == "Feature" else None
     if kind == "FeatureCollection":
         features = content.get("features")
-    if not isinstance(features, list):
-        raise FormatError(f"expected a GeoJSON FeatureCollection in {path}, got {_shown(kind)}")
-    return features
+    _check(isinstance(features, list), "a GeoJSON FeatureCollection", kind, str(path))
+    return features or []
 
 
 def _read_feature(feature: Any, where: str) -> Json | None:
     """The outline of a feature; None for a feature that is no room."""
-
-    def check(is_good: bool, expected: str, value: Any) -> None:
-        if not is_good:
-            raise FormatError(f"expected {expected}, got {_shown(value)} in {where}")
-
-    check(isinstance(feature, dict) and feature.get("type") == "Feature", "a Feature", feature)
-    stated = feature.get("properties")
-    properties: Json = {} if stated is None else stated
-    check(isinstance(properties, dict), "an object at `properties`", properties)
+    is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
+    _check(is_feature, "a Feature", feature, where)
+    properties = {} if feature.get("properties") is None else feature["properties"]
+    _check(isinstance(properties, dict), "an object at `properties`", properties, where)
     if properties.get("kind") in KINDS[1:]:
         return None
     name, level = properties.get("name"), properties.get("level", 0)
     outdoors, geometry = properties.get("outdoors"), feature.get("geometry")
-    check(name is None or (isinstance(name, str) and name != ""), "text at `properties.name`", name)
+    is_name = name is None or (isinstance(name, str) and name != "")
+    _check(is_name, "text at `properties.name`", name, where)
     if name is not None:
         where = where.replace(" of ", f" ({name!r}) of ", 1)
     level = int(level) if isinstance(level, float) and level.is_integer() else level
     is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
-    check(is_level, "a level's number from 0, or its name, at `properties.level`", level)
-    is_flag = outdoors is None or isinstance(outdoors, bool)
-    check(is_flag, "true or false at `properties.outdoors`", outdoors)
+    _check(is_level, "a level's number from 0, or its name, at `properties.level`", level, where)
+    is_flag = isinstance(outdoors, bool | None)
+    _check(is_flag, "true or false at `properties.outdoors`", outdoors, where)
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     rings = _read_rings(geometry, kind, where)
     about = {"name": name, "level": level, "outdoors": bool(outdoors)}
@@ -334,16 +319,13 @@ def _read_feature(feature: Any, where: str) -> Json | None:
 
 def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]:
     """All rings of a Polygon or MultiPolygon, the first outline first."""
-    if kind not in ("Polygon", "MultiPolygon"):
-        raise FormatError(f"expected a Polygon or MultiPolygon, got {_shown(kind)} in {where}")
+    _check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind, where)
     polygons = geometry.get("coordinates")
     polygons = [polygons] if kind == "Polygon" else polygons
-    if not isinstance(polygons, list) or not all(isinstance(part, list) for part in polygons):
-        text = f"expected lists of rings at `coordinates`, got {_shown(polygons)} in {where}"
-        raise FormatError(text)
+    are_lists = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
+    _check(are_lists, "lists of rings at `coordinates`", polygons, where)
     rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
-    if not rings:
-        raise FormatError(f"expected an outline, got {_shown(None)} in {where}")
+    _check(bool(rings), "an outline", None, where)
     return rings
 
 
@@ -365,7 +347,10 @@ def _read_ring(ring: Any, where: str) -> list[list[float]]:
     return points
 
 
-def _shown(value: Any) -> str:
-    if isinstance(value, dict | list):
-        return shown(value)
-    return "none" if value is None else (value if isinstance(value, str) else repr(value))[:60]
+def _check(is_good: bool, expected: str, value: Any, where: str) -> None:
+    """Raise a FormatError for a value of a feature that is not what was expected."""
+    if not is_good:
+        text = value if isinstance(value, str) else repr(value)
+        text = shown(value) if isinstance(value, dict | list) else text[:60]
+        got = "none" if value is None else text
+        raise FormatError(f"expected {expected}, got {got} in {where}")

@@ -53,13 +53,9 @@ def write_voxels(
 def read_voxels(path: str | PathLike[str], *, max_voxels: int | None = None) -> VoxelGrid:
     """Read a voxel file, with the table of its IDs if it lies beside it.
 
-    Args:
-        path: ``.binvox``, ``.bt``, ``.ot`` or ``.npz``.
-        max_voxels: most voxels of the grid. If None: 2**31, and no more memory than 256 MiB and
-            512 bytes for each byte of the file.
-
-    Raises:
-        FormatError: the file is broken, of an unknown format, or needs too much memory.
+    `path` ends in ``.binvox``, ``.bt``, ``.ot`` or ``.npz``. The grid has `max_voxels` at most; if
+    None, 2**31, and no more memory than 256 MiB and 512 bytes for each byte of the file. Raises a
+    FormatError if the file is broken, of an unknown format, or needs too much memory.
     """
     suffix = _check_suffix(path)
     if suffix == ".npz":

@@ -1,16 +1,19 @@
-"""The agents that a grid names: their sizes and speeds."""
+"""The agents that a grid names, and its areas: what cells cost, how fast and for whom they are."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
+from navbake.errors import FormatError
 from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table
 from navbake.types import Json
 
-WHERE = "metadata.navbake.agents"
+AGENTS, AREAS = "metadata.navbake.agents", "metadata.navbake.areas"
+MAX_AREAS = 255
 SPEED = 1.0  # [m/s] of an agent that states none
 
 
@@ -19,10 +22,10 @@ class Agent:
     """An agent that plans on a grid; links and areas name those that may use them."""
 
     name: str
-    radius: float | None = None  #: [m]; None for the grid's.
-    height: float | None = None  #: [m]; None for the grid's.
-    step: float | None = None  #: The highest that it takes [m]; None for the grid's.
-    speed: float = SPEED  #: [m/s]
+    radius: NonNegative | None = None  #: [m]; None for the grid's.
+    height: Positive | None = None  #: [m]; None for the grid's.
+    step: NonNegative | None = None  #: The highest that it takes [m]; None for the grid's.
+    speed: Positive = SPEED  #: [m/s]
 
     def of_any_size(self) -> Agent:
         """The agent with the grid's size: its rights and its speed stay."""
@@ -34,16 +37,57 @@ class Agent:
         return {key: value for key, value in (*sizes, ("speed", self.speed)) if value is not None}
 
 
-class _Entry(msgspec.Struct):
-    """An agent in a file."""
-
-    radius: NonNegative | None = None
-    height: Positive | None = None
-    step: NonNegative | None = None
-    speed: Positive = SPEED
-
-
 def parse_agents(stated: Any) -> dict[str, Agent]:
     """Read and check ``metadata.navbake.agents``, by name; None is no agent."""
-    entries: dict[str, _Entry] = read_table(stated or {}, dict[Name, _Entry], WHERE)
-    return {name: Agent(name, **msgspec.structs.asdict(entry)) for name, entry in entries.items()}
+    entries: dict[str, Json] = read_table(stated or {}, dict[Name, Json], AGENTS)
+    named = {name: {**entry, "name": name} for name, entry in entries.items()}
+    agents: dict[str, Agent] = read_table(named, dict[str, Agent], AGENTS)
+    return agents
+
+
+@dataclass(frozen=True)
+class Area:
+    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
+
+    name: str  #: Unique in the grid.
+    cost: float = 1.0  #: By which the weights of its cells are multiplied; inf bars all agents.
+    speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
+    agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
+
+    def bars(self, agent: Agent | None) -> bool:
+        """Whether an agent may not enter it; without one, whether nobody may."""
+        is_named = agent is None or self.agents is None or agent.name in self.agents
+        return math.isinf(self.cost) or not is_named
+
+    def to_json(self) -> Json:
+        """The area's entry in the file's table."""
+        entry: Json = {"name": self.name, "cost": "inf" if math.isinf(self.cost) else self.cost}
+        if self.speed is not None:
+            entry["speed"] = self.speed
+        if self.agents is not None:
+            entry["agents"] = list(self.agents)
+        return entry
+
+
+class _AreaEntry(msgspec.Struct):
+    """An area in a file."""
+
+    name: Name
+    cost: NonNegative | Literal["inf"] = 1.0
+    speed: Positive | None = None
+    agents: tuple[str, ...] | None = None
+
+
+def parse_areas(stated: Any) -> tuple[Area, ...]:
+    """Read and check ``metadata.navbake.areas``; None is no area."""
+    areas: dict[str, Area] = {}
+    entries: list[_AreaEntry] = read_table(stated or [], list[_AreaEntry], AREAS)
+    if len(entries) > MAX_AREAS:
+        raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
+    for number, entry in enumerate(entries):
+        if entry.name in areas:
+            raise FormatError(
+                f"expected unique names, got {entry.name!r} twice at `{AREAS}[{number}].name`"
+            )
+        areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
+    return tuple(areas.values())

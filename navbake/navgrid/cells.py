@@ -26,15 +26,9 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
     step (`traversableFloorHeight`) above it included. If no level has such a floor, the levels'
     grounds count instead.
 
-    Args:
-        position: world x, y, z [m]; x, y are enough on one level.
-        level: of the cell, 0 is the lowest; then z is ignored.
-
-    Returns:
-        None outside the grid, and below all of its floors.
-
-    Raises:
-        QueryError: the level does not exist, or the position is invalid.
+    `position` is world x, y, z [m]; x, y are enough on one level. With a `level`, 0 is the lowest,
+    z is ignored. Returns None outside the grid, and below all of its floors. Raises a QueryError
+    if the level does not exist, or the position is invalid.
     """
     found = cells_at(grid, position, level)
     if found.level.ndim:
@@ -44,17 +38,9 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
 
 
 def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> Cells:
-    """Find the cells of positions, as `cell_at`.
+    """Find the cells of positions, shape (..., 3), or (..., 2) on one level; see `cell_at`.
 
-    Args:
-        positions: world x, y, z [m], shape (..., 3); (..., 2) is enough on one level.
-        level: of all cells; then z is ignored.
-
-    Returns:
-        Level, row and column, each of shape (...), int64; -1 for no cell.
-
-    Raises:
-        QueryError: as `cell_at`.
+    Returns level, row and column, each of shape (...), int64; -1 for no cell.
     """
     p = check_positions(positions, len(grid.levels), level)
     flat = p.reshape(-1, p.shape[-1])
@@ -66,16 +52,10 @@ def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> 
 
 
 def position_of(grid: GridBase, cells: Cell | Cells) -> Float:
-    """World positions of cells' centres, on the floor.
+    """World positions of cells' centres, on the floor: x, y, z [m], shape (..., 3), float64.
 
-    Args:
-        cells: one, or many of shape (...); a tuple (level, row, col) is enough.
-
-    Returns:
-        x, y, z [m], shape (..., 3), float64; z is the level's ground where there is no floor.
-
-    Raises:
-        QueryError: a cell does not exist.
+    z is the level's ground where there is no floor. `cells` are one, or many of shape (...); a
+    tuple (level, row, col) is enough. Raises a QueryError if one does not exist.
     """
     level, row, col = check_cells(grid, cells)
     positions = np.empty((*level.shape, 3), dtype=np.float64)

@@ -39,6 +39,11 @@ def rgb_of(color: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
+def to_linear(color: NDArray[Any]) -> NDArray[Any]:
+    """Linear light of colours as screens take them, 0 to 1 (sRGB, IEC 61966-2-1)."""
+    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+
+
 def darkened(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The colours of rooms, shape (…, 3), for occupied cells."""
     mixed = rgb * (1 - BLOCKED_SHARE) + np.array(rgb_of(OCCUPIED)) * BLOCKED_SHARE

@@ -41,16 +41,11 @@ def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
     )
 
 
-def doorway_state(door: Door) -> str:
-    """The state whose cells are the doorway: closed, else the current one."""
-    return "closed" if "closed" in door.cells else door.state
-
-
 def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
-    """The cells of a level that doors currently block, or else the doorways' cells."""
+    """The cells of a level that doors currently block, or else those that they can close."""
     mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
     for door in grid.doors:
-        state = door.state if blocked else doorway_state(door)
+        state = "closed" if "closed" in door.cells and not blocked else door.state
         mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
     return mask
 

@@ -24,11 +24,8 @@ AnyGrid = TypeVar("AnyGrid", bound=GridBase)
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """Change the states of doors; the result equals a bake with the doors in these states.
 
-    Args:
-        states: ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
-
-    Raises:
-        QueryError: a door or a state does not exist, or the grid was inflated.
+    `states` are ``modelled``, ``open``, ``closed`` or ``removed``, by a door's id or for all.
+    Raises a QueryError if a door or a state does not exist, or the grid was inflated.
     """
     if "inflation" in grid.metadata:
         raise QueryError(
@@ -65,11 +62,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
 def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
     """Open or close links; the new grid shares its arrays with this one.
 
-    Args:
-        states: ``open`` or ``closed``, by a link's name.
-
-    Raises:
-        QueryError: a link or a state does not exist.
+    `states` are ``open`` or ``closed``, by a link's name. Raises a QueryError if a link or a state
+    does not exist.
     """
     if not isinstance(states, Mapping):
         raise QueryError(f"expected states by link, as {{'A': 'closed'}}, got {states!r}")

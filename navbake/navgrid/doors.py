@@ -71,25 +71,16 @@ class Door:
 
     def cells_in(self, state: str, num_levels: int) -> list[Int]:
         """Ascending ids by level of the cells that only this door blocks in a state."""
-        by_level = self.cells.get(state, {})
-        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
+        return [from_runs(self.cells.get(state, {}).get(k, ())) for k in range(num_levels)]
 
     def solid_in(self, state: str, num_levels: int) -> list[Int]:
         """Ascending ids by level of the cells whose squares only this door overlaps in a state."""
-        by_level = self.solid.get(state, {})
-        return [from_runs(by_level.get(level, ())) for level in range(num_levels)]
+        return [from_runs(self.solid.get(state, {}).get(k, ())) for k in range(num_levels)]
 
     def to_json(self) -> Json:
         """JSON of the door without its cells."""
-        return {
-            "id": self.id,
-            "joint": self.joint,
-            "rooms": list(self.rooms),
-            "levels": self.levels,
-            "state": self.state,
-            "like": self.like,
-            "states": self.states,
-        }
+        names = ("id", "joint", "rooms", "levels", "state", "like", "states")
+        return {name: getattr(self, name) for name in names} | {"rooms": list(self.rooms)}
 
 
 class _Entry(msgspec.Struct):

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.lazy import Method
-from navbake.navgrid.agents import Agent, parse_agents
-from navbake.navgrid.areas import Area, parse_areas
+from navbake.navgrid.agents import Agent, Area, parse_agents, parse_areas
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
 from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
@@ -73,12 +72,9 @@ class GridBase:
         raise NotImplementedError
 
     def with_levels(self, levels: Sequence[SceneGrid2D], metadata: Json | None = None) -> Self:
-        """Replace the levels, see `SceneGrid2D.with_layers`.
+        """Replace the levels by as many others, see `SceneGrid2D.with_layers`.
 
-        Args:
-            levels: as many as before.
-            metadata: of the new grid; unchanged if None. Levels with metadata taken over from the
-                grid take over these.
+        Metadata are unchanged if None; levels that took theirs over from the grid take over these.
         """
         raise NotImplementedError
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.areas import MAX_AREAS
+from navbake.navgrid.agents import MAX_AREAS
 from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.links import find_arcs
@@ -27,9 +27,8 @@ def find_islands(grid: GridBase) -> list[Int32]:
     lead from each to the other. A free cell without floor height is level with each of its
     neighbours. Cells of an area whose cost is infinite count as not free.
 
-    Returns:
-        One array a level, shape (height, width), int32: the number of each free cell's part, else
-        0. Parts of equal size are numbered by their lowest (level, cell id).
+    Returns one array a level, shape (height, width), int32: the number of each free cell's part,
+    else 0. Parts of equal size are numbered by their lowest (level, cell id).
     """
     levels = grid.levels
     start = np.cumsum([0] + [level.width * level.height for level in levels], dtype=np.int64)

@@ -58,16 +58,16 @@ class Link:
     It leads from each stop to each other one, or only to later ones.
     """
 
-    name: str  #: Unique in the grid.
-    kind: str  #: ``lift``, ``drop``, ``jump``, ``ladder``, ``stair`` or any other word.
+    name: Name  #: Unique in the grid.
+    kind: Name  #: ``lift``, ``drop``, ``jump``, ``ladder``, ``stair`` or any other word.
     stops: tuple[Stop, ...]  #: Two or more.
     one_way: bool = False  #: Whether it leads to later stops only.
-    width: float | None = None  #: The widest agent's diameter [m]; None for any.
+    width: Positive | None = None  #: The widest agent's diameter [m]; None for any.
     #: Of a passage [m]; None for the length, over the stops in between.
-    cost: float | None = None
-    seconds: float | None = None  #: Of a passage; None for its cost over the agent's speed.
+    cost: NonNegative | None = None
+    seconds: NonNegative | None = None  #: Of a passage; None for its cost over the agent's speed.
     agents: tuple[str, ...] | None = None  #: Names of those that may use it; None for all.
-    state: str = "open"  #: Or ``closed``.
+    state: LinkState = "open"
     auto: bool = False  #: Whether the bake found it.
     #: Of a lift: world x, y of its car's middle [m], its yaw [rad], width along it and depth [m].
     car: tuple[float, float, float, float, float] | None = None
@@ -99,11 +99,9 @@ class Link:
             "positions": [list(stop.position) for stop in self.stops],
             "one_way": self.one_way,
         }
-        values = (("width", self.width), ("cost", self.cost), ("seconds", self.seconds))
-        entry |= {key: value for key, value in values if value is not None}
-        if self.agents is not None:
-            entry["agents"] = list(self.agents)
-        entry |= {"car": list(self.car)} if self.car is not None else {}
+        for key in ("width", "cost", "seconds", "agents", "car"):
+            if (value := getattr(self, key)) is not None:
+                entry[key] = list(value) if isinstance(value, tuple) else value
         return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
 
 
@@ -149,28 +147,18 @@ def find_arcs(
     return Arcs(ends, numbers, *table[:, 3:].T.copy())
 
 
-class _Entry(msgspec.Struct):
-    """A link in a file."""
+class _Stops(msgspec.Struct):
+    """The stops of a link in a file."""
 
-    name: Name
-    kind: Name
     stops: Annotated[list[tuple[Id, Id]], msgspec.Meta(min_length=2)]
     positions: list[Vector3]
-    one_way: bool = False
-    width: Positive | None = None
-    cost: NonNegative | None = None
-    seconds: NonNegative | None = None
-    agents: tuple[str, ...] | None = None
-    state: LinkState = "open"
-    auto: bool = False
-    car: tuple[float, float, float, float, float] | None = None
 
 
-def _read(stated: Any) -> list[tuple[int, Row | _Entry]]:
-    """The steps and links of a table, each after its number in it."""
+def _read(stated: Any) -> list[tuple[int, Row | _Stops]]:
+    """The steps and stops of links of a table, each after its number in it."""
     entries = unflatten(stated or [])
     is_mixed = isinstance(entries, list) and any(isinstance(entry, dict) for entry in entries)
-    kind: Any = list[Row | _Entry] if is_mixed else list[Row]
+    kind: Any = list[Row | _Stops] if is_mixed else list[Row]
     return list(enumerate(read_table(entries, kind, WHERE)))
 
 
@@ -194,23 +182,22 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> tuple[Link, ...]:
     for number, entry in _read(stated):
         if isinstance(entry, tuple):
             continue
-        if entry.name in links:
-            raise FormatError(
-                f"expected unique names, got {entry.name!r} twice at `{WHERE}[{number}].name`"
-            )
+        where = f"{WHERE}[{number}]"
+        stops = [
+            Stop(*cell, position)
+            for cell, position in zip(entry.stops, entry.positions, strict=False)
+        ]
+        link: Link = read_table({**stated[number], "stops": stops}, Link, where)
+        if link.name in links:
+            raise FormatError(f"expected unique names, got {link.name!r} twice at `{where}.name`")
         if len(entry.positions) != len(entry.stops):
             raise FormatError(
                 f"expected a position for each of {len(entry.stops)} stops, got "
-                f"{len(entry.positions)}, in link {entry.name!r} at `{WHERE}[{number}].positions`"
+                f"{len(entry.positions)}, in link {link.name!r} at `{where}.positions`"
             )
-        for level, cell in entry.stops:
-            _check_cell(level, cell, num_cells, f"link {number} ({entry.name!r})")
-        stops = [
-            Stop(level, cell, position)
-            for (level, cell), position in zip(entry.stops, entry.positions, strict=True)
-        ]
-        fields = {k: v for k, v in msgspec.structs.asdict(entry).items() if k != "positions"}
-        links[entry.name] = Link(**{**fields, "stops": tuple(stops)})
+        for stop in stops:
+            _check_cell(stop.level, stop.cell, num_cells, f"link {number} ({link.name!r})")
+        links[link.name] = link
     return tuple(links.values())
 
 

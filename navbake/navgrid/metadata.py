@@ -5,7 +5,6 @@ from contextlib import suppress
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import FormatError
@@ -41,17 +40,16 @@ def describe_attributes(metadata: Json, levels: Iterable[Arrays]) -> list[Json]:
     described: dict[str, Json] = {}
     for arrays in levels:
         for name, array in arrays.items():
-            described.setdefault(name, _describe(name, array.dtype, stated.get(name, {})))
+            if name not in described:
+                own, dtype = stated.get(name, {}), array.dtype
+                # the array's dtype counts; the file's own name for it is kept
+                kind = own.get("type")
+                if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
+                    kind = f"{dtype.name.capitalize()}Array"
+                data_type = "continuous" if dtype.kind == "f" else "categorical"
+                described[name] = {"name": name, "type": kind, "dataType": data_type, **own}
+                described[name]["type"] = kind
     return list(described.values())
-
-
-def _describe(name: str, dtype: np.dtype[Any], stated: Json) -> Json:
-    # the array's dtype counts; the file's own name for it is kept
-    kind = stated.get("type")
-    if not isinstance(kind, str) or datatype_name(kind) != dtype.name:
-        kind = f"{dtype.name.capitalize()}Array"
-    data_type = "continuous" if dtype.kind == "f" else "categorical"
-    return {"name": name, "type": kind, "dataType": data_type} | stated | {"type": kind}
 
 
 def read_table(stated: Any, kind: Any, where: str) -> Any:

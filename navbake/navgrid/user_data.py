@@ -11,7 +11,7 @@ import gc
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,21 +40,17 @@ class Shared(NamedTuple):
     entries: Sequence[Json]  #: Must not be modified.
 
 
+Entries: TypeAlias = MutableMapping[int, Json] | Shared
+
+
 class UserData(MutableMapping[int, Json]):
     """User data by cell id (col + row * width).
 
-    Args:
-        source: a dictionary, which is modified in place; `Shared` entries, which become a
-            dictionary on access to single cells; or a function that returns one of these.
+    Its source is a dictionary, which is modified in place; `Shared` entries, which become a
+    dictionary on access to single cells; or a function that returns one of these.
     """
 
-    def __init__(
-        self,
-        source: MutableMapping[int, Json]
-        | Shared
-        | Callable[[], MutableMapping[int, Json] | Shared]
-        | None = None,
-    ) -> None:
+    def __init__(self, source: Entries | Callable[[], Entries] | None = None) -> None:
         self._source: Any = {} if source is None else source
 
     @classmethod
@@ -68,12 +64,12 @@ class UserData(MutableMapping[int, Json]):
         return isinstance(self._source, MutableMapping)
 
     @property
-    def source(self) -> MutableMapping[int, Json] | Shared:
+    def source(self) -> Entries:
         """The dictionary, or the entries that cells share."""
         if callable(self._source):
             with collector_off():
                 self._source = self._source()
-        source: MutableMapping[int, Json] | Shared = self._source
+        source: Entries = self._source
         return source
 
     @property

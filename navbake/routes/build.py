@@ -47,12 +47,9 @@ DIGITS = 6  # of positions and lengths, after the point: micrometres
 def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
     """Make the graph of routes of a grid for an agent, as the grid is now.
 
-    Args:
-        grid: of one or several levels; it is inflated to the agent's radius.
-        agent: its name in the grid, or an Agent; None for one of the grid's radius with all rights.
-
-    Raises:
-        QueryError: the grid names no such agent, or isn't for one of its size.
+    The grid is inflated to the agent's radius. `agent` is its name in the grid, or an Agent; None
+    for one of the grid's radius with all rights. Raises a QueryError if the grid names no such
+    agent, or isn't for one of its size.
     """
     return _Builder(grid, find_agent(grid, agent)).build()
 
@@ -127,13 +124,15 @@ class _Builder:
         self.distance[-1, -1] = 0.0
         return len(self.places) - 1
 
+    def _level_of(self, node: int) -> int:
+        return int(self.flat.level_of(self.places[node].cell))
+
     def _is_near(self, cell: int) -> bool:
         """Whether a node is near a cell and sees it."""
         level, at = int(self.flat.level_of(cell)), self.flat.positions(cell)
         near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART)
         return any(
-            self.flat.level_of(self.places[k].cell) == level
-            and self._sees(self.places[k].cell, cell)
+            self._level_of(k) == level and self._sees(self.places[k].cell, cell)
             for k in near.tolist()
         )
 
@@ -256,17 +255,15 @@ class _Builder:
 
     def _cost(self, one: int, other: int) -> float:
         """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
-        levels = self.flat.level_of(np.array([self.places[k].cell for k in (one, other)]))
-        if levels[0] != levels[1]:
+        level = self._level_of(one)
+        if level != self._level_of(other):
             return float(self._apart(one, other))
-        return self._cost_of(self.points[[one, other], :2], int(levels[0]))
+        return self._cost_of(self.points[[one, other], :2], level)
 
     def _cost_of(self, line: Float, level: int) -> float:
         """The cost of a line on a level, shape (n, 2) [m]."""
-        return sum(
-            float(np.hypot(*(b - a))) * self._price(a, b, level)
-            for a, b in itertools.pairwise(line)
-        )
+        steps = itertools.pairwise(line)
+        return sum(float(np.hypot(*(b - a))) * self._price(a, b, level) for a, b in steps)
 
     def _price(self, a: Float, b: Float, level: int) -> float:
         """The mean weight of the cells on a straight line."""
@@ -312,10 +309,7 @@ class _Builder:
 
     def _doors_on(self, one: int, other: int) -> set[str | None]:
         """The doors whose leaves lie on the line between two nodes, and those of its ends; None."""
-        level, (a, b) = (
-            int(self.flat.level_of(self.places[one].cell)),
-            self.points[[one, other], :2],
-        )
+        level, (a, b) = self._level_of(one), self.points[[one, other], :2]
         on = {self.leaves.get(cell) for cell in self._cells_on(a, b, level).tolist()}
         return on | {None, self.places[one].door, self.places[other].door}
 
@@ -397,8 +391,8 @@ class _Builder:
 
     def _join_path(self, one: int, other: int, doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: its corners, and lanes between them."""
-        level = int(self.flat.level_of(self.places[one].cell))
-        if level != self.flat.level_of(self.places[other].cell):
+        level = self._level_of(one)
+        if level != self._level_of(other):
             return
         start, end = self.points[one, :2], self.points[other, :2]
         found = find_path(self.search, start, end, level, by="cost", smooth=True)
@@ -413,9 +407,8 @@ class _Builder:
         left, corners = [*cells[turns].tolist(), self.places[other].cell], [one]
         while left:
             here = corners[-1]
-            line = np.concatenate(
-                [self.points[[here], :2], self.flat.positions(np.array(left))[:, :2]]
-            )
+            ahead_xy = self.flat.positions(np.array(left))[:, :2]
+            line = np.concatenate([self.points[[here], :2], ahead_xy])
             seen = [
                 k
                 for k, cell in enumerate(left)
@@ -427,19 +420,18 @@ class _Builder:
             ahead = left[last + 1 : last + 2]
             price = self._price(line[0], line[last + 1], level)
             near = np.hypot(*(self.points - self.flat.positions(left[last]))[:, :2].T)
+            ends = self.places[here].cell, *ahead
             known = [
                 k
                 for k in np.flatnonzero(near < SNAP).tolist()
-                if self.flat.level_of(self.places[k].cell) == level
-                and all(
-                    self._sees(self.places[k].cell, end) for end in (self.places[here].cell, *ahead)
-                )
+                if self._level_of(k) == level
+                and all(self._sees(self.places[k].cell, end) for end in ends)
                 and self._cost(here, k) <= STRETCH * price * self._apart(here, k)
             ]
-            known.sort(key=near.__getitem__)
-            corners.append(
-                known[0] if known and ahead else self._add(_Place(left[last], "waypoint"))
-            )
+            if known and ahead:
+                corners.append(min(known, key=near.__getitem__))
+            else:
+                corners.append(self._add(_Place(left[last], "waypoint")))
             left = left[last + 1 :]
         for a, b in itertools.pairwise(corners):
             if a != b and self.distance[a, b] > self._cost(a, b) and self._is_free(a, b, doors):
@@ -457,8 +449,8 @@ class _Builder:
             taken.add(name)
             room = rooms.id_of(int(rooms.number[place.cell]))
             level = int(self.flat.level_of(place.cell))
-            x, y, z = point.tolist()
-            nodes.append(Node(name, (x, y, z), level, place.kind, room, place.door, place.link))
+            at = tuple(point.tolist())
+            nodes.append(Node(name, at, level, place.kind, room, place.door, place.link))
         lanes = tuple(self._finish(lane, nodes) for lane in self.lanes)
         return RouteGraph(
             tuple(nodes), lanes, self.grid.scene_id, tuple(self.grid.level_names),

@@ -23,8 +23,7 @@ from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MAX_RADIUS, MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import find_fault, touch_cells
+from navbake.navgrid.lattice import Lattice, find_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import REAL
 from navbake.runtime.surroundings import find_blocked

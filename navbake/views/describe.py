@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.errors import QueryError
-from navbake.navgrid.areas import Area
+from navbake.navgrid.agents import Area
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import find_islands

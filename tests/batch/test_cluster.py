@@ -16,11 +16,10 @@ import crew_jobs
 from batch_in_process import Told
 from batch_processes import PATIENCE, digests, members, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
-from navbake.batch.cluster import do_on_ray
 from navbake.batch.job import Plan
 from navbake.batch.run import run_batch
 from navbake.batch.scenes import list_jobs
-from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits
+from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits, do_on_ray
 from project_paths import ROOT
 from ray_cluster import VARIABLES, two_nodes
 

@@ -17,7 +17,7 @@ from navbake.formats.binvox import read_binvox
 from navbake.formats.images import open_image
 from navbake.formats.npz import encode_npz, read_grid_npz, read_npy, read_npz
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.procthor import read_procthor
+from navbake.formats.simulators import read_procthor
 from navbake.formats.voxels import read_voxels
 from navbake.voxels.grid import VoxelGrid
 

@@ -17,7 +17,7 @@ from map_grids import sample, small
 from navbake.errors import FormatError, QueryError
 from navbake.formats.convert import read_as
 from navbake.formats.nav2_masks import read_keepout, read_speed
-from navbake.navgrid.areas import Area
+from navbake.navgrid.agents import Area
 from navbake.navgrid.islands import add_layers
 
 
@@ -110,7 +110,7 @@ def test_the_least_speed_counts(tmp_path):
         ("nav2-speed", {}, "a mask needs zones"),
         ("nav2-speed", {"zone": ["1=5"], "absolute": True}, "for masks of the grid's areas"),
         ("nav2-keepout", {"zone": ["1"], "agent": "robot"}, "for masks of the grid's areas"),
-        ("nav2-keepout", {"zone": ["attic"]}, "called 'attic'; there are: .+, "),
+        ("nav2-keepout", {"zone": ["attic"]}, "called 'attic': it has .+, "),
         ("nav2-speed", {"zone": ["kitchen"]}, "NAME=PERCENT, 1 to 100, as zone, got 'kitchen'"),
         ("nav2-speed", {"zone": ["kitchen=0"]}, "got 'kitchen=0'"),
         ("nav2-speed", {"zone": ["kitchen=101"]}, "got 'kitchen=101'"),

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from navbake.formats.shapes import trace_polygons
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells, find_fault
+from navbake.navgrid.lattice import Lattice, cover_cells, find_fault
 
 SIDES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 LABELS = arrays(np.int32, SIDES, elements=st.integers(0, 3))

@@ -221,7 +221,7 @@ def changed(graph, **changes):
 @pytest.mark.parametrize(
     ("name", "text", "culprit"),
     [
-        ("a.geojson", "[", "can't be read"),
+        ("a.geojson", "[", "broken JSON"),
         ("a.geojson", "{}", "a list of features, got nothing|got null"),
         ("a.geojson", '{"features": [3]}', r"features\[0\]"),
         ("a.geojson", '{"features": [{"geometry": {"type": "Point", "coordinates": [1]}, '

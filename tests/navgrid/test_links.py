@@ -9,8 +9,7 @@ import pytest
 
 from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.navgrid.agents import Agent
-from navbake.navgrid.areas import Area
+from navbake.navgrid.agents import Agent, Area
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.links import Link, Step, Stop
 

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells, find_fault
+from navbake.navgrid.lattice import Lattice, cover_cells, find_fault
 
 LATTICE = Lattice(x_min=-1.03, y_max=2.1, cell_size=0.1, width=40, height=33)
 

@@ -19,8 +19,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
 from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
 from navbake.errors import ConfigError
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells
+from navbake.navgrid.lattice import Lattice, cover_cells
 from navbake.types import Bool, Float, Int, Int32
 
 # A room's floor geom lies at most this far below the walkable floor, as under a rug [m]

@@ -92,7 +92,7 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    from navbake.batch import cluster, index, job, page, products, run, scenes, store, workers
+    from navbake.batch import index, job, page, products, run, scenes, store, workers
     from navbake.batch.settings import read_shared
 
     is_ray = ways.executor == "ray"
@@ -119,7 +119,7 @@ def batch(
     settings = {} if config is None else read_shared(config)
     folder, made = store.as_folder(output), products.parse_products(make or [])
     witness = folder / index.LOCK if isinstance(folder, Path) else None
-    on_ray = partial(cluster.do_on_ray, address=ways.ray_address, witness=witness)
+    on_ray = partial(workers.do_on_ray, address=ways.ray_address, witness=witness)
     given = tuple(overrides or [])
     plan = job.Plan(folder, settings, given, made, ways.page, ways.parquet, hosts)
     if ways.preview:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.formats.floor_mesh import Buffer
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell
+from navbake.navgrid.colors import to_linear
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.runtime.place import place_at
 from navbake.types import Bool, Float, Int, Json
@@ -344,7 +345,7 @@ def _read_texture(model: Any, texture: int) -> NDArray[np.uint8]:
 def _to_linear(color: NDArray[Any]) -> NDArray[np.float32]:
     """Linear light of colours as screens take them (sRGB), shape (..., 3 or 4); opacity stays."""
     color = np.asarray(color, dtype=np.float32)
-    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    linear = to_linear(color)
     linear[..., 3:] = color[..., 3:]
     return linear.astype(np.float32)
 

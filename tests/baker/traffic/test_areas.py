@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 import navbake
 from box_worlds import box, world
 from navbake.errors import BakeWarning, ConfigError
-from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.polygon import cover_cells, touch_cells
+from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
 
 FLOOR = box("floor", 0, 0, -0.1, 6, 4, 0)
 LATTICE = Lattice(-1.0, 2.0, 0.1, 37, 29)
