@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
-from navbake.baker.blocks import Blocks
 from navbake.baker.column_blocks import cast_at, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
@@ -111,7 +110,7 @@ class LiveStages:
         self._finder: FloorFinder
         stages.floors, self._finder = stages.judge_floors()
         source, (lattice, _) = stages.judged_columns, stages.judged
-        self._blocks, self._kept = Blocks(lattice), None
+        self._kept = None
         if lattice.width * lattice.height <= column_blocks.KEPT_CELLS:
             (columns,) = source.blocks()
             self._kept = KeptColumns(columns)
@@ -162,7 +161,7 @@ class LiveStages:
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
             if len(near):
                 flags_hold &= self._cast(now, near)
-                now.floors, finder = now.judge_floors(self._finder, self._blocks.holding(near))
+                now.floors, finder = now.judge_floors(self._finder)
                 levels = [
                     [(one.name, one.ground) for one in some.floors.levels] for some in (was, now)
                 ]
