@@ -228,9 +228,11 @@ class FloorFinder:
         self._edges.fill(list_edges, np.flatnonzero(other), *asked)
         self._last[other] = sheets.now
         block, (rows,) = self._edges.take()
-        last = np.zeros((2, len(is_large)), dtype=np.int64)
-        np.maximum.at(last[0], sheets.of_part, self._last[sheets.labels.block])
-        np.maximum.at(last[1], sheets.sheet_at(block, rows[:, 0]), self._last[block])
+        last, ends = np.zeros((2, len(is_large)), dtype=np.int64), np.zeros_like(sheets.of_part)
+        ends[sheets.labels.offset[block] + rows[:, 0]] = 1
+        of_part = self._last[sheets.labels.block]
+        np.maximum.at(last[0], sheets.of_part, of_part)
+        np.maximum.at(last[1], sheets.of_part, of_part * ends)
         return (block, rows), reach, self._last, last[0], last[1]
 
     def _place_reached(

@@ -299,6 +299,8 @@ class SheetFacts:
             changed: for each sheet, the last update that changed anything else the fact depends
                 on, shape (sheets,); None if it depends on the sheet alone.
         """
+        if not chosen.any():
+            return []
         asked, names = np.zeros_like(chosen), list[tuple[str, int]]()
         for sheet in np.flatnonzero(chosen).tolist():
             names.append((name, self._digests[sheet]))

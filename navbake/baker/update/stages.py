@@ -176,6 +176,8 @@ class LiveStages:
                 flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
+                if len(now.floors.levels) == 1 and np.array_equal(_box(was), _box(now)):
+                    now.boxes = was.boxes  # which then depend on floors alone
             else:
                 self._room_flags = None  # they share the arrays of floors, which were written to
         if not flags_hold or self._room_flags is None:
@@ -234,12 +236,14 @@ def _box(stages: Stages) -> Float:
 def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
     around, known = now.around_doors, {one.candidate: one for one in was.doors}
+    mask = np.zeros(now.lattice.shape, dtype=np.bool_)
+    mask.ravel()[touched] = True
     new = [one for one in now.candidates if one not in known]
     leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
     leaves += [
         one.leaf
         for one in map(known.get, now.candidates)
-        if one and (now.rooms is not was.rooms or one.depends_on(touched, around))
+        if one and (now.rooms is not was.rooms or one.depends_on(mask, around))
     ]
     for one in place_doors(leaves, around):
         if one.candidate not in known or not are_equal(one, known[one.candidate]):
