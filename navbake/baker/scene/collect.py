@@ -111,15 +111,15 @@ def collect_shapes(
     names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
     solids, planes, triangles = list[int](), list[int](), dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
-    numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
-    is_placed = (np.abs(numbers) <= LARGEST).all(axis=1).tolist()  # NaN isn't
-    # lists, which are read geom by geom in less time than the model's arrays
-    types, shapes = model.geom_type.tolist(), model.geom_dataid.tolist()
-    for geom in range(len(choices)) if only is None else only:
-        if not choices[geom].counted:
-            continue
-        (name, mesh, _), kind, shape, mode = names[geom], types[geom], shapes[geom], ""
-        if not is_placed[geom]:
+    every = range(len(choices)) if only is None else only
+    ids = np.array([geom for geom in every if choices[geom].counted], dtype=np.int64)
+    numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
+    # lists, which are read geom by geom in less time than arrays
+    is_placed = (np.abs(numbers) <= LARGEST).all(axis=1)  # NaN isn't
+    own = ids, model.geom_type[ids], model.geom_dataid[ids], is_placed
+    for geom, kind, shape, placed in zip(*(array.tolist() for array in own), strict=True):
+        (name, mesh, _), mode = names[geom], ""
+        if not placed:
             raise SceneError(
                 f"geom {name!r} has a pose or size that is no number, or beyond {LARGEST:g} m"
             )
@@ -167,10 +167,10 @@ def collect_shapes(
         taken = one.vertices, one.faces, corners[first:end]
         run_in_bands(take_rows, end - first, *taken, least=4096)
     index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
-    own = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
+    pose = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
     size = model.geom_size[index]
     gathered = Shapes(
-        solids=Solids(index, *own, size, solid_bounds(*own, size)),
+        solids=Solids(index, *pose, size, solid_bounds(*pose, size)),
         planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
         triangles=Triangles(owner, part, closed, corners),
         endless=endless,
