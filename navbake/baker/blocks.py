@@ -153,6 +153,8 @@ def list_rows(
             first, room = done, 2 * room
 
     run_in_bands(work, len(blocks), least=least)
+    if len(found) == 2:
+        return counts, found[0]
     parts = zip(*(found[first] for first in sorted(found)), strict=True)
     return counts, [np.concatenate(arrays) for arrays in parts]
 
