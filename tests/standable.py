@@ -17,5 +17,6 @@ def sheets_of(stages: Stages, columns: ColumnSource | None = None) -> Sheets:
         store.add(block, stages.tiled.shapes.planes)
     store.finish()
     sheets = Sheets(store, Blocks(found.lattice), stages.config.agent)
-    sheets.update(sheets.blocks.all())
+    every = sheets.blocks.all()
+    sheets.update(every, every)
     return sheets

@@ -7,6 +7,7 @@ sheets, are merged from those of each block; so an update evaluates the changed 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,18 @@ class Blocks:
             grid = wide.T
         return grid.ravel()
 
+    def near(self, cells: Int, reach: int) -> Bool:
+        """The blocks with a cell within `reach` rows and columns of some cells."""
+        if reach > SIZE:
+            return self.around(self.holding(cells), reach)
+        (height, width), away = self.lattice.shape, np.array([-reach, 0, reach])
+        row, col = np.divmod(cells, width)
+        rows = np.clip(row[:, None] + away, 0, height - 1) // SIZE
+        cols = np.clip(col[:, None] + away, 0, width - 1) // SIZE
+        mask = np.zeros(self.num, dtype=np.bool_)
+        mask[rows[:, :, None] * self.cols + cols[:, None]] = True
+        return mask
+
     def before(self, mask: Bool) -> Bool:
         """Some blocks, and those whose eastern or southern neighbour is one of them."""
         grid = mask.reshape(self.rows, self.cols).copy()
@@ -98,6 +111,19 @@ def join_parts(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     return [np.concatenate([part.pop(0) for part in parts]) for _ in range(len(parts[0]))]
 
 
+def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
+    """Replace runs of rows: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
+
+    The runs ascend. Where they are few, copying what lies between them is faster than numpy's
+    masks and indices.
+    """
+    ends = zip([0, *last.tolist()], [*first.tolist(), len(old)], strict=True)
+    pieces = [new[:0]] * (2 * len(first) + 1)
+    pieces[::2] = [old[begin:end] for begin, end in ends]
+    pieces[1::2] = [new[begin:end] for begin, end in pairwise(start.tolist())]
+    return np.concatenate(pieces)
+
+
 def list_rows(
     kernel: Callable[..., int],
     blocks: Int,
@@ -127,6 +153,8 @@ def list_rows(
             first, room = done, 2 * room
 
     run_in_bands(work, len(blocks), least=least)
+    if len(found) == 2:
+        return counts, found[0]
     parts = zip(*(found[first] for first in sorted(found)), strict=True)
     return counts, [np.concatenate(arrays) for arrays in parts]
 
@@ -139,23 +167,22 @@ class BlockTable:
     """
 
     def __init__(self, num_blocks: int, *empty: NDArray[Any]) -> None:
-        self._empty = empty
-        self._parts: list[tuple[NDArray[Any], ...]] = [empty] * num_blocks
+        self._empty, self._columns = empty, list(empty)
+        self._counts = np.zeros(num_blocks, dtype=np.int64)
 
     def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> Int:
-        """Replace the rows of some blocks, see `list_rows`; returns how many each of them has."""
+        """Replace the rows of some blocks, ascending; returns how many each has; see `list_rows`."""
         counts, columns = list_rows(kernel, blocks, self._empty, *args)
-        begin = 0
-        for block, end in zip(blocks.tolist(), np.cumsum(counts).tolist(), strict=True):
-            self._parts[block] = tuple(column[begin:end] for column in columns)
-            begin = end
+        last = np.cumsum(self._counts)[blocks]
+        runs, start = (last - self._counts[blocks], last), np.append(0, np.cumsum(counts))
+        pairs = zip(self._columns, columns, strict=True)
+        self._columns = [splice(old, *runs, new, start) for old, new in pairs]
+        self._counts[blocks] = counts
         return counts
 
     def take(self) -> tuple[Int, list[NDArray[Any]]]:
         """The block of each row, and the columns of all blocks, one block after the other."""
-        counts = [len(part[0]) for part in self._parts]
-        columns = [np.concatenate(arrays) for arrays in zip(*self._parts, strict=True)]
-        return np.repeat(np.arange(len(counts)), counts), columns
+        return np.repeat(np.arange(len(self._counts)), self._counts), self._columns
 
 
 class Seen:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from navbake.baker.blocks import splice
 from navbake.baker.columns import Columns, TiledShapes, cast_points, tile_of, tiles_of_rows
 from navbake.baker.connect import ranges
 from navbake.baker.kernels.arrays import Crossings
@@ -127,16 +126,3 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Cros
     layers: Any = zip(old[1:], new[1:], strict=True)
     arrays = (splice(array, first, last, other, new.start) for array, other in layers)
     return replace(columns, crossings=Crossings(start, *arrays))
-
-
-def splice(old: NDArray[Any], first: Int, last: Int, new: NDArray[Any], start: Int) -> NDArray[Any]:
-    """Replace runs of rows: ``old[first[i]:last[i]]`` by ``new[start[i]:start[i + 1]]``.
-
-    The runs ascend. Where they are few, copying what lies between them is faster than numpy's
-    masks and indices.
-    """
-    ends = zip([0, *last.tolist()], [*first.tolist(), len(old)], strict=True)
-    pieces = [new[:0]] * (2 * len(first) + 1)
-    pieces[::2] = [old[begin:end] for begin, end in ends]
-    pieces[1::2] = [new[begin:end] for begin, end in pairwise(start.tolist())]
-    return np.concatenate(pieces)

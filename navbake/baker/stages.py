@@ -171,22 +171,18 @@ class Stages:
             return lambda: None
         return run_beside(measure_geoms, self.doorless.shapes, len(self.doorless.geoms))
 
-    def judge_floors(
-        self, finder: FloorFinder | None = None, near: Bool | None = None
-    ) -> tuple[Floors, FloorFinder]:
+    def judge_floors(self, finder: FloorFinder | None = None) -> tuple[Floors, FloorFinder]:
         """Find `floors`, and what keeps those of the whole scene up to date.
 
-        Args:
-            finder: the last one; None if there is none.
-            near: the blocks near which columns differ from those that it knows, shape (blocks,).
+        `finder` is the last one, in which columns may have been replaced; None if there is none.
         """
         config, columns, shapes = self.config, self.judged_columns, self.doorless.shapes
         given = None if config.levels == "auto" else list(config.levels)
         test = self.occupancy_test(columns)
         with self.clock.stage("floors"):
             try:
-                if finder is not None and near is not None:
-                    floors = finder.find(columns, shapes, test, near)
+                if finder is not None:
+                    floors = finder.find(columns, shapes, test)
                 else:
                     asked = config.agent, config.floors, given, test
                     floors, finder = find_floors(columns, shapes, *asked)

@@ -89,12 +89,14 @@ class Placing:
         """The wanted state if the door has it, else modelled."""
         return wanted if wanted == "removed" or wanted in self.cells else "modelled"
 
-    def depends_on(self, cells: Int, around: Surroundings) -> bool:
-        """Whether a change in some cells may change it."""
-        lattice = around.rooms.lattice
-        reach = max(SIGHT, around.footprint.reach) + lattice.cell_size
-        window = None if self.leaf.box is None else lattice.window(self.leaf.box, reach)
-        return window is not None and bool(cut_cells(cells, window, lattice.width)[1].any())
+    def depends_on(self, touched: Bool, around: Surroundings) -> bool:
+        """Whether a change in the cells of a mask, (height, width), may change it."""
+        leaf, lattice = self.leaf, around.rooms.lattice
+        reach = around.footprint.reach + lattice.cell_size
+        window = None if leaf.box is None else lattice.window(leaf.box, reach)
+        if window is not None and touched[window].any():
+            return True
+        return leaf.sight is not None and bool(touched.ravel()[leaf.sight[leaf.sight >= 0]].any())
 
 
 def cut_door(placing: Placing, windows: Sequence[Window], width: int, wanted: str) -> Door:

@@ -9,11 +9,10 @@ import numpy as np
 
 from navbake.baker.blocks import BlockAnswers, Blocks, BlockTable, Seen
 from navbake.baker.columns import ColumnSource
-from navbake.baker.connect import ranges
 from navbake.baker.floors.growth import FloorGrowth
 from navbake.baker.floors.kernels.members import list_edges
 from navbake.baker.floors.kernels.surfaces import HELD
-from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, beside, find_cropped
+from navbake.baker.floors.outline import NO_EDGES, OccupancyTest, Site, find_cropped
 from navbake.baker.floors.reach import (
     Unreached,
     UnreachedFloors,
@@ -126,7 +125,10 @@ class FloorFinder:
         self._placed_by: Storeys | None = None
         self._growth = FloorGrowth(self._sheets, agent)
         self._upright, self._unreached = Upright(self._blocks), UnreachedFloors(self._blocks)
-        self._stale = self._blocks.all()
+        # how far beyond a sheet's edge floors are looked for; and the blocks with other surfaces
+        # than in the last update, and with other columns so near that they matter
+        self._reach = int(np.ceil(settings.shrink / self._lattice.cell_size)) + 1
+        self._stale, self._near = self._blocks.all(), self._blocks.all()
 
     @property
     def changed(self) -> Int | None:
@@ -135,30 +137,23 @@ class FloorFinder:
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> None:
         """Replace the columns of some cells, see `SurfaceStore.replace`."""
-        replaced, surfaces = self._store.replace(cells, crossings, planes), self._store.surfaces
+        replaced, held = self._store.replace(cells, crossings, planes)
         self._stale |= self._blocks.holding(replaced)
-        beyond = np.concatenate([beside(self._lattice, replaced, way) for way in range(4)])
-        self._held_stale |= self._stale | self._blocks.holding(beyond[beyond >= 0])
-        first, length = surfaces.first[replaced], surfaces.length[replaced]
-        which, place = ranges(first, first + length)
-        is_held = surfaces.marks[place] & HELD != 0
-        self._has_held |= self._blocks.holding(replaced[which[is_held]])
+        self._near |= self._blocks.near(cells, self._reach + 1)
+        self._upright.stale |= self._blocks.holding(cells)
+        self._held_stale |= self._blocks.near(replaced, 1)
+        self._has_held |= self._blocks.holding(held)
 
-    def find(
-        self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest, near: Bool
-    ) -> Floors:
+    def find(self, columns: ColumnSource, shapes: Shapes, is_occupied: OccupancyTest) -> Floors:
         """Find the floors in columns, which were cast at shapes.
-
-        `near` are the blocks near which shapes have changed.
 
         Raises:
             SceneError: there is no floor at all, none on a given level, or none at a place that one
                 starts from.
         """
         sheets, facts, settings, agent = self._sheets, self._facts, self._settings, self._agent
-        sheets.update(self._stale)
-        self._stale = np.zeros_like(self._stale)
-        self._upright.stale |= near
+        sheets.update(self._stale, self._near)
+        self._stale, self._near = np.zeros((2, self._blocks.num), dtype=np.bool_)
         if not len(sheets.key):
             raise SceneError(_no_floor(self._store, agent))
         cropped = find_cropped(self._lattice, shapes.bounds)
@@ -173,7 +168,7 @@ class FloorFinder:
         )
         site = Site(
             sheets, is_large, columns, agent, settings, is_occupied, cropped,
-            *self._find_edges(is_large, near), facts, self._walls,
+            *self._find_edges(is_large), facts, self._walls,
         )  # fmt: skip
         tops, shelves, roofs = find_rejected(site, self._spans)
         starts = find_starts(site, tops, shelves, settings.starts)
@@ -216,25 +211,28 @@ class FloorFinder:
             is_held = surfaces.marks & HELD != 0
             self._has_held, self._enclosed = np.zeros_like(self._has_held), []
             if is_held.any():
-                held.update(self._held_stale, np.where(is_held, surfaces.geom, np.int32(-1)))
+                key = np.where(is_held, surfaces.geom, np.int32(-1))
+                held.update(self._held_stale, self._held_stale, key)
                 self._has_held = held.labels.count > 0
                 self._held_stale = np.zeros_like(self._has_held)
                 self._enclosed = find_enclosed(held, self._agent, self._settings)
         return self._enclosed
 
-    def _find_edges(self, is_large: Bool, near: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
-        """The fields of a `Site` from `edges` to `at_edges`; geometry has changed in `near`."""
-        sheets, blocks = self._sheets, self._blocks
-        reach = int(np.ceil(self._settings.shrink / self._lattice.cell_size)) + 1
+    def _find_edges(self, is_large: Bool) -> tuple[tuple[Int, Int], int, Int, Int, Int]:
+        """The fields of a `Site` from `edges` to `at_edges`."""
+        sheets, blocks, reach = self._sheets, self._blocks, self._reach
         keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
-        other = sheets.stale | self._large.differ(sheets.labels.count, keys)
+        other = blocks.around(self._large.differ(sheets.labels.count, keys), reach + 1)
+        other |= sheets.last_near == sheets.now
         asked = sheets.labelled(is_large), self._agent.traversable_floor_height, reach
-        self._edges.fill(list_edges, np.flatnonzero(blocks.around(other, reach)), *asked)
-        self._last[blocks.around(other | near, reach + 1)] = sheets.now
+        self._edges.fill(list_edges, np.flatnonzero(other), *asked)
+        self._last[other] = sheets.now
         block, (rows,) = self._edges.take()
-        last = np.zeros((2, len(is_large)), dtype=np.int64)
-        np.maximum.at(last[0], sheets.of_part, self._last[sheets.labels.block])
-        np.maximum.at(last[1], sheets.sheet_at(block, rows[:, 0]), self._last[block])
+        last, ends = np.zeros((2, len(is_large)), dtype=np.int64), np.zeros_like(sheets.of_part)
+        ends[sheets.labels.offset[block] + rows[:, 0]] = 1
+        of_part = self._last[sheets.labels.block]
+        np.maximum.at(last[0], sheets.of_part, of_part)
+        np.maximum.at(last[1], sheets.of_part, of_part * ends)
         return (block, rows), reach, self._last, last[0], last[1]
 
     def _place_reached(
@@ -288,8 +286,7 @@ def find_floors(
         store.add(block, shapes.planes)
     store.finish()
     finder = FloorFinder(store, agent, settings, given)
-    every = Blocks(columns.lattice).all()
-    return finder.find(columns, shapes, is_occupied, every), finder
+    return finder.find(columns, shapes, is_occupied), finder
 
 
 def fill_holes(level: LevelFloor, largest: float, is_occupied: OccupancyTest) -> LevelFloor:

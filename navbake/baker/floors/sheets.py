@@ -88,7 +88,8 @@ class Sheets:
     Attributes:
         joining: what joins surfaces to sheets.
         now: the number of the update.
-        last: in which update each block last had other surfaces.
+        last, last_near: in which update each block last had other surfaces, and when some near
+            it were, as far away as shrinking and edges look.
         of_part: the sheet of each part, shape (parts,), int32.
         key: an id of each sheet that stays while others come and go, int64, ascending.
         size: how many surfaces each has, int64.
@@ -110,7 +111,8 @@ class Sheets:
         self.joining = Joining(agent.traversable_floor_height, by_slopes=by_slopes)
         self.labels = Labels(blocks, self.joining)
         self._stacks = BlockTable(blocks.num, NO_ROWS, NO_HEIGHTS)
-        self.now, self.last = 0, np.zeros(blocks.num, dtype=np.int64)
+        self.now = 0
+        self.last, self.last_near = np.zeros((2, blocks.num), dtype=np.int64)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -123,11 +125,14 @@ class Sheets:
         stale: Bool = self.last == self.now
         return stale
 
-    def update(self, stale: Bool, key: Int32 = NO_KEY) -> None:
-        """Find the sheets again after surfaces in stale blocks changed; `key` as `label_blocks`."""
+    def update(self, stale: Bool, near: Bool, key: Int32 = NO_KEY) -> None:
+        """Find the sheets again after surfaces in stale blocks, and near others, changed.
+
+        For the key, see `label_blocks`.
+        """
         surfaces, labels = self.surfaces, self.labels
         self.now += 1
-        self.last[stale] = self.now
+        self.last[stale] = self.last_near[near] = self.now
         labels.update(surfaces, stale, key)
         asked = self.lattice, surfaces, labels.part, NO_KEY, labels.part
         self._stacks.fill(kernels.tally, np.flatnonzero(stale), *asked)
@@ -289,6 +294,8 @@ class SheetFacts:
             changed: for each sheet, the last update that changed anything else the fact depends
                 on, shape (sheets,); None if it depends on the sheet alone.
         """
+        if not chosen.any():
+            return []
         asked, names = np.zeros_like(chosen), list[tuple[str, int]]()
         for sheet in np.flatnonzero(chosen).tolist():
             names.append((name, self._digests[sheet]))

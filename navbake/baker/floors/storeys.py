@@ -83,7 +83,9 @@ class Storeys:
         num = sheets.blocks.num
         self._key, self._seen = np.empty(0, dtype=np.int32), Seen(num)
         self._stacked = np.zeros(num, dtype=np.bool_)
-        self._now, self._last = 0, np.zeros(num, dtype=np.int64)
+        # the last update in which something changed in each block, or as near as shrinking looks
+        self._now, (self._last, self._last_near) = 0, np.zeros((2, num), dtype=np.int64)
+        self._reach = area_test(sheets.lattice, settings).reach
         self._known: dict[Any, tuple[int, Any]] = {}
         self._kept: dict[Any, tuple[int, Any]] = {}
 
@@ -96,10 +98,12 @@ class Storeys:
         """
         sheets = self._sheets
         self._kept, self._known = self._known, {}
-        stale = sheets.last > self._now
-        stale |= self._seen.differ(sheets.labels.count, counts[sheets.of_part])
+        stale, near = sheets.last > self._now, sheets.last_near > self._now
         self._now = sheets.now
-        self._last[stale] = self._now
+        self._last[stale] = self._last_near[near] = self._now
+        others = self._seen.differ(sheets.labels.count, counts[sheets.of_part])
+        self._mark(others)
+        stale |= others
         self._key = fit(self._key, len(sheets.surfaces.z))
         bounds = np.array(given_spans(given), dtype=np.float64).reshape(-1, 2)
         chosen = np.flatnonzero(stale)
@@ -111,14 +115,19 @@ class Storeys:
             return self._assign(kept, grounds, names, GIVEN_TOLERANCE)
         return self._assign(kept, self._lower_grounds(kept, self._find_grounds(kept)), [], SLACK)
 
+    def _mark(self, blocks: Bool) -> None:
+        """Mark blocks in which anything may have changed."""
+        self._last[blocks] = self._now
+        self._last_near[self._sheets.blocks.around(blocks, self._reach)] = self._now
+
     def _recall(self, name: Any, make: Callable[[], Any], reach: int = 0) -> tuple[Any, Bool]:
         """What the last update kept under a name, or `make()`, and the blocks that are stale in it.
 
-        It depends on cells up to `reach` away.
+        It depends on cells up to `reach` away, no farther than shrinking looks.
         """
         tick, known = self._known.get(name) or self._kept.get(name) or (-1, make())
         self._known[name] = self._now, known
-        return known, self._sheets.blocks.around(self._last > tick, reach)
+        return known, (self._last_near if reach else self._last) > tick
 
     def _table(self) -> BlockTable:
         return BlockTable(self._sheets.blocks.num, NO_ROWS, NO_HEIGHTS)
@@ -133,11 +142,11 @@ class Storeys:
         """
         sheets = self._sheets
         if not self._stacked.any():
-            self._recall("flat", lambda: self._last.fill(self._now))
+            self._recall("flat", lambda: self._mark(sheets.blocks.all()))
             return Kept(self._key, NO_KEY, NO_ROWS[:, 0], np.empty(0, dtype=np.bool_))
         blocks, joining = sheets.blocks, Joining(min(self._step, PLATEAU), self._step)
         if "stairs" not in self._kept:
-            self._last[:] = self._now
+            self._mark(blocks.all())
         (labels, table, seen), stale = self._recall(
             "stairs", lambda: (Labels(blocks, joining), self._table(), Seen(blocks.num))
         )
@@ -160,7 +169,7 @@ class Storeys:
         orders = (np.argsort(height[ends], kind="stable") for ends in (lower, upper))
         above, below = kernels.climb(lower, upper, area, *orders)
         is_stair = (TIMES_LARGER * area < np.minimum(above, below))[whole]
-        self._last[seen.differ(labels.count, is_stair)] = self._now
+        self._mark(seen.differ(labels.count, is_stair))
         return Kept(self._key, labels.part, labels.offset, is_stair)
 
     def _find_grounds(self, kept: Kept) -> list[float]:

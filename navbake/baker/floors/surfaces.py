@@ -69,8 +69,10 @@ class SurfaceStore:
         self.surfaces = Surfaces._make([first, length, length.copy(), *arrays])
         del self._parts, self._length
 
-    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> Int:
-        """Replace the surfaces of some cells, ascending; returns those that changed.
+    def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> tuple[Int, Int]:
+        """Replace the surfaces of some cells, ascending.
+
+        Returns those that changed, and those with surfaces that something holds; they may repeat.
 
         A cell's surfaces that exceed the room of its run go behind all others. Crossings are
         numbered as `cells` are.
@@ -102,8 +104,7 @@ class SurfaceStore:
             self.surfaces = Surfaces._make([first, length, room, *arrays])
         for array, new in zip(arrays, found, strict=True):
             array[first[cells][own] + rank] = new
-        replaced: Int = cells[changed]
-        return replaced
+        return cells[changed], cells[own[found[2] & kernels.HELD != 0]]
 
     def at(self, cell: int) -> Int:
         """The places of the surfaces of a cell."""

@@ -111,15 +111,15 @@ def collect_shapes(
     names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
     solids, planes, triangles = list[int](), list[int](), dict[int, GeomTriangles]()
     endless = np.zeros(model.ngeom, dtype=np.bool_)
-    numbers = np.hstack([data.geom_xpos, data.geom_xmat, model.geom_size])
-    is_placed = (np.abs(numbers) <= LARGEST).all(axis=1).tolist()  # NaN isn't
-    # lists, which are read geom by geom in less time than the model's arrays
-    types, shapes = model.geom_type.tolist(), model.geom_dataid.tolist()
-    for geom in range(len(choices)) if only is None else only:
-        if not choices[geom].counted:
-            continue
-        (name, mesh, _), kind, shape = names[geom], types[geom], shapes[geom]
-        if not is_placed[geom]:
+    every = range(len(choices)) if only is None else only
+    ids = np.array([geom for geom in every if choices[geom].counted], dtype=np.int64)
+    numbers = np.hstack([data.geom_xpos[ids], data.geom_xmat[ids], model.geom_size[ids]])
+    # lists, which are read geom by geom in less time than arrays
+    is_placed = (np.abs(numbers) <= LARGEST).all(axis=1)  # NaN isn't
+    columns = ids, model.geom_type[ids], model.geom_dataid[ids], is_placed
+    for geom, kind, shape, placed in zip(*(array.tolist() for array in columns), strict=True):
+        (name, mesh, _), mode = names[geom], ""
+        if not placed:
             what = f"a pose or size that is no number, or beyond {LARGEST:g} m"
             raise SceneError(f"geom {name!r} has {what}")
         if kind in SOLIDS:

@@ -136,8 +136,9 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
 def find_reach(kind: Int32, way: Float, size: Float) -> Float:
     """How far solids reach from their centres along unit vectors in their own frames, (n,) [m]."""
     along, reach = np.abs(way), np.empty(len(kind))
-    for number in set(kind.tolist()):
-        own = kind == number
+    kinds = set(kind.tolist())
+    for number in kinds:
+        own = kind == number if len(kinds) > 1 else slice(None)
         up, sizes = along[own, 2], size[own]
         if number == BOX:
             reach[own] = (along[own] * sizes).sum(axis=1)

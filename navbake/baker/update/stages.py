@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
-from navbake.baker.blocks import Blocks
 from navbake.baker.column_blocks import cast_at, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
@@ -111,7 +110,7 @@ class LiveStages:
         self._finder: FloorFinder
         stages.floors, self._finder = stages.judge_floors()
         source, (lattice, _) = stages.judged_columns, stages.judged
-        self._blocks, self._kept = Blocks(lattice), None
+        self._kept = None
         if lattice.width * lattice.height <= column_blocks.KEPT_CELLS:
             (columns,) = source.blocks()
             self._kept = KeptColumns(columns)
@@ -162,7 +161,7 @@ class LiveStages:
         with limit_threads(1 if len(near) < LEAST_CELLS else None):
             if len(near):
                 flags_hold &= self._cast(now, near)
-                now.floors, finder = now.judge_floors(self._finder, self._blocks.holding(near))
+                now.floors, finder = now.judge_floors(self._finder)
                 levels = [
                     [(one.name, one.ground) for one in some.floors.levels] for some in (was, now)
                 ]
@@ -177,6 +176,8 @@ class LiveStages:
                 flags_hold &= np.array_equal(was.floors.links, now.floors.links)
             if not len(changed):
                 now.floor_layers = was.floor_layers
+                if len(now.floors.levels) == 1 and np.array_equal(_box(was), _box(now)):
+                    now.boxes = was.boxes  # which then depend on floors alone
             else:
                 self._room_flags = None  # they share the arrays of floors, which were written to
         if not flags_hold or self._room_flags is None:
@@ -235,12 +236,14 @@ def _box(stages: Stages) -> Float:
 def _follow_doors(was: Stages, now: Stages, touched: Int) -> list[Placing]:
     """Place again the doors that moved, and those near cells that something touched."""
     around, known = now.around_doors, {one.candidate: one for one in was.doors}
+    mask = np.zeros(now.lattice.shape, dtype=np.bool_)
+    mask.ravel()[touched] = True
     new = [one for one in now.candidates if one not in known]
     leaves = pose_leaves(now.scene, new, now.lattice, now.footprint.reach)
     leaves += [
         one.leaf
         for one in map(known.get, now.candidates)
-        if one and (now.rooms is not was.rooms or one.depends_on(touched, around))
+        if one and (now.rooms is not was.rooms or one.depends_on(mask, around))
     ]
     for one in place_doors(leaves, around):
         if one.candidate not in known or not are_equal(one, known[one.candidate]):

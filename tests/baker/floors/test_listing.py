@@ -118,7 +118,8 @@ def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
     planes, agent = one.tiled.shapes.planes, one.config.agent
     store = store_of(one, [one.columns.known_rows])
     sheets = Sheets(store, Blocks(one.lattice), agent)
-    sheets.update(sheets.blocks.all())
+    every = sheets.blocks.all()
+    sheets.update(every, every)
     check_sheets(sheets, agent.traversable_floor_height)
     rng, num = np.random.default_rng(3), len(one.columns.start) - 1
     order = rng.permutation(num)
@@ -129,11 +130,12 @@ def test_blocks_that_change_leave_the_sheets_of_a_fresh_bake(tmp_path):
         arrays = (
             np.concatenate(layer) for layer in zip(*(part[1:] for part in parts), strict=True)
         )
-        changed = store.replace(cells, parts[0]._make([start, *arrays]), planes)
-        sheets.update(sheets.blocks.holding(changed))
+        changed, _ = store.replace(cells, parts[0]._make([start, *arrays]), planes)
+        stale = sheets.blocks.holding(changed)
+        sheets.update(stale, stale)
         check_sheets(sheets, agent.traversable_floor_height)
     fresh = Sheets(store_of(other, [other.columns.known_rows]), Blocks(other.lattice), agent)
-    fresh.update(fresh.blocks.all())
+    fresh.update(every, every)
     for name in ("key", "size", "tops", "box", "digest"):
         assert np.array_equal(getattr(sheets, name), getattr(fresh, name)), name
 

@@ -12,9 +12,9 @@ import trimesh
 
 import navbake
 from box_worlds import box, stages_of_xml, world
+from navbake.baker.blocks import splice
 from navbake.baker.columns import cast_columns
 from navbake.baker.pipeline import run_bake
-from navbake.baker.seams import splice
 from navbake.baker.stages import Stages, bake_stages
 from navbake.baker.warn import collect_warnings
 from navbake.config.settings import parse_config
