@@ -11,6 +11,7 @@ from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
 # The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
@@ -72,11 +73,11 @@ def segment_by_gaps(
     around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
     floor, edge = level.floor[around], level.edge[around]
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
     rays = None
     if walls is not None and lattice is not None:
-        rays = WallRays(walls, lattice.cut(*around), floor)
-    spaces = Spaces(found, cells, cell_size, door_width, rays)
+        rays = run_beside(WallRays, walls, lattice.cut(*around), floor)
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
+    spaces = Spaces(found, cells, cell_size, door_width, rays and rays())
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]
@@ -110,26 +111,26 @@ def spread(label: Int32, open_cells: Bool) -> None:
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    source = np.arange(len(labels))  # the cell with a label that each one's is from
-    steps = 1, width, -1, -width
+    # to the cell with a label that each one's is from
+    downs, rights = np.zeros((2, len(labels)), dtype=np.int32)
+    steps = (0, 1, 1), (1, 0, width), (0, -1, -1), (-1, 0, -width)
     while len(waiting):
-        reached = np.logical_or.reduce([labels[waiting + step] > 0 for step in steps])
+        reached = np.logical_or.reduce([labels[waiting + step] > 0 for *_, step in steps])
         if not reached.any():
             break
         wave, waiting = waiting[reached], waiting[~reached]
-        found = np.full(len(wave), -1)
-        nearest, own, row, col = (np.zeros(len(wave), dtype=np.int64) for _ in range(4))
-        for step in steps:
-            origin = source[wave + step]
-            down, right = origin // width - wave // width, origin % width - wave % width
-            square, there = down**2 + right**2, labels[wave + step]
+        nearest, own, row, col = np.zeros((4, len(wave)), dtype=np.int32)
+        for to_row, to_col, step in steps:
+            cell = wave + step
+            there, down, right = labels[cell], downs[cell] + to_row, rights[cell] + to_col
+            square = down**2 + right**2
             same = (there < own) | (there == own) & (col * down - row * right > 0)
-            better = (found < 0) | (square < nearest) | (square == nearest) & same
+            better = (own == 0) | (square < nearest) | (square == nearest) & same
             better &= there > 0
-            new = origin, square, there, down, right
-            for kept, array in zip((found, nearest, own, row, col), new, strict=True):
-                np.copyto(kept, array, where=better)
-        source[wave], labels[wave] = found, own
+            kept, new = (nearest, own, row, col), (square, there, down, right)
+            for old, array in zip(kept, new, strict=True):
+                np.copyto(old, array, where=better)
+        labels[wave], downs[wave], rights[wave] = own, row, col
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 

@@ -12,7 +12,7 @@ from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
@@ -285,11 +285,15 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():
         return found
+    waiting = []
     for direction in find_directions(~wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
         scanned = turned(low, direction), turned(wall, direction)
         bridge = np.zeros_like(scanned[0])
-        kernels.mark_bridges(*scanned, direction.shift, bridge)
+        wait = run_beside(kernels.mark_bridges, *scanned, direction.shift, bridge)
+        waiting.append((direction, bridge, wait))
+    for direction, bridge, wait in waiting:
+        wait()
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
         col, top, end, _ = list_runs(bridge.T)
         for k in np.flatnonzero(end - top > most).tolist():

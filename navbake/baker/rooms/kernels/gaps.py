@@ -153,7 +153,7 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
                 gap[row, col] = max(gap[row, col], 1)
 
 
-@kernel
+@kernel(nogil=True)
 def mark_bridges(low, wall, shift, bridge):
     """Mark in `bridge` the `low` cells of ways along a line, which begin and end at a wall.
 
