@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, label_parts, list_runs
+from navbake.baker.connect import connect, count_cells, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import FAR, Gaps, Scan
 from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
@@ -77,14 +77,15 @@ def find_gaps(
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
             is_open = turned(space & ~marked, direction)
-            lines = is_open, direction.shift, turned(direction.near, direction).copy("K")
+            near = direction.near.T if direction.swapped else direction.near
+            lines = is_open, direction.shift, np.array(near, order="F")
             waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
         for wait in waiting:
             wait()
         for direction, own in zip(directions, marks, strict=True):
             marked |= (own.T if direction.swapped else own) > 0
     label, count = label_parts(open_cells & ~marked)
-    cells = np.bincount(label.ravel(), minlength=count + 1)
+    cells = count_cells(label, count + 1)
     keeps = cells * cell_size**2 >= ISLAND
     keeps[0] = True
     if not keeps.all():  # those that are left keep their order

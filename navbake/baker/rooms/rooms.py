@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, list_runs, touching
+from navbake.baker.connect import connect, count_cells, list_runs, touching
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
 from navbake.baker.rooms.flags import RoomFlags
@@ -173,7 +173,7 @@ class _Assignment:
         for flags, owner, under, label, cover in zip(*of_levels, strict=True):
             fresh = np.where(flags.open & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
-            used = np.bincount(fresh.ravel(), minlength=len(number))
+            used = count_cells(fresh, len(number))
             for k in np.flatnonzero(used[1:]).tolist():
                 self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self.rooms)

@@ -4,14 +4,14 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.connect import connect, label_parts, list_runs, touching
+from navbake.baker.connect import connect, count_cells, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_beside
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
@@ -81,9 +81,10 @@ def segment_by_gaps(
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]
+    del found, spaces, rays  # which hold the lattice in all directions
     spread(label, open_cells)
     least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
-    cells = np.bincount(label.ravel(), minlength=count)
+    cells = count_cells(label, count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
     joins = is_stair | (cells > 0) & (cells < least)
@@ -141,13 +142,20 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     steep = np.zeros(label.shape, dtype=np.bool_)
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
         return steep
-    height = np.where(label > 0, floor, np.nan)
-    squares = np.zeros(label.shape)
-    for over, squared in ((height, squares), (height.T, squares.T)):
-        change = over[2 * steps :] - over[: -2 * steps]
-        change *= change
-        squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
-    return (squares >= rise**2) & (label > 0)
+
+    def mark(first: int, end: int) -> None:
+        around = slice(max(first - steps, 0), end + steps)
+        height = np.where(label[around] > 0, floor[around], np.nan)
+        squares = np.zeros(height.shape)
+        for over, squared in ((height, squares), (height.T, squares.T)):
+            change = over[2 * steps :] - over[: -2 * steps]
+            change *= change
+            squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
+        inner = slice(first - around.start, end - around.start)
+        steep[first:end] = (squares[inner] >= rise**2) & (label[first:end] > 0)
+
+    run_in_bands(mark, len(label), least=2 * steps)
+    return steep
 
 
 class _Regions:
@@ -293,8 +301,7 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     for k in range(3):  # the nodes on each edge between two parts
         around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
-    cells = np.bincount(label.ravel())
-    cells[0] = 0
+    cells = count_cells(label, int(label.max(initial=0)) + 1)
     peaks = widest_nodes(label, squared_distances(around, reach), len(cells))
     # twice the distance to what is around, in half cells: the widest disc that fits
     return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
@@ -330,7 +337,7 @@ def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) ->
     than `CAVITY`. The largest segment is none.
     """
     cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
-    area = np.bincount(segment.ravel(), minlength=count) * cell_size**2
+    area = count_cells(segment, count) * cell_size**2
     space = np.where(owner > 0, owner + count, segment)
     pairs = space.ravel()[list_differing(space)]
     is_open = np.zeros(count, dtype=np.bool_)

@@ -195,7 +195,7 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
     count = shape[0] if swapped else shape[1]
     shift = np.rint(np.arange(count) * slope).astype(np.int64)
-    near = np.ones(shape, dtype=np.bool_)
+    near = np.broadcast_to(np.True_, shape)
     return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)), near)
 
 
@@ -208,8 +208,8 @@ class WallRays:
     """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice, self._height = lattice, floor + RAY_HEIGHT
-        low, high = np.nanmin(self._height), np.nanmax(self._height)
+        self._lattice, self._floor = lattice, floor
+        low, high = np.nanmin(floor) + RAY_HEIGHT, np.nanmax(floor) + RAY_HEIGHT
         corners, kept = walls.triangles.corners, np.empty(len(walls.triangles.geom), dtype=np.bool_)
 
         def choose(first: int, end: int) -> None:
@@ -247,9 +247,10 @@ class WallRays:
         if not len(cell):
             return
         lattice = self._lattice
-        row, col = np.divmod(cell, self._height.shape[0 if direction.swapped else 1])
+        row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
         row, col = (col, row) if direction.swapped else (row, col)
-        centers = np.column_stack([lattice.positions(row, col), self._height[row, col]]) @ axes.T
+        height = self._floor[row, col] + RAY_HEIGHT
+        centers = np.column_stack([lattice.positions(row, col), height]) @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
@@ -270,7 +271,7 @@ class WallRays:
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             turned = self._tiled.shapes.turned(axes)
             tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
-            known = np.zeros((self._height.size, 2))
+            known = np.zeros((self._floor.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]
 
