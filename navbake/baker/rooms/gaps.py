@@ -72,11 +72,11 @@ def find_gaps(
     marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
     marked, least = np.zeros_like(space), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
-        waiting = []
+        waiting, left = [], space & ~marked
         for direction, thick, own in zip(directions, thickness, marks, strict=True):
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
-            is_open = turned(space & ~marked, direction)
+            is_open = turned(left, direction)
             near = direction.near.T if direction.swapped else direction.near
             lines = is_open, direction.shift, np.array(near, order="F")
             waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))

@@ -240,8 +240,8 @@ class WallRays:
     def look(self, direction: Direction, cells: Int) -> None:
         """Cast rays from `cells`, shape (…, 2), back and on; -1 for none."""
         axes, tiled, known = self._turn(direction)
-        way = np.broadcast_to([0, 1], cells.shape)[cells >= 0]
-        cell = cells[cells >= 0]
+        at = np.nonzero(cells >= 0)
+        cell, way = cells[at], at[-1]
         new = known[cell, way] == 0.0
         cell, way = cell[new], way[new]
         if not len(cell):
@@ -254,7 +254,7 @@ class WallRays:
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
-        points[:, 0] += np.tile(across, len(row))
+        points.reshape(len(row), len(across), 2)[..., 0] += across
         crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
         ahead = np.where(way[line] == 1, 1.0, -1.0) * (crossings.z - centers[line, 2])
