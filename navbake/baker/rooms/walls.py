@@ -229,28 +229,24 @@ class WallRays:
         self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
-    def known(self, direction: Direction) -> Float:
-        """How far walls are from cells' centres along a direction, plus 1, (cells, 2) [columns].
+    def look(self, direction: Direction, cells: Int) -> Float:
+        """Cast rays from `cells`, shape (…, 2), back and on along a direction; -1 for none.
 
-        By cell, as the direction scans them, and way, back or on; inf for none within the rays'
-        reach. Where it is 0, it isn't known before `look`.
+        Returns how far walls are from cells' centres as far as that is known, plus 1, 0 where it
+        isn't, inf beyond the rays' reach [columns]: (cells, 2), as the direction scans them.
         """
-        return self._turn(direction)[2]
-
-    def look(self, direction: Direction, cells: Int) -> None:
-        """Cast rays from `cells`, shape (…, 2), back and on; -1 for none."""
         axes, tiled, known = self._turn(direction)
         at = np.nonzero(cells >= 0)
         cell, way = cells[at], at[-1]
         new = known[cell, way] == 0.0
         cell, way = cell[new], way[new]
         if not len(cell):
-            return
+            return known
         lattice = self._lattice
         row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
         row, col = (col, row) if direction.swapped else (row, col)
-        height = self._floor[row, col] + RAY_HEIGHT
-        centers = np.column_stack([lattice.positions(row, col), height]) @ axes.T
+        centers = np.column_stack([lattice.positions(row, col), self._floor[row, col] + RAY_HEIGHT])
+        centers = centers @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
@@ -261,9 +257,10 @@ class WallRays:
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
         known[cell, way] = nearest / (direction.stretch * lattice.cell_size) + 1.0
+        return known
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
-        """A frame in which the direction is up, its axes as rows; the walls in it; see `known`."""
+        """A frame in which the direction is up, its axes as rows; the walls in it; see `look`."""
         key = direction.swapped, direction.slope
         if key not in self._turned:
             way = np.array([1.0, -direction.slope]) / direction.stretch

@@ -280,9 +280,9 @@ class Remeasured(Spaces):
     def join(self, gap):
         before = self._shares.copy()
         super().join(gap)
-        apart = self.list_apart(np.arange(len(before)))
-        self.measure(apart)
-        return [k for k in apart.tolist() if (before[k] != self._shares[k]).any()]
+        apart = list(filter(self.parts, range(len(before))))
+        self.measure(np.array(apart, dtype=np.int64))
+        return [k for k in apart if (before[k] != self._shares[k]).any()]
 
 
 @pytest.mark.parametrize("angle", [0, 24, 45])
@@ -390,8 +390,7 @@ def test_rays_to_walls(as_mesh, tmp_path):
             cells = col * lattice.height + row if direction.swapped else row * lattice.width + col
             sides = np.full((len(row), 2), -1)
             sides[:, int(is_after)] = cells
-            rays.look(direction, sides)
-            found = rays.known(direction)[cells, int(is_after)] - 1.0
+            found = rays.look(direction, sides)[cells, int(is_after)] - 1.0
             found = np.where(found <= FAR, found, 0.5)
             for k in range(len(row)):
                 here = lattice.positions(row[k], col[k])
