@@ -64,6 +64,12 @@ def list_runs(values: NDArray[Any]) -> Runs:
     return Runs(row, first, bounds[inside + 1] - row * width, value[inside])
 
 
+def count_cells(labels: Int32, count: int) -> Int:
+    """How many cells have each label from 1 to below `count`; by label, 0 for 0."""
+    _, first, end, label = list_runs(labels)
+    return np.bincount(label, end - first, count).astype(np.int64)
+
+
 def label_parts(values: NDArray[Any]) -> tuple[Int32, int]:
     """Label the 4-connected parts of cells with one value (Rosenfeld and Pfaltz, 1966).
 

@@ -49,6 +49,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, collector_off
+from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Bool, Float, Int
 
 # Lists get so many times the room that they are expected to need, and so many where some are
@@ -99,7 +100,8 @@ class Contents:
         asked = np.arange(len(listed.first)) if cells is None else cells
         shape = listed.lattice.shape if cells is None else cells.shape
         walls, lows = np.empty((2, len(asked)), dtype=np.bool_)
-        kernels.mark_walls(listed, self.partitions, asked, walls, lows)
+        known = listed, self.partitions, asked, walls, lows
+        run_in_bands(kernels.mark_walls, len(asked), *known, least=LEAST_CELLS)
         return walls.reshape(shape), lows.reshape(shape)
 
     def user_data(self, level: int, window: Window) -> UserData:

@@ -128,12 +128,12 @@ def measure_blocks(listed, layers, heights, limits, blocks, counts, columns, beg
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def mark_walls(listed, kinds, cells, walls, lows):
-    """Mark the cells that a wall stands in and blocks; and those blocked only low.
+def mark_walls(listed, kinds, cells, walls, lows, begin, end):
+    """Mark which of ``cells[begin:end]`` a wall stands in and blocks; and those blocked only low.
 
     A building's mesh stands in the latter and blocks them, but not in the walls' band.
     """
-    for n in range(cells.shape[0]):
+    for n in range(begin, end):
         i = listed.first[cells[n]]
         walls[n], lows[n], is_upper = False, False, False
         while listed.geom[i] >= 0:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, label_parts, list_runs
+from navbake.baker.connect import connect, count_cells, label_parts, list_runs
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.kernels.gaps import FAR, Gaps, Scan
 from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
@@ -72,11 +72,11 @@ def find_gaps(
     marks = [np.zeros_like(turned(space, d), dtype=np.uint8) for d in directions]
     marked, least = np.zeros_like(space), door_width or 0.0
     for widest, both in ((max(WIDE, least), True), (max(PASSAGE, least), False)):
-        waiting = []
+        waiting, left = [], space & ~marked
         for direction, thick, own in zip(directions, thickness, marks, strict=True):
             step = direction.stretch * cell_size
             limits = int(widest / step), GROWTH, RISE / step, thick, both, own
-            is_open = turned(space & ~marked, direction)
+            is_open = turned(left, direction)
             lines = is_open, direction.shift, turned(direction.near, direction).copy("K")
             waiting.append(run_beside(kernels.mark_gaps, *lines, *limits))
         for wait in waiting:
@@ -84,7 +84,7 @@ def find_gaps(
         for direction, own in zip(directions, marks, strict=True):
             marked |= (own.T if direction.swapped else own) > 0
     label, count = label_parts(open_cells & ~marked)
-    cells = np.bincount(label.ravel(), minlength=count + 1)
+    cells = count_cells(label, count + 1)
     keeps = cells * cell_size**2 >= ISLAND
     keeps[0] = True
     if not keeps.all():  # those that are left keep their order
@@ -95,10 +95,8 @@ def find_gaps(
     for direction, own, thick in zip(directions, marks, thickness, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
-        # lines are followed row by row
-        regions, is_open = (label.T, space.T) if direction.swapped else (label, space)
-        regions, is_open = np.ascontiguousarray(regions), np.ascontiguousarray(is_open)
-        scan = Scan(regions, is_open, direction.shift, depths, leans)
+        scanned = turned(label, direction), turned(space, direction), direction.shift
+        scan = Scan(*scanned, depths, leans)
         found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
     return found, label, cells
 
@@ -165,23 +163,20 @@ class Spaces:
         counts = [len(gaps.first) for *_, gaps in found]
         self._start = np.cumsum([0, *counts])
         self._number = np.repeat(np.arange(len(found)), counts)
-        # from the centre of a gap's first cell, and of its last one, to the wall [columns]
-        self._beside = list[Float]()
-        self._known = list[Float]()  # by direction, see `WallRays.known`
+        # by direction, from the centres of gaps' first and last cells to walls [columns], and what
+        # `WallRays.look` returns
+        self._walls = list[tuple[Float, Float]]()
         self._width = np.ones(len(self._number))  # [cells]
         for number, (direction, scan, gaps) in enumerate(found):
             own = slice(self._start[number], self._start[number + 1])
-            known = np.full((scan.label.size, 2), 1.5) if rays is None else rays.known(direction)
             cols = np.stack([gaps.first, gaps.last], axis=1)
             ends = (gaps.top + gaps.bottom) // 2 * scan.label.shape[1] + cols
-            if rays is not None:
-                rays.look(direction, ends)
+            known = rays.look(direction, ends) if rays else np.full((scan.label.size, 2), 1.5)
             doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
             far = np.where(gaps.is_doorway, doorway, FAR)[:, None]
             beside = known[ends, [0, 1]] - 1.0
             beside = np.where(beside <= far, beside, 0.5)
-            self._known.append(known)
-            self._beside.append(beside)
+            self._walls.append((beside, known))
             inner = gaps.last - gaps.first
             self._width[own] = (inner + beside.sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
@@ -204,13 +199,13 @@ class Spaces:
         A line across a room at a doorway's edge is decided before the doorway.
         """
         for both in (True, False):
-            apart = self.list_apart(np.arange(len(self._width))).tolist()
+            apart = filter(self.parts, range(len(self._width)))
             queue = [(order, k) for k in apart if (order := self._order(k, both)) is not None]
             heapq.heapify(queue)
             while queue:
                 order, gap = heapq.heappop(queue)
                 # gaps measured again are in the queue again; a passage may have grown long
-                if not self._parts(gap) or order != self._order(gap, both):
+                if not self.parts(gap) or order != self._order(gap, both):
                     continue
                 for k in self.join(gap):
                     if (again := self._order(k, both)) is not None:
@@ -243,7 +238,7 @@ class Spaces:
         close &= self._width * self._cell_size >= CLOSE_WIDTH
         calls = []
         for k in np.flatnonzero(close).tolist():
-            parts, pair = self._parts(k), self._pairs[k]
+            parts, pair = self.parts(k), self._pairs[k]
             sizes = self._cells[self.whole[pair]] if parts else self._first[pair]
             if (sizes < CLOSE_AREA / self._cell_size**2).any():
                 continue
@@ -256,13 +251,8 @@ class Spaces:
             calls.append(CloseCall(cell, float(self._width[k]) * self._cell_size, parts))
         return calls
 
-    def list_apart(self, gaps: Int) -> Int:
-        """Those of some gaps that still part two spaces."""
-        sides = self.whole[self._pairs[gaps]]
-        apart: Int = gaps[sides[:, 0] != sides[:, 1]]
-        return apart
-
-    def _parts(self, gap: int) -> bool:
+    def parts(self, gap: int) -> bool:
+        """Whether a gap still parts two spaces."""
         above, below = self._pairs[gap]
         return bool(self.whole[above] != self.whole[below])
 
@@ -273,18 +263,17 @@ class Spaces:
             direction, scan, listed = self._found[number]
             start = int(self._start[number])
             chosen = gaps[numbers == number] - start
-            asked = self.whole, self._beside[number], self._known[number], DECIDING, WAVERING
+            asked = self.whole, *self._walls[number], DECIDING, WAVERING
             lines, shares, waits, met = kernels.measure_gaps(scan, listed, chosen, *asked)
             for k, space in met:
                 self._met_by[space].add(start + k)
-            self._shares[start + chosen] = shares
             if self._rays is not None and waits.any():
                 # the rays of most later lines, at once
                 some = slice(None) if len(chosen) == len(listed.first) else waits
                 self._rays.look(direction, lines[some][..., 4:])
-                chosen = chosen[waits]
-                _, shares, _, _ = kernels.measure_gaps(scan, listed, chosen, *asked)
-                self._shares[start + chosen] = shares
+                again = kernels.measure_gaps(scan, listed, chosen[waits], *asked)
+                shares[waits] = again[1]
+            self._shares[start + chosen] = shares
 
     def join(self, gap: int) -> list[int]:
         """Join the spaces on both sides of a gap; returns the gaps that were measured again."""
@@ -297,6 +286,6 @@ class Spaces:
             small, large = sorted((gaps[to], gaps[gone]), key=len)
             large |= small
             gaps[to], gaps[gone] = large, set()
-        apart = [k for k in sorted(changed) if self._parts(k)]
+        apart = list(filter(self.parts, sorted(changed)))
         self.measure(np.array(apart, dtype=np.int64))
         return apart

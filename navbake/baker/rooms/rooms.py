@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.connect import connect, list_runs, touching
+from navbake.baker.connect import connect, count_cells, list_runs, touching
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
 from navbake.baker.rooms.flags import RoomFlags
@@ -31,6 +31,7 @@ from navbake.errors import SceneError
 from navbake.navgrid.doors import DOOR_REACH
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Neighbour, Room
+from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 
 RoomIndex = NDArray[np.uint16]
@@ -140,14 +141,14 @@ def find_rooms(flags: RoomFlags, settings: RoomSettings, max_step: float) -> Roo
         index.append(number.astype(np.uint16))
         named.append([assignment.rooms[k - 1] for k in order])
     floors, open_cells = ([getattr(k, name) for k in flags.levels] for name in ("floor", "open"))
-    table = describe_rooms(index, named, floors, flags.lattice)
+    table = run_beside(describe_rooms, index, named, floors, flags.lattice)
     openings = find_openings(index, floors, flags.links, max_step)
     ends = (
         sorted((k, int(index[k].flat[cell])) for k, cell in ((level_a, a), (level_b, b)))
         for level_a, a, level_b, b in flags.links[flags.links[:, 0] != flags.links[:, 2]].tolist()
     )
     links = sorted({(a, b) for a, b in ends if a[1] and b[1]})
-    found = table, openings, links, flags.lattice, open_cells, assignment.warnings
+    found = table(), openings, links, flags.lattice, open_cells, assignment.warnings
     return Rooms(index, *found)
 
 
@@ -173,7 +174,7 @@ class _Assignment:
         for flags, owner, under, label, cover in zip(*of_levels, strict=True):
             fresh = np.where(flags.open & (owner == 0), label, 0)
             number = np.zeros(len(marked.names) + 1, dtype=np.int32)
-            used = np.bincount(fresh.ravel(), minlength=len(number))
+            used = count_cells(fresh, len(number))
             for k in np.flatnonzero(used[1:]).tolist():
                 self.rooms.append(NamedRoom(marked.names[k], source, k + 1 in marked.outdoors))
                 number[k + 1] = len(self.rooms)

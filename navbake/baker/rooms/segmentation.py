@@ -4,13 +4,14 @@ import heapq
 
 import numpy as np
 
-from navbake.baker.connect import connect, label_parts, list_runs, touching
+from navbake.baker.connect import connect, count_cells, label_parts, list_runs, touching
 from navbake.baker.lattice import bounding_window, list_differing
 from navbake.baker.rooms.flags import EDGE_LENGTH, LevelFlags, RoomFlags, edge_cells
 from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
@@ -72,17 +73,18 @@ def segment_by_gaps(
     around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
     floor, edge = level.floor[around], level.edge[around]
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
     rays = None
     if walls is not None and lattice is not None:
-        rays = WallRays(walls, lattice.cut(*around), floor)
-    spaces = Spaces(found, cells, cell_size, door_width, rays)
+        rays = run_beside(WallRays, walls, lattice.cut(*around), floor)
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
+    spaces = Spaces(found, cells, cell_size, door_width, rays and rays())
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]
+    del found, spaces, rays  # which hold the lattice in all directions
     spread(label, open_cells)
     least, count = min_area / cell_size**2 - ROUNDING, int(label.max(initial=0)) + 1
-    cells = np.bincount(label.ravel(), minlength=count)
+    cells = count_cells(label, count)
     steep = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=count)
     is_stair = steep >= STAIR_SHARE * np.maximum(cells, 1)
     joins = is_stair | (cells > 0) & (cells < least)
@@ -110,26 +112,26 @@ def spread(label: Int32, open_cells: Bool) -> None:
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    source = np.arange(len(labels))  # the cell with a label that each one's is from
-    steps = 1, width, -1, -width
+    # to the cell with a label that each one's is from
+    downs, rights = np.zeros((2, len(labels)), dtype=np.int32)
+    steps = (0, 1, 1), (1, 0, width), (0, -1, -1), (-1, 0, -width)
     while len(waiting):
-        reached = np.logical_or.reduce([labels[waiting + step] > 0 for step in steps])
+        reached = np.logical_or.reduce([labels[waiting + step] > 0 for *_, step in steps])
         if not reached.any():
             break
         wave, waiting = waiting[reached], waiting[~reached]
-        found = np.full(len(wave), -1)
-        nearest, own, row, col = (np.zeros(len(wave), dtype=np.int64) for _ in range(4))
-        for step in steps:
-            origin = source[wave + step]
-            down, right = origin // width - wave // width, origin % width - wave % width
-            square, there = down**2 + right**2, labels[wave + step]
+        nearest, own, row, col = np.zeros((4, len(wave)), dtype=np.int32)
+        for to_row, to_col, step in steps:
+            cell = wave + step
+            there, down, right = labels[cell], downs[cell] + to_row, rights[cell] + to_col
+            square = down**2 + right**2
             same = (there < own) | (there == own) & (col * down - row * right > 0)
-            better = (found < 0) | (square < nearest) | (square == nearest) & same
+            better = (own == 0) | (square < nearest) | (square == nearest) & same
             better &= there > 0
-            new = origin, square, there, down, right
-            for kept, array in zip((found, nearest, own, row, col), new, strict=True):
-                np.copyto(kept, array, where=better)
-        source[wave], labels[wave] = found, own
+            kept, new = (nearest, own, row, col), (square, there, down, right)
+            for old, array in zip(kept, new, strict=True):
+                np.copyto(old, array, where=better)
+        labels[wave], downs[wave], rights[wave] = own, row, col
     label[:] = labels.reshape(-1, width)[1:-1, 1:-1]
 
 
@@ -140,13 +142,20 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     steep = np.zeros(label.shape, dtype=np.bool_)
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
         return steep
-    height = np.where(label > 0, floor, np.nan)
-    squares = np.zeros(label.shape)
-    for over, squared in ((height, squares), (height.T, squares.T)):
-        change = over[2 * steps :] - over[: -2 * steps]
-        change *= change
-        squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
-    return (squares >= rise**2) & (label > 0)
+
+    def mark(first: int, end: int) -> None:
+        around = slice(max(first - steps, 0), end + steps)
+        height = np.where(label[around] > 0, floor[around], np.nan)
+        squares = np.zeros(height.shape)
+        for over, squared in ((height, squares), (height.T, squares.T)):
+            change = over[2 * steps :] - over[: -2 * steps]
+            change *= change
+            squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
+        inner = slice(first - around.start, end - around.start)
+        steep[first:end] = (squares[inner] >= rise**2) & (label[first:end] > 0)
+
+    run_in_bands(mark, len(label), least=2 * steps)
+    return steep
 
 
 class _Regions:
@@ -292,8 +301,7 @@ def _measure_parts(label: Int32, cell_size: float) -> tuple[Int, Bool]:
     for k in range(3):  # the nodes on each edge between two parts
         around[k : k + 2 * height - 1 : 2, 2:-1:2] |= label[:, :-1] != label[:, 1:]
         around[2:-1:2, k : k + 2 * width - 1 : 2] |= label[:-1] != label[1:]
-    cells = np.bincount(label.ravel())
-    cells[0] = 0
+    cells = count_cells(label, int(label.max(initial=0)) + 1)
     peaks = widest_nodes(label, squared_distances(around, reach), len(cells))
     # twice the distance to what is around, in half cells: the widest disc that fits
     return cells, peaks >= (SLIVER / cell_size) ** 2 - ROUNDING
@@ -329,7 +337,7 @@ def find_cavities(segment: Int32, owner: Int32, flags: RoomFlags, level: int) ->
     than `CAVITY`. The largest segment is none.
     """
     cell_size, count = flags.lattice.cell_size, int(segment.max(initial=0)) + 1
-    area = np.bincount(segment.ravel(), minlength=count) * cell_size**2
+    area = count_cells(segment, count) * cell_size**2
     space = np.where(owner > 0, owner + count, segment)
     pairs = space.ravel()[list_differing(space)]
     is_open = np.zeros(count, dtype=np.bool_)

@@ -12,7 +12,7 @@ from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.scene.shapes import Shapes, Triangles
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_bands
+from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 T = TypeVar("T", bound=np.generic)
@@ -195,7 +195,7 @@ def direction_of(angle: float, shape: tuple[int, ...]) -> Direction:
     slope = np.tan(np.deg2rad(90.0 - angle if swapped else angle))
     count = shape[0] if swapped else shape[1]
     shift = np.rint(np.arange(count) * slope).astype(np.int64)
-    near = np.ones(shape, dtype=np.bool_)
+    near = np.broadcast_to(np.True_, shape)
     return Direction(swapped, shift, float(slope), float(np.hypot(1.0, slope)), near)
 
 
@@ -208,8 +208,8 @@ class WallRays:
     """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice, self._height = lattice, floor + RAY_HEIGHT
-        low, high = np.nanmin(self._height), np.nanmax(self._height)
+        self._lattice, self._floor = lattice, floor
+        low, high = np.nanmin(floor) + RAY_HEIGHT, np.nanmax(floor) + RAY_HEIGHT
         corners, kept = walls.triangles.corners, np.empty(len(walls.triangles.geom), dtype=np.bool_)
 
         def choose(first: int, end: int) -> None:
@@ -229,40 +229,38 @@ class WallRays:
         self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
-    def known(self, direction: Direction) -> Float:
-        """How far walls are from cells' centres along a direction, plus 1, (cells, 2) [columns].
+    def look(self, direction: Direction, cells: Int) -> Float:
+        """Cast rays from `cells`, shape (…, 2), back and on along a direction; -1 for none.
 
-        By cell, as the direction scans them, and way, back or on; inf for none within the rays'
-        reach. Where it is 0, it isn't known before `look`.
+        Returns how far walls are from cells' centres as far as that is known, plus 1, 0 where it
+        isn't, inf beyond the rays' reach [columns]: (cells, 2), as the direction scans them.
         """
-        return self._turn(direction)[2]
-
-    def look(self, direction: Direction, cells: Int) -> None:
-        """Cast rays from `cells`, shape (…, 2), back and on; -1 for none."""
         axes, tiled, known = self._turn(direction)
-        way = np.broadcast_to([0, 1], cells.shape)[cells >= 0]
-        cell = cells[cells >= 0]
+        at = np.nonzero(cells >= 0)
+        cell, way = cells[at], at[-1]
         new = known[cell, way] == 0.0
         cell, way = cell[new], way[new]
         if not len(cell):
-            return
+            return known
         lattice = self._lattice
-        row, col = np.divmod(cell, self._height.shape[0 if direction.swapped else 1])
+        row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
         row, col = (col, row) if direction.swapped else (row, col)
-        centers = np.column_stack([lattice.positions(row, col), self._height[row, col]]) @ axes.T
+        centers = np.column_stack([lattice.positions(row, col), self._floor[row, col] + RAY_HEIGHT])
+        centers = centers @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
-        points[:, 0] += np.tile(across, len(row))
+        points.reshape(len(row), len(across), 2)[..., 0] += across
         crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
         ahead = np.where(way[line] == 1, 1.0, -1.0) * (crossings.z - centers[line, 2])
         nearest = np.full(len(row), np.inf)
         np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
         known[cell, way] = nearest / (direction.stretch * lattice.cell_size) + 1.0
+        return known
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
-        """A frame in which the direction is up, its axes as rows; the walls in it; see `known`."""
+        """A frame in which the direction is up, its axes as rows; the walls in it; see `look`."""
         key = direction.swapped, direction.slope
         if key not in self._turned:
             way = np.array([1.0, -direction.slope]) / direction.stretch
@@ -270,7 +268,7 @@ class WallRays:
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             turned = self._tiled.shapes.turned(axes)
             tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
-            known = np.zeros((self._height.size, 2))
+            known = np.zeros((self._floor.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]
 
@@ -285,11 +283,15 @@ def find_windows(low: Bool, wall: Bool, cell_size: float) -> Bool:
     found = np.zeros(low.shape, dtype=np.bool_)
     if not low.any():
         return found
+    waiting = []
     for direction in find_directions(~wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
         scanned = turned(low, direction), turned(wall, direction)
         bridge = np.zeros_like(scanned[0])
-        kernels.mark_bridges(*scanned, direction.shift, bridge)
+        wait = run_beside(kernels.mark_bridges, *scanned, direction.shift, bridge)
+        waiting.append((direction, bridge, wait))
+    for direction, bridge, wait in waiting:
+        wait()
         most = int(SILL_THICKNESS * direction.stretch / cell_size) + 2
         col, top, end, _ = list_runs(bridge.T)
         for k in np.flatnonzero(end - top > most).tolist():

@@ -51,7 +51,7 @@ def test_wall_cells_and_low_ones(seed):
     kinds = rng.choice(np.array([OBJECT, WALL, BUILDING], dtype=np.uint8), GEOMS)
     cells = np.flatnonzero(rng.random(CELLS) < 0.7)
     walls, lows = np.empty((2, len(cells)), dtype=np.bool_)
-    mark_walls(listed, kinds, cells, walls, lows)
+    mark_walls(listed, kinds, cells, walls, lows, 0, len(cells))
     for n, cell in enumerate(cells.tolist()):
         here = [(kinds[geom], flags) for geom, flags in lists[cell] if flags & STANDS]
         upper = [kind for kind, flags in here if flags & PROBED]

@@ -9,7 +9,14 @@ from scipy import ndimage
 
 from navbake.baker.rooms.gaps import DECIDING, GROWTH, WAVERING, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.walls import WallRays, direction_of, find_directions, squared_distances
+from navbake.baker.rooms.walls import (
+    WallRays,
+    direction_of,
+    distances_at,
+    find_directions,
+    squared_distances,
+    wall_nodes,
+)
 from offices import make_plan
 from offices_truth import bake_plan, overlaps
 
@@ -82,10 +89,10 @@ def test_gaps_are_beside_longer_runs(both):
     rng = np.random.default_rng(1)
     widest, rise, thickness = 14, 2.0, 5
     for _ in range(4):
-        is_open = floor_plan(rng)
-        scanned = is_open, np.zeros(70, dtype=np.int64), np.ones(is_open.shape, dtype=np.bool_)
+        is_open = np.asfortranarray(floor_plan(rng))
+        scanned = is_open, np.zeros(70, dtype=np.int64), np.ones_like(is_open)
         run = measure_runs(*scanned)
-        gap = np.zeros(run.shape, dtype=np.uint8)
+        gap = np.zeros_like(is_open, dtype=np.uint8)
         kernels.mark_gaps(*scanned, widest, GROWTH, rise, thickness, both, gap)
 
         def widens(here, there):
@@ -118,8 +125,8 @@ def test_bridges_lead_from_wall_to_wall(angle):
     rng = np.random.default_rng(2)
     marked = 0
     for _ in range(6):
-        wall = ~blobs(rng, smooth=1.2, most=-0.6)
-        low = blobs(rng, smooth=1.0) & ~wall
+        wall = np.asfortranarray(~blobs(rng, smooth=1.2, most=-0.6))
+        low = np.asfortranarray(blobs(rng, smooth=1.0)) & ~wall
         shift = direction_of(angle, low.shape).shift
         bridge = np.zeros_like(low)
         kernels.mark_bridges(low, wall, shift, bridge)
@@ -273,9 +280,9 @@ class Remeasured(Spaces):
     def join(self, gap):
         before = self._shares.copy()
         super().join(gap)
-        apart = self.list_apart(np.arange(len(before)))
-        self.measure(apart)
-        return [k for k in apart.tolist() if (before[k] != self._shares[k]).any()]
+        apart = list(filter(self.parts, range(len(before))))
+        self.measure(np.array(apart, dtype=np.int64))
+        return [k for k in apart if (before[k] != self._shares[k]).any()]
 
 
 @pytest.mark.parametrize("angle", [0, 24, 45])
@@ -329,6 +336,16 @@ def test_distances_are_those_of_scipy(reach, shape):
         np.testing.assert_array_equal(squared_distances(target, reach), expected)
 
 
+@pytest.mark.parametrize("reach", [0, 1, 8, 21])
+def test_distances_at_some_nodes(reach):
+    rng = np.random.default_rng(reach)
+    for shape in ((1, 1), (3, 50), (31, 20)):
+        is_open = rng.random(shape) < 0.99
+        every = squared_distances(wall_nodes(is_open), reach)
+        nodes = rng.integers(0, every.shape, (200, 2)).T
+        np.testing.assert_array_equal(distances_at(is_open, reach, *nodes), every[tuple(nodes)])
+
+
 @pytest.mark.parametrize("turn", [0.0, 7.4, 26.0, 39.15, 50.67, 71.0])
 def test_directions_are_those_of_the_walls(turn):
     """In a hall with a partition, to half a degree."""
@@ -373,8 +390,7 @@ def test_rays_to_walls(as_mesh, tmp_path):
             cells = col * lattice.height + row if direction.swapped else row * lattice.width + col
             sides = np.full((len(row), 2), -1)
             sides[:, int(is_after)] = cells
-            rays.look(direction, sides)
-            found = rays.known(direction)[cells, int(is_after)] - 1.0
+            found = rays.look(direction, sides)[cells, int(is_after)] - 1.0
             found = np.where(found <= FAR, found, 0.5)
             for k in range(len(row)):
                 here = lattice.positions(row[k], col[k])

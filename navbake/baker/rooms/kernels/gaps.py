@@ -153,7 +153,7 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
                 gap[row, col] = max(gap[row, col], 1)
 
 
-@kernel
+@kernel(nogil=True)
 def mark_bridges(low, wall, shift, bridge):
     """Mark in `bridge` the `low` cells of ways along a line, which begin and end at a wall.
 
@@ -162,8 +162,7 @@ def mark_bridges(low, wall, shift, bridge):
     cells, but not furniture along a wall.
     """
     rows, cols = low.shape
-    # column by column, so that what is read one after the other lies so in memory
-    low, wall = np.ascontiguousarray(low.T), np.ascontiguousarray(wall.T)
+    low, wall = low.T, wall.T
     held = np.zeros((cols, rows), dtype=np.uint8)  # by a wall at the way's first end
     for col in range(1, cols):
         to_before = shift[col - 1] - shift[col]
@@ -215,12 +214,12 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
 
     Shares are measured in cells; and up to the walls where at most `wavering` cells keep the least
     one from one of the `deciding` ones. The walls lie `beside` the centres of a gap's end cells,
-    (gaps, 2), and beyond those of a line as is `known` by cell and end, see `WallRays.known`.
+    (gaps, 2), and beyond those of a line as is `known` by cell and end, see `WallRays.look`.
 
     Returns:
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
         such openings before and after it [columns]; and the cells at which it ends at a wall before
-        and after, -1 for none. If both sides are one region, 1, 1, 0, 0, -1, -1.
+        and after, -1 for none. Nothing is measured if both sides are one region.
         By gap and side, the least share of a line that is the gap's width or such openings.
         By gap, whether its shares wait for walls that are not known yet.
         Pairs of gaps and other regions that their lines met: only if one of these is joined, the
@@ -233,7 +232,7 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
         k = chosen[i]
         above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
         wavers = False
-        for side in range(2):
+        for side in range(0 if above == below else 2):
             own, other = (above, below) if side == 0 else (below, above)
             # how many open rows lie behind the gap in its middle, up to the first depth
             ends, way = (gaps.top[k], -1) if side == 0 else (gaps.bottom[k], 1)
@@ -246,9 +245,6 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
             shortest = len(scan.shift)
             for depth in range(len(scan.depths)):
                 measured = lines[i, side, depth]
-                if above == below:
-                    measured[0], measured[1], measured[2], measured[3] = 1, 1, 0, 0
-                    continue
                 rows, lean = scan.depths[depth], scan.leans[depth]
                 if depth == 0 and deep < rows:
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
