@@ -190,7 +190,7 @@ def test_audits_and_verifications_are_marked(tmp_path):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("{", "expected what .* prints, .*verify.json can't be read"),
+        ("{", "expected what .* prints: broken JSON in .*verify.json"),
         ("[]", "expected what `navbake verify --json` prints in .*verify.json"),
         ('{"ok": 1}', r"verify.json: Expected `bool`, got `int` - at `\$.ok`"),
         (
