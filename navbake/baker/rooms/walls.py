@@ -203,11 +203,11 @@ class WallRays:
         run_in_bands(choose, -(-len(kept) // CHUNK))
         triangles = Triangles._make(array[kept] for array in walls.triangles)
         # rays meet what is near to their cells alone, so that nothing is left as often as entered
-        triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
-        walls = replace(walls, triangles=triangles)
+        self._triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
         self._reach = max(FAR * lattice.cell_size, FAR_OF_DOORWAY)
         # by tiles as seen from above, whatever the rays' direction
-        self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
+        reach = self._reach + lattice.cell_size
+        self._tiled = tile_shapes(walls, lattice, reach, self._triangles)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
     def measure(
@@ -255,8 +255,8 @@ class WallRays:
             way = np.array([1.0, -direction.slope]) / direction.stretch
             x, y = -way[::-1] if direction.swapped else way
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            turned = self._tiled.shapes.turned(axes)
-            tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
+            facets = facets_of(self._triangles.turned(axes))
+            tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes), facets=facets)
             known = np.zeros((self._lattice.width * self._lattice.height, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]

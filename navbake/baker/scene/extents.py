@@ -44,8 +44,9 @@ def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
     pairs = (np.full((num_geoms, 2), np.nan) for _ in range(2))
     extents = Extents(*pairs, *(np.full(num_geoms, np.nan) for _ in range(4)))
     _measure_solids(shapes.solids, extents)
-    if len(shapes.triangles.geom):
-        _measure_triangles(shapes.triangles.geom, shapes.triangles.corners, extents)
+    for triangles in shapes.triangles_of_some():
+        if len(triangles.geom):
+            _measure_triangles(triangles.geom, triangles.corners, extents)
     return extents
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -11,7 +13,8 @@ from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from navbake.lazy import lazy
-from navbake.types import Bool, Float, Int32
+from navbake.threads import run_in_bands, take_rows
+from navbake.types import Bool, Float, Int, Int32
 
 spatial = lazy("scipy.spatial")
 
@@ -58,9 +61,58 @@ class Triangles(NamedTuple):
     closed: NDArray[np.uint8]
     corners: Float  # (m, 3, 3), counter-clockwise from the front [m]
 
+    def turned(self, axes: Float) -> Triangles:
+        """The triangles in a frame with these axes, its rows, shape (3, 3)."""
+        return self._replace(corners=np.ascontiguousarray(self.corners @ axes.T))
 
-Items = TypeVar("Items", Solids, Planes, Triangles)
-ROW = 64  # triangles
+
+class GeomTriangles(NamedTuple):
+    """The triangles of one geom, what they enclose, see `Triangles`, and its `GeomReport.shape`."""
+
+    vertices: Float
+    faces: Int32
+    part: Int32
+    closed: NDArray[np.uint8]
+    kind: str
+
+
+class Meshes(NamedTuple):
+    """The geoms that are made of triangles, ascending, shape (n,), and the triangles of each.
+
+    Geoms of one mesh share all arrays but the vertices, which are in the world frame [m]. `boxes`
+    are exact, (n, 6): lower corner, upper corner [m].
+    """
+
+    geom: Int32
+    triangles: Sequence[GeomTriangles]
+    boxes: Float
+
+    @property
+    def counts(self) -> Int:
+        """How many triangles each geom has, shape (n,)."""
+        return np.array([len(one.faces) for one in self.triangles], dtype=np.int64)
+
+    def only(self, kept: Bool) -> Meshes:
+        """Those that are kept, shape (n,)."""
+        pairs = zip(self.triangles, kept.tolist(), strict=True)
+        chosen = [one for one, is_kept in pairs if is_kept]
+        return Meshes(self.geom[kept], chosen, self.boxes[kept])
+
+    def expand(self) -> Triangles:
+        """All triangles, by their corners."""
+        ends = np.cumsum([0, *self.counts])
+        part, closed = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.uint8)
+        corners = np.empty((ends[-1], 3, 3))
+        for one, (first, end) in zip(self.triangles, pairwise(ends.tolist()), strict=True):
+            part[first:end], closed[first:end] = one.part, one.closed
+            taken = one.vertices, one.faces, corners[first:end]
+            run_in_bands(take_rows, end - first, *taken, least=4096)
+        return Triangles(np.repeat(self.geom, self.counts), part, closed, corners)
+
+
+Items = TypeVar("Items", Solids, Planes)
+# So many triangles are expanded together where there are more than so many times as many
+TOGETHER, MANY = 1 << 20, 4
 
 
 @dataclass(frozen=True)
@@ -69,24 +121,31 @@ class Shapes:
 
     solids: Solids
     planes: Planes
-    triangles: Triangles
+    meshes: Meshes
     # By geom id, planes with one infinite side: triangles of FAR, which don't count for the box
     endless: Bool
 
     @cached_property
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        corners = self.triangles.corners
-        if self.endless.any():
-            corners = corners[~self.endless[self.triangles.geom]]
-        low, high = self.solids.bounds[:, :3], self.solids.bounds[:, 3:]
-        # the corners of many triangles at once: numpy takes longer along short rows
-        whole = len(corners) - len(corners) % ROW
-        for some in (corners[:whole].reshape(-1, 9 * ROW), corners[whole:].reshape(-1, 9)):
-            if len(some):
-                low = np.concatenate([low, some.min(axis=0).reshape(-1, 3)])
-                high = np.concatenate([high, some.max(axis=0).reshape(-1, 3)])
+        ends = self.meshes.boxes[~self.endless[self.meshes.geom]]
+        boxes = np.concatenate([self.solids.bounds, ends])
+        low, high = boxes[:, :3], boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """All triangles."""
+        return self.meshes.expand()
+
+    def triangles_of_some(self) -> Iterator[Triangles]:
+        """All triangles, but of few geoms at a time where they are many."""
+        group = np.cumsum(self.meshes.counts) // TOGETHER
+        if len(set(group.tolist())) <= MANY:
+            yield self.triangles
+            return
+        for number in np.unique(group).tolist():
+            yield self.meshes.only(group == number).expand()
 
     def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""
@@ -97,8 +156,8 @@ class Shapes:
             kept = geoms[items.geom]
             return items if kept.all() else type(items)._make(array[kept] for array in items)
 
-        kept = marked(self.solids), marked(self.planes), marked(self.triangles)
-        return Shapes(*kept, self.endless & geoms)
+        meshes = self.meshes.only(geoms[self.meshes.geom])
+        return Shapes(marked(self.solids), marked(self.planes), meshes, self.endless & geoms)
 
     def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
         """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
@@ -112,18 +171,39 @@ class Shapes:
                 array[at] = values
             return type(old)._make(arrays)
 
+        triangles, boxes = list(self.meshes.triangles), self.meshes.boxes.copy()
+        at = np.flatnonzero(geoms[self.meshes.geom])
+        boxes[at] = new.meshes.boxes
+        for n, one in zip(at.tolist(), new.meshes.triangles, strict=True):
+            triangles[n] = one
+        meshes = Meshes(self.meshes.geom, triangles, boxes)
         solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
-        return Shapes(solids, planes, put(self.triangles, new.triangles), self.endless)
+        return Shapes(solids, planes, meshes, self.endless)
 
     def turned(self, axes: Float) -> Shapes:
-        """All but infinite planes in a frame with these axes, its rows, shape (3, 3)."""
+        """The solids in a frame with these axes, its rows, shape (3, 3)."""
         solids, mats = self.solids, axes @ self.solids.mat.reshape(-1, 3, 3)
         pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
         bounds = solid_bounds(solids.kind, *pose)
-        corners = np.ascontiguousarray(self.triangles.corners @ axes.T)
         planes = Planes._make(array[:0] for array in self.planes)
-        turned = self.triangles._replace(corners=corners)
-        return Shapes(Solids(solids.geom, solids.kind, *pose, bounds), planes, turned, self.endless)
+        turned = Solids(solids.geom, solids.kind, *pose, bounds)
+        none = np.zeros(len(self.meshes.geom), dtype=np.bool_)
+        return Shapes(turned, planes, self.meshes.only(none), self.endless)
+
+
+def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
+    """The meshes of some geoms, by ascending ids, without those of no triangle."""
+    some = {geom: one for geom, one in triangles.items() if len(one.faces)}
+    boxes, known = np.empty((len(some), 6)), dict[int, Bool]()
+    for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
+        if id(faces) not in known:
+            known[id(faces)] = np.zeros(len(vertices), dtype=np.bool_)
+            known[id(faces)][faces] = True
+        is_used = known[id(faces)]
+        used = vertices if is_used.all() else vertices[is_used]
+        for k in range(3):  # numpy takes ten times as long along the rows of a narrow array
+            box[k], box[3 + k] = used[:, k].min(), used[:, k].max()
+    return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
