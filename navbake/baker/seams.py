@@ -120,10 +120,11 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Cros
 
     The cells ascend and may repeat.
     """
-    old, begin = columns.crossings, columns.known_rows.cells(columns.lattice)[0]
-    start, more = old.start.copy(), np.zeros(len(old.start), dtype=np.int64)
-    np.add.at(more, cell + 1, np.diff(new.start) - (last - first))
-    start[begin:] += np.cumsum(more[begin:])
+    old, (begin, end) = columns.crossings, columns.known_rows.cells(columns.lattice)
+    more = np.zeros(end - begin + 1, dtype=np.int64)
+    np.add.at(more, cell + 1 - begin, np.diff(new.start) - (last - first))
+    start = np.zeros(len(old.start), dtype=np.int64)  # whose pages cost nothing until written
+    np.add(old.start[begin : end + 1], np.cumsum(more, out=more), out=start[begin : end + 1])
     layers: Any = zip(old[1:], new[1:], strict=True)
     arrays = (splice(array, first, last, other, new.start) for array, other in layers)
     return replace(columns, crossings=Crossings(start, *arrays))

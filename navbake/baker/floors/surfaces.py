@@ -68,7 +68,7 @@ class SurfaceStore:
         length, arrays = self._length, join_parts(self._parts)
         first = np.cumsum(length, dtype=np.int64) - length
         self._used = len(arrays[0])
-        self.surfaces = Surfaces._make([first, length, length.copy(), *arrays])
+        self.surfaces = Surfaces._make([first, length, length, *arrays])
         del self._parts, self._length
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> Int:
@@ -78,6 +78,8 @@ class SurfaceStore:
         numbered as `cells` are.
         """
         start, *found = self._list(cells, crossings, planes)
+        if self.surfaces.room is self.surfaces.length:
+            self.surfaces = self.surfaces._replace(room=self.surfaces.length.copy())
         first, length, room = self.surfaces[:3]
         arrays: list[NDArray[Any]] = list(self.surfaces[3:])
         count = np.diff(start)

@@ -18,6 +18,7 @@ SLIVER = 0.5
 # A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
 # on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
 STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
+STRIP = 256  # rows that are looked at together, for the memory that it takes
 # By how much the distance from a corridor's middle to its walls varies at most, over all angles and
 # offsets to the lattice [half cells]
 ROUGHNESS = 1.0
@@ -138,13 +139,16 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     steep = np.zeros(label.shape, dtype=np.bool_)
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
         return steep
-    height = np.where(label > 0, floor, np.nan)
-    squares = np.zeros(label.shape)
-    for over, squared in ((height, squares), (height.T, squares.T)):
-        change = over[2 * steps :] - over[: -2 * steps]
-        change *= change
-        squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
-    return (squares >= rise**2) & (label > 0)
+    for first in range(0, len(label), STRIP):
+        begin, end = max(first - steps, 0), first + STRIP
+        height = np.where(label[begin : end + steps] > 0, floor[begin : end + steps], np.nan)
+        squares = np.zeros(height.shape)
+        for over, squared in ((height, squares), (height.T, squares.T)):
+            change = over[2 * steps :] - over[: -2 * steps]
+            change *= change
+            squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
+        steep[first:end] = squares[first - begin :][:STRIP] >= rise**2
+    return steep & (label > 0)
 
 
 class _Regions:

@@ -30,7 +30,7 @@ class Surfaces(NamedTuple):
     Attributes:
         first: (cells,) int64.
         length: (cells,) int32.
-        room: the capacity of each run, (cells,) int32.
+        room: the capacity of each run, (cells,) int32; `length` itself until one is replaced.
         z: heights, ascending in a cell, (n,) float64 [m].
         geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
