@@ -8,7 +8,7 @@ from navbake.baker import columns as columns_module
 from navbake.baker.blocks import BlockAnswers
 from navbake.baker.clock import StageClock
 from navbake.baker.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
-from navbake.baker.columns import Columns, split_rows
+from navbake.baker.columns import Columns, ShapeSource, split_rows
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import bake_stages, take_first_look
 from navbake.config.settings import load_config, parse_config
@@ -36,14 +36,14 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     geoms = [f'<geom type="mesh" mesh="m" pos="{n / 3} {n / 4} .3"/>' for n in range(5)]
     path.write_text(f"<mujoco>{mesh}<worldbody>{CRACKED}{''.join(geoms)}</worldbody></mujoco>")
     config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
-    shapes = tiled = take_first_look(config, StageClock()).tiled
+    tiled = take_first_look(config, StageClock()).tiled
 
-    def find() -> ColumnBlocks:
+    def find(shapes: ShapeSource = tiled) -> ColumnBlocks:
         return ColumnBlocks(shapes, config.agent, config.floors.crack, StageClock())
 
-    def join() -> Columns:
+    def join(shapes: ShapeSource = tiled) -> Columns:
         window = slice(0, tiled.lattice.height), slice(0, tiled.lattice.width)
-        return join_columns(find(), window, tiled.lattice)
+        return join_columns(find(shapes), window, tiled.lattice)
 
     whole, width = join(), tiled.lattice.width
     assert len(whole.z) > len(columns_module.cast_columns(tiled).z)
@@ -57,9 +57,9 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
     monkeypatch.setattr(column_blocks, "KEPT_TRIANGLES", 0)
     monkeypatch.setattr(column_blocks, "TIMES", np.inf)
     for shapes in (tiled, take_first_look(config, StageClock()).tiled):
-        for one, other in zip(join().crossings, whole.crossings, strict=True):
+        for one, other in zip(join(shapes).crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
-        some = find().at(cells)
+        some = find(shapes).at(cells)
         for cell in cells.tolist():
             one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
             for a, b in zip(some.crossings[1:], whole.crossings[1:], strict=True):
