@@ -17,7 +17,7 @@ from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS
-from navbake.types import Float, Int
+from navbake.types import Float, Int, Int32
 
 # Empty columns of `list_surfaces`
 NO_SURFACES = (
@@ -66,7 +66,7 @@ class SurfaceStore:
     def finish(self) -> None:
         """Make `surfaces` of what was added."""
         length, arrays = self._length, join_parts(self._parts)
-        first = np.cumsum(length, dtype=np.int64) - length
+        first = np.cumsum(length, dtype=np.int32) - length
         self._used = len(arrays[0])
         self.surfaces = Surfaces._make([first, length, length, *arrays])
         del self._parts, self._length
@@ -126,7 +126,7 @@ class SurfaceStore:
         return [np.append(0, np.cumsum(count)), *found]
 
 
-def find_near(first: Int, end: Int, heights: Float, z: Float, step: float) -> Float:
+def find_near(first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float) -> Float:
     """The highest of the heights of each range within a step of a height, NaN for none [m]."""
     found = np.full(len(z), np.nan)
     for k in range(int((end - first).max(initial=0))):

@@ -109,7 +109,8 @@ def spread(label: Int32, open_cells: Bool) -> None:
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    source = np.arange(len(labels))  # the cell with a label that each one's is from
+    # the cell with a label that each one's is from
+    source = np.arange(len(labels), dtype=np.int32)
     steps = 1, width, -1, -width
     while len(waiting):
         reached = np.logical_or.reduce([labels[waiting + step] > 0 for step in steps])
@@ -119,7 +120,7 @@ def spread(label: Int32, open_cells: Bool) -> None:
         found = np.full(len(wave), -1)
         nearest, own, row, col = (np.zeros(len(wave), dtype=np.int64) for _ in range(4))
         for step in steps:
-            origin = source[wave + step]
+            origin = source[wave + step].astype(np.int64)
             down, right = origin // width - wave // width, origin % width - wave % width
             square, there = down**2 + right**2, labels[wave + step]
             same = (there < own) | (there == own) & (col * down - row * right > 0)
