@@ -18,7 +18,6 @@ from navbake.baker.columns import (
     TiledShapes,
     cast_columns,
     cast_points,
-    facets_of,
     list_by_tile,
     split_rows,
     take_columns,
@@ -76,7 +75,7 @@ class ShapeBlocks:
         return self._expand(is_near)
 
     def _expand(self, chosen: Bool) -> TiledShapes:
-        facets = facets_of(self._shapes.meshes.only(chosen).expand())
+        facets = self._shapes.meshes.only(chosen).expand()
         start, item = list_by_tile(facets.bounds, self._reach, self.lattice)
         tiles = self._solids.tiles._replace(triangle_start=start, triangle_item=item)
         return TiledShapes(self._shapes, self.lattice, facets, tiles)
@@ -92,10 +91,13 @@ def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
         reach: how far from cells' centres [m].
     """
     counts, boxes = shapes.meshes.counts, shapes.meshes.boxes
+    is_many = counts.sum() > KEPT_TRIANGLES
+    if is_many:
+        give_back_memory()  # of what reading them took
     height = split_rows(lattice, ALIVE)[0].end * lattice.cell_size
     near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
-    is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
-    if is_large and near.sum() <= TIMES * counts.sum():
+    is_large = lattice.width * lattice.height > KEPT_CELLS
+    if is_many and is_large and near.sum() <= TIMES * counts.sum():
         return ShapeBlocks(shapes, lattice, reach)
     return tile_shapes(shapes, lattice, reach)
 

@@ -13,8 +13,7 @@ from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Til
 from navbake.baker.kernels.hits import DROPPED, RIM
 from navbake.baker.kernels.rays import cast_lines, cast_points_at
 from navbake.baker.kernels.tiles import BAND, TILE, list_boxes
-from navbake.baker.scene.kernels.triangles import measure_facets
-from navbake.baker.scene.shapes import Shapes, Triangles
+from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Float, Int, Int32
@@ -219,13 +218,13 @@ class GatheredColumns:
 
 
 def tile_shapes(
-    shapes: Shapes, lattice: Lattice, reach: float, triangles: Triangles | None = None
+    shapes: Shapes, lattice: Lattice, reach: float, facets: Facets | None = None
 ) -> TiledShapes:
     """List the shapes by tiles, within `reach` of cells' centres [m].
 
-    `triangles` are in place of their own.
+    `facets` are in place of their own triangles.
     """
-    facets = facets_of(shapes.triangles if triangles is None else triangles)
+    facets = shapes.triangles if facets is None else facets
     solids = list_by_tile(shapes.solids.bounds, reach, lattice)
     tiles = Tiles(*solids, *list_by_tile(facets.bounds, reach, lattice))
     return TiledShapes(shapes, lattice, facets, tiles)
@@ -321,14 +320,6 @@ def empty_crossings(start: Int, count: int) -> Crossings:
     z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
     geom, closed = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.uint8)
     return Crossings(start, z, normal, geom, closed)
-
-
-def facets_of(triangles: Triangles) -> Facets:
-    """Triangles with the boxes round them."""
-    bounds = np.empty((len(triangles.geom), 6))
-    facing = np.empty(len(bounds), dtype=np.int8)
-    run_in_bands(measure_facets, len(bounds), triangles.corners, bounds, facing, least=4096)
-    return Facets(*triangles, bounds, facing)
 
 
 def height_range(shapes: Shapes, lattice: Lattice) -> Band:

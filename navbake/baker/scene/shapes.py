@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.blocks import join_parts
+from navbake.baker.kernels.arrays import Facets
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
+from navbake.baker.scene.kernels.triangles import expand_mesh
 from navbake.lazy import lazy
-from navbake.threads import run_in_bands, take_rows
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 spatial = lazy("scipy.spatial")
@@ -50,24 +52,13 @@ class Planes(NamedTuple):
         return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
 
-class Triangles(NamedTuple):
-    """Triangles of meshes, hulls, height fields and finite planes, by geom, ascending."""
-
-    geom: Int32
-    # of its geom's mesh: 0 for what encloses nothing, and for all that is no mesh
-    part: Int32
-    # OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls): inside of all but
-    # the first counts as occupied
-    closed: NDArray[np.uint8]
-    corners: Float  # (m, 3, 3), counter-clockwise from the front [m]
-
-    def turned(self, axes: Float) -> Triangles:
-        """The triangles in a frame with these axes, its rows, shape (3, 3)."""
-        return self._replace(corners=np.ascontiguousarray(self.corners @ axes.T))
-
-
 class GeomTriangles(NamedTuple):
-    """The triangles of one geom, what they enclose, see `Triangles`, and its `GeomReport.shape`."""
+    """The triangles of one geom, counter-clockwise from the front, and its `GeomReport.shape`.
+
+    It is made of a mesh, a hull, a height field or a finite plane. `part` is 0 for what encloses
+    nothing, and for all that is no mesh; `closed` is OPEN_SURFACE, CLOSED_SURFACE, SOLID (height
+    fields) or CONVEX_SOLID (hulls): inside of all but the first counts as occupied.
+    """
 
     vertices: Float
     faces: Int32
@@ -98,16 +89,26 @@ class Meshes(NamedTuple):
         chosen = [one for one, is_kept in pairs if is_kept]
         return Meshes(self.geom[kept], chosen, self.boxes[kept])
 
-    def expand(self) -> Triangles:
-        """All triangles, by their corners."""
+    def expand(self) -> Facets:
+        """All triangles, by geom."""
         ends = np.cumsum([0, *self.counts])
-        part, closed = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.uint8)
-        corners = np.empty((ends[-1], 3, 3))
-        for one, (first, end) in zip(self.triangles, pairwise(ends.tolist()), strict=True):
-            part[first:end], closed[first:end] = one.part, one.closed
-            taken = one.vertices, one.faces, corners[first:end]
-            run_in_bands(take_rows, end - first, *taken, least=4096)
-        return Triangles(np.repeat(self.geom, self.counts), part, closed, corners)
+        corners, bounds = np.empty((ends[-1], 3, 3)), np.empty((ends[-1], 6))
+        facing = np.empty(ends[-1], dtype=np.int8)
+
+        def write(first: int, end: int) -> None:
+            geom = int(np.searchsorted(ends, first, side="right")) - 1
+            while first < end:
+                begin, last = ends[geom : geom + 2].tolist()
+                arrays = (array[begin:last] for array in (corners, bounds, facing))
+                mesh, last = self.triangles[geom], min(last, end)
+                expand_mesh(mesh.vertices, mesh.faces, *arrays, first - begin, last - begin)
+                first, geom = last, geom + 1
+
+        run_in_bands(write, int(ends[-1]), least=4096)
+        parts: list[list[NDArray[Any]]] = [[one.part, one.closed] for one in self.triangles]
+        parts = parts or [[np.empty(0, np.int32), np.empty(0, np.uint8)]]
+        part, closed = join_parts(parts)
+        return Facets(np.repeat(self.geom, self.counts), part, closed, corners, bounds, facing)
 
 
 Items = TypeVar("Items", Solids, Planes)
@@ -134,11 +135,11 @@ class Shapes:
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
     @cached_property
-    def triangles(self) -> Triangles:
+    def triangles(self) -> Facets:
         """All triangles."""
         return self.meshes.expand()
 
-    def triangles_of_some(self) -> Iterator[Triangles]:
+    def triangles_of_some(self) -> Iterator[Facets]:
         """All triangles, but of few geoms at a time where they are many."""
         group = np.cumsum(self.meshes.counts) // TOGETHER
         if len(set(group.tolist())) <= MANY:
@@ -204,6 +205,16 @@ def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
         for k in range(3):  # numpy takes ten times as long along the rows of a narrow array
             box[k], box[3 + k] = used[:, k].min(), used[:, k].max()
     return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
+
+
+def turn_facets(facets: Facets, axes: Float) -> Facets:
+    """Triangles in a frame with these axes, its rows, shape (3, 3)."""
+    vertices = (facets.corners @ axes.T).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    mesh = GeomTriangles(vertices, faces, facets.part, facets.closed, "")
+    geoms = np.zeros(1, dtype=np.int32)
+    turned = Meshes(geoms, [mesh], np.empty((1, 6))).expand()
+    return turned._replace(geom=facets.geom)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
