@@ -91,13 +91,10 @@ def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
         reach: how far from cells' centres [m].
     """
     counts, boxes = shapes.meshes.counts, shapes.meshes.boxes
-    is_many = counts.sum() > KEPT_TRIANGLES
-    if is_many:
-        give_back_memory()  # of what reading them took
     height = split_rows(lattice, ALIVE)[0].end * lattice.cell_size
     near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
-    is_large = lattice.width * lattice.height > KEPT_CELLS
-    if is_many and is_large and near.sum() <= TIMES * counts.sum():
+    is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
+    if is_large and near.sum() <= TIMES * counts.sum():
         return ShapeBlocks(shapes, lattice, reach)
     return tile_shapes(shapes, lattice, reach)
 
