@@ -32,6 +32,12 @@ def end_with_parent(parent: int | None = None) -> None:
             os._exit(1)
 
 
+def give_back_memory() -> None:
+    """Let the system have the memory that this process has freed, where glibc keeps it."""
+    if sys.platform == "linux" and hasattr(library := ctypes.CDLL(None), "malloc_trim"):
+        library.malloc_trim(0)
+
+
 def limit_memory(gib: float | None) -> Callable[[], None]:
     """Limit the memory that this process may reserve, on Linux, and disable core dumps.
 

@@ -61,11 +61,6 @@ def run_in_bands(
             future.result()
 
 
-def take_rows(source: Any, index: Any, out: Any, first: int, end: int) -> None:
-    """`numpy.take` of rows, as a kernel for `run_in_bands`."""
-    np.take(source, index[first:end], axis=0, out=out[first:end], mode="clip")
-
-
 def run_beside(task: Callable[..., Result], *args: Any) -> Callable[[], Result]:
     """Start a function on another thread; returns a function that waits for its result or error.
 

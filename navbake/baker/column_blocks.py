@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,26 +14,89 @@ from navbake.baker.columns import (
     ColumnSource,
     GatheredColumns,
     Rows,
+    ShapeSource,
     TiledShapes,
     cast_columns,
     cast_points,
+    list_by_tile,
     split_rows,
     take_columns,
+    tile_of,
+    tile_shapes,
 )
 from navbake.baker.cracks import close_cracks
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.tiles import BAND
 from navbake.baker.lattice import Window
+from navbake.baker.scene.shapes import Shapes
 from navbake.baker.seams import settle_seams
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
+from navbake.processes import give_back_memory
 from navbake.threads import run_beside
-from navbake.types import Int, Int32
+from navbake.types import Bool, Int, Int32
 
 # Columns of at most so many cells are kept: they take about 100 bytes each
 KEPT_CELLS = 1 << 22
 # Blocks that there are at a time: the one that is looked at, and the next one
 ALIVE = 2
+# So many triangles are kept expanded: they take about 180 bytes each. More are, too, unless all
+# blocks of rows together are near to at most so many times as many
+KEPT_TRIANGLES, TIMES = 1 << 20, 2.0
+
+
+class ShapeBlocks:
+    """The shapes on a large lattice: triangles are expanded near what is asked for, each time.
+
+    Args:
+        reach: how far from cells' centres shapes are listed [m].
+    """
+
+    def __init__(self, shapes: Shapes, lattice: Lattice, reach: float) -> None:
+        self.lattice, self._shapes, self._reach = lattice, shapes, reach
+        nothing = shapes.meshes.only(np.zeros(len(shapes.meshes.geom), dtype=np.bool_))
+        self._solids = tile_shapes(shapes, lattice, reach, nothing.expand())
+
+    def rows(self, rows: Rows) -> TiledShapes:
+        """Shapes with all that are near some rows of whole bands."""
+        y, size = self.lattice.y_max, self.lattice.cell_size
+        boxes, far = self._shapes.meshes.boxes, self._reach + size
+        is_near = boxes[:, 4] >= y - rows.end * size - far
+        return self._expand(is_near & (boxes[:, 1] <= y - rows.first * size + far))
+
+    def at(self, cells: Int) -> TiledShapes:
+        """Shapes with all that are near some cells."""
+        lattice, boxes = self.lattice, self._shapes.meshes.boxes
+        start, item = list_by_tile(boxes, self._reach, lattice)
+        asked = np.zeros(len(start) - 1, dtype=np.bool_)
+        asked[tile_of(lattice, cells)] = True
+        is_near = np.zeros(len(boxes), dtype=np.bool_)
+        is_near[item[np.repeat(asked, np.diff(start))]] = True
+        return self._expand(is_near)
+
+    def _expand(self, chosen: Bool) -> TiledShapes:
+        facets = self._shapes.meshes.only(chosen).expand()
+        start, item = list_by_tile(facets.bounds, self._reach, self.lattice)
+        tiles = self._solids.tiles._replace(triangle_start=start, triangle_item=item)
+        return TiledShapes(self._shapes, self.lattice, facets, tiles)
+
+
+def list_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> ShapeSource:
+    """List the shapes on a lattice: all, or if they are many, those near what is asked for later.
+
+    All are expanded, too, where the columns of all cells are kept, or if most of them are near
+    several blocks of rows.
+
+    Args:
+        reach: how far from cells' centres [m].
+    """
+    counts, boxes = shapes.meshes.counts, shapes.meshes.boxes
+    height = split_rows(lattice, ALIVE)[0].end * lattice.cell_size
+    near = counts * (1.0 + (boxes[:, 4] - boxes[:, 1] + 2 * reach) / height)
+    is_large = lattice.width * lattice.height > KEPT_CELLS and counts.sum() > KEPT_TRIANGLES
+    if is_large and near.sum() <= TIMES * counts.sum():
+        return ShapeBlocks(shapes, lattice, reach)
+    return tile_shapes(shapes, lattice, reach)
 
 
 class ColumnBlocks:
@@ -45,10 +109,10 @@ class ColumnBlocks:
     """
 
     def __init__(
-        self, tiled: TiledShapes, agent: AgentSettings, crack: float, clock: StageClock
+        self, shapes: ShapeSource, agent: AgentSettings, crack: float, clock: StageClock
     ) -> None:
-        self.lattice = tiled.lattice
-        self._tiled, self._agent, self._crack, self._clock = tiled, agent, crack, clock
+        self.lattice = shapes.lattice
+        self._shapes, self._agent, self._crack, self._clock = shapes, agent, crack, clock
         self._kept: Columns | None = None
         self._some: tuple[Int, Columns] | None = None  # the cells that were asked for last
         with clock.stage("columns"):
@@ -71,6 +135,7 @@ class ColumnBlocks:
             if rows is not None:
                 coming = run_beside(self._find, rows)
             yield found.pop()  # nothing here holds it while the caller waits for the next one
+        give_back_memory()  # of pieces between what lasts
 
     def _bands(self) -> list[Rows]:
         return split_rows(self.lattice, ALIVE)
@@ -86,25 +151,28 @@ class ColumnBlocks:
         if self._some is None or not np.isin(cells, self._some[0]).all():
             asked = list_once(self.lattice, cells)
             with self._clock.part("columns"):
-                self._some = asked, cast_at(self._tiled, self._agent, self._crack, asked)
+                self._some = asked, cast_at(self._shapes, self._agent, self._crack, asked)
         return self._some[1]
 
     def _find(self, rows: Rows) -> Columns:
-        return self._close(cast_columns(self._tiled, rows).only_rows(rows))
+        tiled = self._shapes.rows(rows)
+        columns = self._close(cast_columns(tiled, rows).only_rows(rows), tiled)
+        return replace(columns, near=tiled)
 
     def _find_all(self) -> Columns:
         """The columns of all cells, found band by band for the memory that it takes."""
         bands = split_rows(self.lattice)
         if len(bands) == 1:
-            return self._close(cast_columns(self._tiled))
+            tiled = self._shapes.rows(bands[0])
+            return self._close(cast_columns(tiled), tiled)
         gathered = GatheredColumns(self.lattice)
         for rows in bands:
             gathered.add(self._find(rows), rows)
         return gathered.join()
 
-    def _close(self, columns: Columns) -> Columns:
-        columns = settle_seams(columns, self._tiled)
-        return close_cracks(columns, self._tiled, self._agent, self._crack)
+    def _close(self, columns: Columns, tiled: TiledShapes) -> Columns:
+        columns = settle_seams(columns, tiled)
+        return close_cracks(columns, tiled, self._agent, self._crack)
 
 
 def join_columns(source: ColumnSource, window: Window, lattice: Lattice) -> Columns:
@@ -152,9 +220,9 @@ def list_once(lattice: Lattice, cells: Int | Int32) -> Int:
     return np.flatnonzero(mask)
 
 
-def cast_at(tiled: TiledShapes, agent: AgentSettings, crack: float, cells: Int) -> Columns:
+def cast_at(shapes: ShapeSource, agent: AgentSettings, crack: float, cells: Int) -> Columns:
     """Cast the columns of some cells, ascending; others mean nothing."""
-    lattice = tiled.lattice
+    tiled, lattice = shapes.at(cells), shapes.lattice
     found = cast_points(tiled, cells, lattice.positions(*np.divmod(cells, lattice.width)))
     columns = place_columns(lattice, cells, found)
     columns = settle_seams(columns, tiled, cells)

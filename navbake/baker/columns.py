@@ -13,8 +13,7 @@ from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Til
 from navbake.baker.kernels.hits import DROPPED, RIM
 from navbake.baker.kernels.rays import cast_lines, cast_points_at
 from navbake.baker.kernels.tiles import BAND, TILE, list_boxes
-from navbake.baker.scene.kernels.triangles import measure_facets
-from navbake.baker.scene.shapes import Shapes, Triangles
+from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Float, Int, Int32
@@ -67,6 +66,14 @@ class TiledShapes:
     facets: Facets
     tiles: Tiles
 
+    def rows(self, rows: Rows) -> "TiledShapes":
+        """The shapes near some rows, and others; see `ShapeSource`."""
+        return self
+
+    def at(self, cells: Int) -> "TiledShapes":
+        """The shapes near some cells, and others."""
+        return self
+
     @cached_property
     def by_band(self) -> BandItems:
         """Which of them lie over centres of which band of rows."""
@@ -92,6 +99,7 @@ class Columns:
         lattice: the cells.
         crossings: the surfaces, as kernels take them, with the attributes below.
         rows: the rows of cells that are known, all if None.
+        near: the shapes near them, of a block of many.
         start: shape (cells + 1,), int64.
         z: heights, ascending in a column, shape (n,), float64 [m].
         normal: unit normals, shape (n, 3), float32; z > 0 faces up.
@@ -101,6 +109,7 @@ class Columns:
     lattice: Lattice
     crossings: Crossings
     rows: Rows | None = None
+    near: TiledShapes | None = None
 
     @property
     def known_rows(self) -> Rows:
@@ -172,6 +181,20 @@ class ColumnSource(Protocol):
         """Columns in which those of some cells are known, whatever the order of their ids."""
 
 
+class ShapeSource(Protocol):
+    """Where the listed shapes on a lattice come from: all at once, or those near what is asked."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """The cells."""
+
+    def rows(self, rows: Rows) -> TiledShapes:
+        """Shapes with all that are near some rows of whole bands."""
+
+    def at(self, cells: Int) -> TiledShapes:
+        """Shapes with all that are near some cells."""
+
+
 class GatheredColumns:
     """Columns of all rows, joined from bands in the order of rows."""
 
@@ -194,12 +217,17 @@ class GatheredColumns:
         return Columns(self._lattice, Crossings(self._start, *join_parts(self._parts)))
 
 
-def tile_shapes(shapes: Shapes, lattice: Lattice, reach: float) -> TiledShapes:
-    """List the shapes by tiles, within `reach` of cells' centres [m]."""
-    facets = facets_of(shapes.triangles)
+def tile_shapes(
+    shapes: Shapes, lattice: Lattice, reach: float, facets: Facets | None = None
+) -> TiledShapes:
+    """List the shapes by tiles, within `reach` of cells' centres [m].
+
+    `facets` are in place of their own triangles.
+    """
+    facets = shapes.triangles if facets is None else facets
     solids = list_by_tile(shapes.solids.bounds, reach, lattice)
-    triangles = list_by_tile(facets.bounds, reach, lattice)
-    return TiledShapes(shapes, lattice, facets, Tiles(*solids, *triangles))
+    tiles = Tiles(*solids, *list_by_tile(facets.bounds, reach, lattice))
+    return TiledShapes(shapes, lattice, facets, tiles)
 
 
 def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
@@ -292,14 +320,6 @@ def empty_crossings(start: Int, count: int) -> Crossings:
     z, normal = np.empty(count), np.empty((count, 3), dtype=np.float32)
     geom, closed = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.uint8)
     return Crossings(start, z, normal, geom, closed)
-
-
-def facets_of(triangles: Triangles) -> Facets:
-    """Triangles with the boxes round them."""
-    bounds = np.empty((len(triangles.geom), 6))
-    facing = np.empty(len(bounds), dtype=np.int8)
-    run_in_bands(measure_facets, len(bounds), triangles.corners, bounds, facing, least=4096)
-    return Facets(*triangles, bounds, facing)
 
 
 def height_range(shapes: Shapes, lattice: Lattice) -> Band:

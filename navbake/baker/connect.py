@@ -36,7 +36,7 @@ def touching(cells: Int, width: int) -> Int:
     return np.concatenate(pairs, axis=1)
 
 
-def ranges(begin: Int, end: Int) -> tuple[Int, Int]:
+def ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
     """Concatenate ranges begin[i]:end[i]; returns the range index and the value of each entry."""
     count = np.maximum(end - begin, 0)
     which = np.repeat(np.arange(len(count)), count)

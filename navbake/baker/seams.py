@@ -39,10 +39,10 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     chosen = np.flatnonzero(is_over & (solids.kind == BOX))
     mat = abs(solids.mat[chosen])
     boxes = solids.bounds[chosen[np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM]]
-    is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(tiled.facets.bounds))
-    chosen = np.flatnonzero(is_over)
-    low, high = (tiled.facets.bounds[chosen, k : k + 2] for k in (0, 3))
-    corners = tiled.facets.corners[chosen[(high - low <= RIM).any(axis=1)]]
+    bounds = tiled.facets.bounds
+    is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
+    is_over &= (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
+    corners = tiled.facets.corners[is_over]
     # only in the window round the cells
     row, col = np.arange(*known_rows), np.arange(lattice.width)
     known = np.ones((len(row), len(col)), dtype=np.bool_)
@@ -66,10 +66,10 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
 
 
 def _are_over(start: Int, item: Int32, tiles: Int, num: int) -> Bool:
-    """Mark the items that lie over some tiles, shape (num,)."""
-    mask = np.zeros(num, dtype=np.bool_)
-    is_all = len(tiles) == len(start) - 1
-    mask[item if is_all else item[ranges(start[tiles], start[tiles + 1])[1]]] = True
+    """Mark the items that lie over some tiles, shape (num,); all, if these are all tiles."""
+    mask = np.full(num, len(tiles) == len(start) - 1)
+    if not mask.all():
+        mask[item[ranges(start[tiles], start[tiles + 1])[1]]] = True
     return mask
 
 
@@ -119,10 +119,11 @@ def splice_columns(columns: Columns, cell: Int, first: Int, last: Int, new: Cros
 
     The cells ascend and may repeat.
     """
-    old, begin = columns.crossings, columns.known_rows.cells(columns.lattice)[0]
-    start, more = old.start.copy(), np.zeros(len(old.start), dtype=np.int64)
-    np.add.at(more, cell + 1, np.diff(new.start) - (last - first))
-    start[begin:] += np.cumsum(more[begin:])
+    old, (begin, end) = columns.crossings, columns.known_rows.cells(columns.lattice)
+    more = np.zeros(end - begin + 1, dtype=np.int64)
+    np.add.at(more, cell + 1 - begin, np.diff(new.start) - (last - first))
+    start = np.zeros(len(old.start), dtype=np.int64)  # whose pages cost nothing until written
+    np.add(old.start[begin : end + 1], np.cumsum(more, out=more), out=start[begin : end + 1])
     layers: Any = zip(old[1:], new[1:], strict=True)
     arrays = (splice(array, first, last, other, new.start) for array, other in layers)
     return replace(columns, crossings=Crossings(start, *arrays))

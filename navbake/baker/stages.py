@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from navbake.baker.arguments import take_input
 from navbake.baker.boxes import LevelBoxes, find_level_boxes
 from navbake.baker.clock import Progress, StageClock
-from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns
-from navbake.baker.columns import Columns, ColumnSource, TiledShapes, tile_shapes
+from navbake.baker.column_blocks import ColumnBlocks, WindowColumns, join_columns, list_shapes
+from navbake.baker.columns import Columns, ColumnSource, ShapeSource
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import CellFinder, Contents
 from navbake.baker.doors.candidates import DoorCandidate, find_candidates, without_doors
@@ -124,7 +124,7 @@ class Stages:
         return without_doors(self.scene, self.candidates)
 
     @cached_property
-    def tiled(self) -> TiledShapes:
+    def tiled(self) -> ShapeSource:
         """The geometry of the scene without doors, listed by tiles of the lattice."""
         return self._tile(self.lattice)
 
@@ -134,7 +134,7 @@ class Stages:
         return lay_whole(self.lattice, self.scene.bounds, self.config.grid.max_cells)
 
     @cached_property
-    def judged_shapes(self) -> TiledShapes:
+    def judged_shapes(self) -> ShapeSource:
         """The geometry without doors by tiles of the lattice on which floors are judged."""
         lattice, _ = self.judged
         return self.tiled if lattice == self.lattice else self._tile(lattice)
@@ -201,7 +201,7 @@ class Stages:
 
         def is_occupied(cells: Int, floors: Float, band: Band | None = None, /) -> Bool:
             volume = narrow if band is None else narrow.between(band)
-            asked = columns.at(cells), self.judged_shapes, volume, cells, floors
+            asked = columns.at(cells), self.judged_shapes.at(cells), volume, cells, floors
             return look_at_cells(*asked).occupied
 
         return is_occupied
@@ -240,7 +240,7 @@ class Stages:
             finder = CellFinder(self.doorless, self.lattice, floors, agent, self._extents())
             of_columns = ColumnFlags(floors, agent)
             for block in columns.blocks():
-                finder.add(block, self.tiled)
+                finder.add(block, block.near or self.tiled.rows(block.known_rows))
                 with self.clock.part("rooms"):
                     first, end = block.known_rows.cells(self.lattice)
                     crossings = block.crossings._replace(start=block.start[first : end + 1])
@@ -354,9 +354,9 @@ class Stages:
         digest, state = settings_digest(self.config), settings_to_state(self.config)
         return {"settingsDigest": digest, "settings": state}
 
-    def _tile(self, lattice: Lattice) -> TiledShapes:
+    def _tile(self, lattice: Lattice) -> ShapeSource:
         reach = max(self.footprint.reach, self.config.floors.crack)
-        return tile_shapes(self.doorless.shapes, lattice, reach)
+        return list_shapes(self.doorless.shapes, lattice, reach)
 
     def free_geometry(self) -> None:
         """Give back the memory of columns and of listed geometry: the settled doors need none."""

@@ -7,8 +7,8 @@ from navbake.baker import column_blocks
 from navbake.baker import columns as columns_module
 from navbake.baker.blocks import BlockAnswers
 from navbake.baker.clock import StageClock
-from navbake.baker.column_blocks import ColumnBlocks, join_columns
-from navbake.baker.columns import Columns, split_rows
+from navbake.baker.column_blocks import ColumnBlocks, ShapeBlocks, join_columns
+from navbake.baker.columns import Columns, ShapeSource, split_rows
 from navbake.baker.pipeline import run_bake
 from navbake.baker.stages import bake_stages, take_first_look
 from navbake.config.settings import load_config, parse_config
@@ -31,16 +31,19 @@ CRACKED += '<geom type="plane" size="0 0 1" pos="0 0 -1"/>'
 @pytest.mark.parametrize("cell_size", [0.05, 0.02, 0.013])
 def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypatch, cell_size):
     path = tmp_path / "scene.xml"
-    path.write_text(f"<mujoco><worldbody>{CRACKED}</worldbody></mujoco>")
+    # tetrahedra that share a mesh, some over the borders of blocks
+    mesh = '<asset><mesh name="m" vertex="0 0 0 .3 0 0 0 .4 0 0 0 .5"/></asset>'
+    geoms = [f'<geom type="mesh" mesh="m" pos="{n / 3} {n / 4} .3"/>' for n in range(5)]
+    path.write_text(f"<mujoco>{mesh}<worldbody>{CRACKED}{''.join(geoms)}</worldbody></mujoco>")
     config = parse_config({"scene": {"path": str(path)}, "grid": {"cell_size": cell_size}})
     tiled = take_first_look(config, StageClock()).tiled
 
-    def find() -> ColumnBlocks:
-        return ColumnBlocks(tiled, config.agent, config.floors.crack, StageClock())
+    def find(shapes: ShapeSource = tiled) -> ColumnBlocks:
+        return ColumnBlocks(shapes, config.agent, config.floors.crack, StageClock())
 
-    def join() -> Columns:
+    def join(shapes: ShapeSource = tiled) -> Columns:
         window = slice(0, tiled.lattice.height), slice(0, tiled.lattice.width)
-        return join_columns(find(), window, tiled.lattice)
+        return join_columns(find(shapes), window, tiled.lattice)
 
     whole, width = join(), tiled.lattice.width
     assert len(whole.z) > len(columns_module.cast_columns(tiled).z)
@@ -51,11 +54,17 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
         for one, other in zip(join().crossings, whole.crossings, strict=True):
             np.testing.assert_array_equal(one, other)
     monkeypatch.setattr(column_blocks, "KEPT_CELLS", 0)
-    some = find().at(cells)
-    for cell in cells.tolist():
-        one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
-        for a, b in zip(some.crossings[1:], whole.crossings[1:], strict=True):
-            np.testing.assert_array_equal(a[one], b[other])
+    monkeypatch.setattr(column_blocks, "KEPT_TRIANGLES", 0)
+    monkeypatch.setattr(column_blocks, "TIMES", np.inf)
+    for shapes in (tiled, take_first_look(config, StageClock()).tiled):
+        for one, other in zip(join(shapes).crossings, whole.crossings, strict=True):
+            np.testing.assert_array_equal(one, other)
+        some = find(shapes).at(cells)
+        for cell in cells.tolist():
+            one, other = (slice(*of.start[cell : cell + 2].tolist()) for of in (some, whole))
+            for a, b in zip(some.crossings[1:], whole.crossings[1:], strict=True):
+                np.testing.assert_array_equal(a[one], b[other])
+    assert isinstance(shapes, ShapeBlocks)
 
 
 def in_blocks(monkeypatch, cells):

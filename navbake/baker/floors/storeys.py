@@ -81,7 +81,7 @@ class Storeys:
         self._step = agent.traversable_floor_height
         self._half = max(self._step, PLATEAU) / 2
         num = sheets.blocks.num
-        self._key, self._seen = np.empty(0, dtype=np.int32), Seen(num)
+        self._key, self._seen = np.empty(0, dtype=np.int8), Seen(num)
         self._stacked = np.zeros(num, dtype=np.bool_)
         # the last update in which something changed in each block, or as near as shrinking looks
         self._now, (self._last, self._last_near) = 0, np.zeros((2, num), dtype=np.int64)
@@ -150,7 +150,7 @@ class Storeys:
         (labels, table, seen), stale = self._recall(
             "stairs", lambda: (Labels(blocks, joining), self._table(), Seen(blocks.num))
         )
-        labels.update(sheets.surfaces, stale, self._key)
+        labels.update(sheets.surfaces, stale, self._key.astype(np.int32))
         # neighbours at about one height are a plateau; each lies in one part of a sheet
         asked = sheets.lattice, sheets.surfaces, labels.part, sheets.labels.part, NO_KEY
         table.fill(tally, np.flatnonzero(stale), *asked)
@@ -356,8 +356,8 @@ class Storeys:
                 return False
         if not members:
             return True
-        num_walks, without = [0, 0], np.where(level <= LOST, np.int32(-1), kept.key)
-        for n, key in enumerate((kept.key, without)):
+        num_walks, every = [0, 0], kept.key.astype(np.int32)
+        for n, key in enumerate((every, np.where(level <= LOST, np.int32(-1), every))):
             labels, stale = self._recall(
                 ("walks", name if n else "all"), lambda: Labels(sheets.blocks, sheets.joining)
             )

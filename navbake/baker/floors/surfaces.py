@@ -17,7 +17,7 @@ from navbake.baker.scene.shapes import Planes
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS
-from navbake.types import Float, Int
+from navbake.types import Float, Int, Int32
 
 
 def agent_limits(agent: AgentSettings) -> AgentLimits:
@@ -64,9 +64,9 @@ class SurfaceStore:
     def finish(self) -> None:
         """Make `surfaces` of what was added."""
         length, arrays = self._length, join_parts(self._parts)
-        first = np.cumsum(length, dtype=np.int64) - length
+        first = np.cumsum(length, dtype=np.int32) - length
         self._used = len(arrays[0])
-        self.surfaces = Surfaces._make([first, length, length.copy(), *arrays])
+        self.surfaces = Surfaces._make([first, length, length, *arrays])
         del self._parts, self._length
 
     def replace(self, cells: Int, crossings: Crossings, planes: Planes) -> tuple[Int, Int]:
@@ -78,6 +78,8 @@ class SurfaceStore:
         numbered as `cells` are.
         """
         start, *found = self._list(cells, crossings, planes)
+        if self.surfaces.room is self.surfaces.length:
+            self.surfaces = self.surfaces._replace(room=self.surfaces.length.copy())
         first, length, room = self.surfaces[:3]
         arrays: list[NDArray[Any]] = list(self.surfaces[3:])
         count = np.diff(start)
@@ -119,7 +121,7 @@ class SurfaceStore:
         return [np.append(0, np.cumsum(count)), *found]
 
 
-def find_near(first: Int, end: Int, heights: Float, z: Float, step: float) -> Float:
+def find_near(first: Int | Int32, end: Int | Int32, heights: Float, z: Float, step: float) -> Float:
     """The highest of the heights of each range within a step of a height, NaN for none [m]."""
     found = np.full(len(z), np.nan)
     for k in range(int((end - first).max(initial=0))):

@@ -6,11 +6,12 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import TiledShapes, cast_points, facets_of, tile_shapes
+from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.connect import list_runs
+from navbake.baker.kernels.arrays import Facets
 from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.scene.shapes import Shapes, Triangles
+from navbake.baker.scene.shapes import Shapes, turn_facets
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -220,13 +221,13 @@ class WallRays:
                 kept[some] &= np.maximum(np.maximum(one, two), three) >= low
 
         run_in_bands(choose, -(-len(kept) // CHUNK))
-        triangles = Triangles._make(array[kept] for array in walls.triangles)
+        triangles = Facets._make(array[kept] for array in walls.triangles)
         # rays meet what is near to their cells alone, so that nothing is left as often as entered
-        triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
-        walls = replace(walls, triangles=triangles)
+        self._triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
         self._reach = max(kernels.FAR * lattice.cell_size, FAR_OF_DOORWAY)
         # by tiles as seen from above, whatever the rays' direction
-        self._tiled = tile_shapes(walls, lattice, self._reach + lattice.cell_size)
+        reach = self._reach + lattice.cell_size
+        self._tiled = tile_shapes(walls, lattice, reach, self._triangles)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
     def look(self, direction: Direction, cells: Int) -> Float:
@@ -266,8 +267,8 @@ class WallRays:
             way = np.array([1.0, -direction.slope]) / direction.stretch
             x, y = -way[::-1] if direction.swapped else way
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            turned = self._tiled.shapes.turned(axes)
-            tiled = replace(self._tiled, shapes=turned, facets=facets_of(turned.triangles))
+            facets = turn_facets(self._triangles, axes)
+            tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes), facets=facets)
             known = np.zeros((self._floor.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]

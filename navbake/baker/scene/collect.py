@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.kernels import constants
 from navbake.baker.scene.choice import Choice
@@ -15,32 +13,22 @@ from navbake.baker.scene.mesh_scene import MeshPart
 from navbake.baker.scene.names import all_names, name_at
 from navbake.baker.scene.parts import split_mesh
 from navbake.baker.scene.shapes import (
+    GeomTriangles,
     Planes,
     Shapes,
     Solids,
-    Triangles,
+    gather_meshes,
     height_field_triangles,
     hull_faces,
     plane_triangles,
     solid_bounds,
 )
 from navbake.errors import SceneError
-from navbake.threads import run_in_bands, take_rows
 from navbake.types import Float, Int, Int32
 
 LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
-
-
-class GeomTriangles(NamedTuple):
-    """The triangles of one geom, what they enclose, see `Triangles`, and its `GeomReport.shape`."""
-
-    vertices: Float
-    faces: Int32
-    part: Int32
-    closed: NDArray[np.uint8]
-    kind: str
 
 
 def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> GeomTriangles:
@@ -153,21 +141,13 @@ def collect_shapes(
             vertices += data.geom_xpos[geom]
             found = found._replace(vertices=vertices)
         triangles[geom] = found
-    ends = np.cumsum([0, *(len(one.faces) for one in triangles.values())])
-    owner = np.repeat(np.array(list(triangles), dtype=np.int32), np.diff(ends))
-    part, closed = np.empty(len(owner), np.int32), np.empty(len(owner), np.uint8)
-    corners = np.empty((len(owner), 3, 3))
-    for one, (first, end) in zip(triangles.values(), pairwise(ends.tolist()), strict=True):
-        part[first:end], closed[first:end] = one.part, one.closed
-        taken = one.vertices, one.faces, corners[first:end]
-        run_in_bands(take_rows, end - first, *taken, least=4096)
     index, plane = np.array(solids, dtype=np.int32), np.array(planes, dtype=np.int32)
     of_solids = model.geom_type[index], data.geom_xpos[index], data.geom_xmat[index]
     own = *of_solids, model.geom_size[index]
     gathered = Shapes(
         solids=Solids(index, *own, solid_bounds(*own)),
         planes=Planes(plane, data.geom_xpos[plane], data.geom_xmat[plane]),
-        triangles=Triangles(owner, part, closed, corners),
+        meshes=gather_meshes(triangles),
         endless=endless,
     )
     return Collected(gathered, kinds, list(notes.values()))

@@ -11,6 +11,7 @@ from navbake.types import Float, Int, Int32
 
 # How many directions of upright faces are distinguished, over a right angle
 DIRECTIONS = 180
+CHUNK = 1 << 16  # triangles that are looked at together
 
 
 class Extents(NamedTuple):
@@ -44,8 +45,9 @@ def measure_geoms(shapes: Shapes, num_geoms: int) -> Extents:
     pairs = (np.full((num_geoms, 2), np.nan) for _ in range(2))
     extents = Extents(*pairs, *(np.full(num_geoms, np.nan) for _ in range(4)))
     _measure_solids(shapes.solids, extents)
-    if len(shapes.triangles.geom):
-        _measure_triangles(shapes.triangles.geom, shapes.triangles.corners, extents)
+    for triangles in shapes.triangles_of_some():
+        if len(triangles.geom):
+            _measure_triangles(triangles.geom, triangles.corners, extents)
     return extents
 
 
@@ -93,12 +95,15 @@ def find_facing(corners: Float, group: Int32, num: int) -> Float:
 
     Takes corners of triangles, (m, 3, 3) [m], and the group of each, below `num`, (m,).
     """
-    count, size = len(group), num * DIRECTIONS
-    way, weight, off = np.empty(count, np.int32), np.empty(count), np.empty(count)
-    run_in_bands(find_ways, count, corners, DIRECTIONS, way, weight, off, least=4096)
-    bin_ = group.astype(np.intp) * DIRECTIONS + way
-    votes = np.bincount(bin_, weight, size).reshape(num, DIRECTIONS)
-    sums = np.bincount(bin_, off, size).reshape(num, DIRECTIONS)
+    votes, sums = np.zeros((2, num * DIRECTIONS))
+    way, weight, off = np.empty(CHUNK, np.int32), np.empty(CHUNK), np.empty(CHUNK)
+    for first in range(0, len(group), CHUNK):
+        some = corners[first : first + CHUNK]
+        run_in_bands(find_ways, len(some), some, DIRECTIONS, way, weight, off, least=4096)
+        at = group[first : first + CHUNK] * np.int64(DIRECTIONS) + way[: len(some)]
+        np.add.at(votes, at, weight[: len(some)])
+        np.add.at(sums, at, off[: len(some)])
+    votes, sums = votes.reshape(num, DIRECTIONS), sums.reshape(num, DIRECTIONS)
     most = votes.argmax(axis=1)
     total, rest = votes[np.arange(num), most], sums[np.arange(num), most]
     angle: Float = most * (RIGHT / DIRECTIONS) + rest / np.where(total > 0.0, total, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -9,9 +10,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.blocks import join_parts
+from navbake.baker.kernels.arrays import Facets
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
+from navbake.baker.scene.kernels.triangles import expand_mesh
 from navbake.lazy import lazy
-from navbake.types import Bool, Float, Int32
+from navbake.threads import run_in_bands
+from navbake.types import Bool, Float, Int, Int32
 
 spatial = lazy("scipy.spatial")
 
@@ -47,20 +52,68 @@ class Planes(NamedTuple):
         return np.ascontiguousarray(self.mat[:, [2, 5, 8]])
 
 
-class Triangles(NamedTuple):
-    """Triangles of meshes, hulls, height fields and finite planes, by geom, ascending."""
+class GeomTriangles(NamedTuple):
+    """The triangles of one geom, counter-clockwise from the front, and its `GeomReport.shape`.
+
+    It is made of a mesh, a hull, a height field or a finite plane. `part` is 0 for what encloses
+    nothing, and for all that is no mesh; `closed` is OPEN_SURFACE, CLOSED_SURFACE, SOLID (height
+    fields) or CONVEX_SOLID (hulls): inside of all but the first counts as occupied.
+    """
+
+    vertices: Float
+    faces: Int32
+    part: Int32
+    closed: NDArray[np.uint8]
+    kind: str
+
+
+class Meshes(NamedTuple):
+    """The geoms that are made of triangles, ascending, shape (n,), and the triangles of each.
+
+    Geoms of one mesh share all arrays but the vertices, which are in the world frame [m]. `boxes`
+    are exact, (n, 6): lower corner, upper corner [m].
+    """
 
     geom: Int32
-    # of its geom's mesh: 0 for what encloses nothing, and for all that is no mesh
-    part: Int32
-    # OPEN_SURFACE, CLOSED_SURFACE, SOLID (height fields) or CONVEX_SOLID (hulls): inside of all but
-    # the first counts as occupied
-    closed: NDArray[np.uint8]
-    corners: Float  # (m, 3, 3), counter-clockwise from the front [m]
+    triangles: Sequence[GeomTriangles]
+    boxes: Float
+
+    @property
+    def counts(self) -> Int:
+        """How many triangles each geom has, shape (n,)."""
+        return np.array([len(one.faces) for one in self.triangles], dtype=np.int64)
+
+    def only(self, kept: Bool) -> Meshes:
+        """Those that are kept, shape (n,)."""
+        pairs = zip(self.triangles, kept.tolist(), strict=True)
+        chosen = [one for one, is_kept in pairs if is_kept]
+        return Meshes(self.geom[kept], chosen, self.boxes[kept])
+
+    def expand(self) -> Facets:
+        """All triangles, by geom."""
+        ends = np.cumsum([0, *self.counts])
+        corners, bounds = np.empty((ends[-1], 3, 3)), np.empty((ends[-1], 6))
+        facing = np.empty(ends[-1], dtype=np.int8)
+
+        def write(first: int, end: int) -> None:
+            geom = int(np.searchsorted(ends, first, side="right")) - 1
+            while first < end:
+                begin, last = ends[geom : geom + 2].tolist()
+                arrays = (array[begin:last] for array in (corners, bounds, facing))
+                mesh, last = self.triangles[geom], min(last, end)
+                expand_mesh(mesh.vertices, mesh.faces, *arrays, first - begin, last - begin)
+                first, geom = last, geom + 1
+
+        run_in_bands(write, int(ends[-1]), least=4096)
+        parts: list[list[NDArray[Any]]] = [[one.part, one.closed] for one in self.triangles]
+        parts = parts or [[np.empty(0, np.int32), np.empty(0, np.uint8)]]
+        part, closed = join_parts(parts)
+        return Facets(np.repeat(self.geom, self.counts), part, closed, corners, bounds, facing)
 
 
-Items = TypeVar("Items", Solids, Planes, Triangles)
-ROW = 64  # triangles
+Items = TypeVar("Items", Solids, Planes)
+# So many triangles are expanded together where there are more than so many times as many
+TOGETHER, MANY = 1 << 20, 4
 
 
 @dataclass(frozen=True)
@@ -69,24 +122,31 @@ class Shapes:
 
     solids: Solids
     planes: Planes
-    triangles: Triangles
+    meshes: Meshes
     # By geom id, planes with one infinite side: triangles of FAR, which don't count for the box
     endless: Bool
 
     @cached_property
     def bounds(self) -> Float | None:
         """The box round everything finite, shape (2, 3), float64 [m]; None if all is infinite."""
-        corners = self.triangles.corners
-        if self.endless.any():
-            corners = corners[~self.endless[self.triangles.geom]]
-        low, high = self.solids.bounds[:, :3], self.solids.bounds[:, 3:]
-        # the corners of many triangles at once: numpy takes longer along short rows
-        whole = len(corners) - len(corners) % ROW
-        for some in (corners[:whole].reshape(-1, 9 * ROW), corners[whole:].reshape(-1, 9)):
-            if len(some):
-                low = np.concatenate([low, some.min(axis=0).reshape(-1, 3)])
-                high = np.concatenate([high, some.max(axis=0).reshape(-1, 3)])
+        ends = self.meshes.boxes[~self.endless[self.meshes.geom]]
+        boxes = np.concatenate([self.solids.bounds, ends])
+        low, high = boxes[:, :3], boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
+
+    @cached_property
+    def triangles(self) -> Facets:
+        """All triangles."""
+        return self.meshes.expand()
+
+    def triangles_of_some(self) -> Iterator[Facets]:
+        """All triangles, but of few geoms at a time where they are many."""
+        group = np.cumsum(self.meshes.counts) // TOGETHER
+        if len(set(group.tolist())) <= MANY:
+            yield self.triangles
+            return
+        for number in np.unique(group).tolist():
+            yield self.meshes.only(group == number).expand()
 
     def only(self, geoms: Bool) -> Shapes:
         """The geometry of the geoms that are marked, shape (ngeom,), bool."""
@@ -97,8 +157,8 @@ class Shapes:
             kept = geoms[items.geom]
             return items if kept.all() else type(items)._make(array[kept] for array in items)
 
-        kept = marked(self.solids), marked(self.planes), marked(self.triangles)
-        return Shapes(*kept, self.endless & geoms)
+        meshes = self.meshes.only(geoms[self.meshes.geom])
+        return Shapes(marked(self.solids), marked(self.planes), meshes, self.endless & geoms)
 
     def replaced(self, new: Shapes, geoms: Bool) -> Shapes:
         """The shapes with new ones, of the same kinds, in place of those of the marked geoms."""
@@ -112,18 +172,49 @@ class Shapes:
                 array[at] = values
             return type(old)._make(arrays)
 
+        triangles, boxes = list(self.meshes.triangles), self.meshes.boxes.copy()
+        at = np.flatnonzero(geoms[self.meshes.geom])
+        boxes[at] = new.meshes.boxes
+        for n, one in zip(at.tolist(), new.meshes.triangles, strict=True):
+            triangles[n] = one
+        meshes = Meshes(self.meshes.geom, triangles, boxes)
         solids, planes = put(self.solids, new.solids), put(self.planes, new.planes)
-        return Shapes(solids, planes, put(self.triangles, new.triangles), self.endless)
+        return Shapes(solids, planes, meshes, self.endless)
 
     def turned(self, axes: Float) -> Shapes:
-        """All but infinite planes in a frame with these axes, its rows, shape (3, 3)."""
+        """The solids in a frame with these axes, its rows, shape (3, 3)."""
         solids, mats = self.solids, axes @ self.solids.mat.reshape(-1, 3, 3)
         pose = solids.pos @ axes.T, np.ascontiguousarray(mats.reshape(-1, 9)), solids.size
         bounds = solid_bounds(solids.kind, *pose)
-        corners = np.ascontiguousarray(self.triangles.corners @ axes.T)
         planes = Planes._make(array[:0] for array in self.planes)
-        turned = self.triangles._replace(corners=corners)
-        return Shapes(Solids(solids.geom, solids.kind, *pose, bounds), planes, turned, self.endless)
+        turned = Solids(solids.geom, solids.kind, *pose, bounds)
+        none = np.zeros(len(self.meshes.geom), dtype=np.bool_)
+        return Shapes(turned, planes, self.meshes.only(none), self.endless)
+
+
+def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
+    """The meshes of some geoms, by ascending ids, without those of no triangle."""
+    some = {geom: one for geom, one in triangles.items() if len(one.faces)}
+    boxes, known = np.empty((len(some), 6)), dict[int, Bool]()
+    for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
+        if id(faces) not in known:
+            known[id(faces)] = np.zeros(len(vertices), dtype=np.bool_)
+            known[id(faces)][faces] = True
+        is_used = known[id(faces)]
+        used = vertices if is_used.all() else vertices[is_used]
+        for k in range(3):  # numpy takes ten times as long along the rows of a narrow array
+            box[k], box[3 + k] = used[:, k].min(), used[:, k].max()
+    return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
+
+
+def turn_facets(facets: Facets, axes: Float) -> Facets:
+    """Triangles in a frame with these axes, its rows, shape (3, 3)."""
+    vertices = (facets.corners @ axes.T).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    mesh = GeomTriangles(vertices, faces, facets.part, facets.closed, "")
+    geoms = np.zeros(1, dtype=np.int32)
+    turned = Meshes(geoms, [mesh], np.empty((1, 6))).expand()
+    return turned._replace(geom=facets.geom)
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource, TiledShapes
+from navbake.baker.columns import ColumnSource, ShapeSource
 from navbake.baker.connect import connect, touching
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import Window, cut_cells
@@ -45,7 +45,7 @@ class Space(NamedTuple):
     """Geometry that an agent may collide with, on the whole lattice or on a window of it."""
 
     columns: ColumnSource
-    tiled: TiledShapes
+    tiled: ShapeSource
     footprint: Footprint
     window: Window | None = None
 
@@ -136,7 +136,7 @@ class Ground(NamedTuple):
         if space.window is not None:
             cells = cut_cells(cells, space.window, width)[0]
         columns = space.columns.at(np.unique(cells))
-        met = look_at_cells(columns, space.tiled, space.footprint, cells, floors).occupied
+        met = look_at_cells(columns, space.tiled.at(cells), space.footprint, cells, floors).occupied
         clear = np.ones(len(found), dtype=np.bool_)
         clear[whose[met]] = False
         return clear

@@ -187,7 +187,7 @@ def _space_at(car: Car, height: float, ground: Ground) -> Space:
     axis = float(scene.data.xaxis[car.joint, 2])
     position = float(scene.data.qpos[model.jnt_qposadr[car.joint]]) + axis * (height - car.z)
     data = data_with_joints(model, scene.data, {car.joint: position})
-    kinds = scene.shapes.solids, scene.shapes.planes, scene.shapes.triangles
+    kinds = scene.shapes.solids, scene.shapes.planes, scene.shapes.meshes
     known = np.unique(np.concatenate([kind.geom for kind in kinds]))
     chosen = scene.choices, scene.parts, known[car.geoms[known]].tolist(), scene.meshes
     moved = collect_shapes(model, data, *chosen).shapes

@@ -175,12 +175,7 @@ def _poses_of(data: Any) -> Float:
 
 def boxes_of(shapes: Shapes) -> Float:
     """Boxes round the geometry, one a geom, (n, 6) [m], endless for planes."""
-    geom, corners = shapes.triangles.geom, shapes.triangles.corners
-    boxes = [shapes.solids.bounds]
-    if len(geom):
-        first = np.flatnonzero(np.diff(geom, prepend=np.int32(-1)))
-        low = np.minimum.reduceat(corners.min(axis=1), first)
-        boxes.append(np.hstack([low, np.maximum.reduceat(corners.max(axis=1), first)]))
+    boxes = [shapes.solids.bounds, shapes.meshes.boxes]
     boxes.append(np.tile(np.repeat([-np.inf, np.inf], 3), (len(shapes.planes.geom), 1)))
     return np.concatenate(boxes)
 
@@ -201,7 +196,13 @@ def find_differing(was: Shapes, now: Shapes) -> Bool:
 
     compare(was.solids, now.solids)
     compare(was.planes, now.planes)
-    compare(was.triangles, now.triangles)
+    old, new = (
+        dict(zip(shapes.meshes.geom.tolist(), shapes.meshes.triangles, strict=True))
+        for shapes in (was, now)
+    )
+    for geom in old.keys() | new.keys():
+        one, other = old.get(geom, ()), new.get(geom, ())
+        differs[geom] |= len(one) != len(other) or not all(map(np.array_equal, one[:4], other[:4]))
     return differs
 
 

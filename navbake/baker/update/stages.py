@@ -216,7 +216,7 @@ class LiveStages:
         columns, (finder, of_columns) = now.baked_columns.at(touched), self._cells
         crossings, was = take_columns(columns.crossings, touched), now.contents
         holds = not of_columns.look(touched, crossings, now.floors.levels)
-        known = now.doorless, now.floors, columns, now.tiled
+        known = now.doorless, now.floors, columns, now.tiled.at(touched)
         finder.look_again(*known, touched, differs, floors_hold)
         now.occupancy, now.contents = finder.occupancy, finder.found(now.config.names)
         if was is not None and now.contents is not None:

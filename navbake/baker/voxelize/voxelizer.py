@@ -185,7 +185,7 @@ class Voxelizer:
         lattice = Lattice(x, y + ny * place.res, place.res, nx, ny)
         shapes, tiled = self.shapes, tile_shapes(self.shapes, lattice, 0.0)
         nothing = np.zeros(len(self.scene.geoms), dtype=np.bool_)
-        meshes = replace(shapes.only(nothing), triangles=shapes.triangles)
+        meshes = replace(shapes.only(nothing), meshes=shapes.meshes)
         geometry = lattice, shapes.solids, tiled.facets, shapes.planes, tiled.tiles
         for rows in split_rows(lattice):
             crossings = cast_columns(replace(tiled, shapes=meshes), rows).crossings

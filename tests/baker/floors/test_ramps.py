@@ -132,7 +132,7 @@ def test_slopes_join_what_they_predict(rise):
         normal = np.array([[-one, 0.3, 1], [-other, -0.2, 1]], dtype=np.float32)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         z = np.array([0.0, dz])
-        surfaces = Surfaces(np.arange(2), length, length, z, ids, marks, normal)
+        surfaces = Surfaces(np.arange(2, dtype=np.int32), length, length, z, ids, marks, normal)
         labels = Labels(Blocks(lattice), Joining(0.12, by_slopes=True))
         labels.update(surfaces, np.ones(1, dtype=np.bool_))
         is_steep = max(abs(one), abs(other)) > 0.12

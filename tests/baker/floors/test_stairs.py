@@ -208,8 +208,13 @@ def place(base: list[int], is_stair: list[bool], num_levels: int) -> list[int]:
     z, none = np.array(base) + 0.01 * np.arange(num), np.empty((0, 3), dtype=np.float32)
     ids, length = np.zeros(num, dtype=np.int32), np.array([num], dtype=np.int32)
     marks = np.zeros(num, dtype=np.uint8)
-    surfaces = Surfaces(np.zeros(1, np.int64), length, length, z, ids, marks, none)
-    kept = Kept(ids, np.arange(num, dtype=np.int32), np.zeros(1, np.int64), np.array(is_stair))
+    surfaces = Surfaces(np.zeros(1, np.int32), length, length, z, ids, marks, none)
+    kept = Kept(
+        ids.astype(np.int8),
+        np.arange(num, dtype=np.int32),
+        np.zeros(1, np.int64),
+        np.array(is_stair),
+    )
     level, grounds = np.empty(num, dtype=np.int32), np.arange(num_levels, dtype=np.float64)
     rows = np.empty((num, 4), dtype=np.int64), np.empty(num)
     block = np.zeros((2, 1), dtype=np.int64)

@@ -63,11 +63,14 @@ def test_bounds_leave_out_endless_planes():
         none = np.zeros(0, np.int32)
         solids = shapes.Solids(none, none, *(np.zeros((0, n)) for n in (3, 9, 3, 6)))
         planes = shapes.Planes(none, np.zeros((0, 3)), np.zeros((0, 9)))
-        part, closed = np.zeros(len(geom), np.int32), np.zeros(len(geom), np.uint8)
-        triangles = shapes.Triangles(
-            np.array(geom, np.int32), part, closed, np.array(corners, float)
-        )
-        return shapes.Shapes(solids, planes, triangles, np.array(endless)).bounds
+        own = {}
+        for number in sorted(set(geom)):
+            vertices = np.array(corners, float)[np.array(geom) == number].reshape(-1, 3)
+            faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+            part, closed = np.zeros(len(faces), np.int32), np.zeros(len(faces), np.uint8)
+            own[number] = shapes.GeomTriangles(vertices, faces, part, closed, "surface")
+        meshes = shapes.gather_meshes(own)
+        return shapes.Shapes(solids, planes, meshes, np.array(endless)).bounds
 
     large = TETRAHEDRON[[0, 1, 2]] * 1e5  # finite, however large
     strip = shapes.plane_triangles(np.array([2.0, 0.0]))

@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.floors.kernels.labels import bin_of, note_row
 from navbake.baker.floors.kernels.members import sheet_of, shrink
@@ -30,13 +31,13 @@ class Kept(NamedTuple):
     """The surfaces that levels are made of.
 
     Attributes:
-        key: of each surface, 0 if it is kept, else -1, int32.
+        key: of each surface, 0 if it is kept, else -1, int8.
         plateau: of each, its plateau's number in its block, int32; empty if no column has two.
         offset: the number of each block's first plateau, int64.
         is_stair: which plateaus are parts of stairs, bool.
     """
 
-    key: Int32
+    key: NDArray[np.int8]
     plateau: Int32
     offset: Int
     is_stair: Bool

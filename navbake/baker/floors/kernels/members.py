@@ -31,7 +31,7 @@ class Labelled(NamedTuple):
     """
 
     lattice: Any
-    first: Int
+    first: Int32
     length: Int32
     z: Float
     geom: Int32

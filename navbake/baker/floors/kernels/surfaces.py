@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE, SAME, SLACK
 from navbake.baker.kernels.tiles import cell_center
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.types import Float, Int, Int32
+from navbake.types import Float, Int32
 
 # Marks: a floor may go on at it, an agent can stand on it, nothing lies above it; an agent could
 # stand on it if the closed mesh or plane around it were hollow
@@ -28,16 +28,16 @@ class Surfaces(NamedTuple):
     Cells can be replaced one by one, so runs lie in any order, with gaps between them.
 
     Attributes:
-        first: (cells,) int64.
+        first: (cells,) int32.
         length: (cells,) int32.
-        room: the capacity of each run, (cells,) int32.
+        room: the capacity of each run, (cells,) int32; `length` itself until one is replaced.
         z: heights, ascending in a cell, (n,) float64 [m].
         geom: MuJoCo's geom ids, (n,) int32; of HELD surfaces, that of the mesh or plane around.
         marks: FLOOR_LIKE, STANDS, TOP and HELD, (n,) uint8.
         normal: unit normals, (n, 3) float32; (n, 0) where no slope rises more than a step a cell.
     """
 
-    first: Int
+    first: Int32
     length: Int32
     room: Int32
     z: Float

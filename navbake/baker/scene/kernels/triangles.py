@@ -38,12 +38,15 @@ def unit_normal(corners, t):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_facets(corners, bounds, facing, first, end):
-    """Find the boxes round triangles ``range(first, end)``, and which way they face, see `Facets`.
+def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
+    """Write triangles ``range(first, end)``, the boxes round them, and their facing, see `Facets`.
 
     Those are upright for which `unit_normal` has a z of 0.
     """
     for t in range(first, end):
+        for i in range(3):
+            for k in range(3):
+                corners[t, i, k] = vertices[faces[t, i], k]
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
         for k in range(3):
             bounds[t, k], bounds[t, 3 + k] = min(a[k], b[k], c[k]), max(a[k], b[k], c[k])
