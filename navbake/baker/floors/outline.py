@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
-from navbake.baker.floors.kernels.members import Edges, list_edges, look_out
+from navbake.baker.floors.kernels.members import ITSELF, Edges, Labelled, list_edges, look_below
 from navbake.baker.floors.kernels.rims import mark_holes
 from navbake.baker.floors.sheets import SheetFacts, Sheets
 from navbake.baker.floors.surfaces import find_near
@@ -104,7 +104,17 @@ class Site(NamedTuple):
         shape = len(cell), reach
         beyond = np.full(shape, -1), np.full(shape, np.nan), np.full(shape, -1, dtype=np.int32)
         edges = Edges(sheet[kept], cell.copy(), sheets.surfaces.z[place], way.copy(), *beyond)
-        run_in_bands(look_out, len(cell), labelled, step, edges, least=1000)
+        looking = np.arange(len(cell))
+        for k in range(reach):
+            cells = beside(sheets.lattice, edges.cell[looking], edges.way[looking], k + 1)
+            looking, cells = looking[cells >= 0], cells[cells >= 0]
+            limits = edges.z[looking] - step - SLACK
+            places, below = find_below(labelled, cells, limits, edges.sheet[looking])
+            goes_out = places != ITSELF
+            looking, places = looking[goes_out], places[goes_out]
+            edges.cells[looking, k], edges.landing[looking, k] = cells[goes_out], below[goes_out]
+            lies = places >= 0
+            edges.floors[looking[lies], k] = labelled.z[places[lies]]
         return edges
 
     def barriers(self, edges: Edges, agent: AgentSettings) -> NDArray[np.uint8]:
@@ -170,6 +180,18 @@ class Site(NamedTuple):
         share = np.full(len(whole), np.nan)
         np.divide(of_kind, whole, out=share, where=whole > 0)
         return share
+
+
+def find_below(
+    labelled: Labelled, cells: Int, limits: Float, sheets: Int32 | None = None
+) -> tuple[Int, Int32]:
+    """The highest surfaces of other sheets, or of any, below limits, see `look_below`."""
+    if sheets is None:
+        sheets = np.full(len(cells), -2, dtype=np.int32)
+    places, below = np.empty(len(cells), dtype=np.int64), np.empty(len(cells), dtype=np.int32)
+    asked = labelled, cells, sheets, limits, places, below
+    run_in_bands(look_below, len(cells), *asked, least=1000)
+    return places, below
 
 
 def find_cropped(lattice: Lattice, bounds: Float | None) -> Bool:

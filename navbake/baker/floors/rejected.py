@@ -8,8 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.floors.kernels.members import Edges, Members, look_below
-from navbake.baker.floors.outline import DROP, WALL, Site, beside, find_holes, probe_bands
+from navbake.baker.floors.kernels.members import Edges, Members
+from navbake.baker.floors.outline import (
+    DROP,
+    WALL,
+    Site,
+    beside,
+    find_below,
+    find_holes,
+    probe_bands,
+)
 from navbake.baker.kernels.constants import SAME, SLACK, TOUCH
 from navbake.baker.kernels.overlap import lines_blocked
 from navbake.threads import run_in_bands
@@ -157,8 +165,9 @@ def _count_over_room(site: Site, sheet: int, floor: float) -> int:
     """Count a sheet's cells with room for an agent below, on the `floor` beside [m] or higher."""
     agent, members = site.agent, site.sheets.members(sheet)
     step, cells = agent.traversable_floor_height, members.cell
-    below, _ = look_below(site.sheets.labelled(site.is_large), cells, members.place)
-    has_floor = below >= floor - step - SLACK
+    labelled = site.sheets.labelled(site.is_large)
+    place, _ = find_below(labelled, cells, members.z)
+    has_floor = (place >= 0) & (labelled.z[place] >= floor - step - SLACK)
     blocked = np.zeros(len(cells), dtype=np.bool_)
     low, high = (
         np.full(len(cells), z) for z in (floor + step + TOUCH, floor + agent.height - TOUCH)
@@ -238,7 +247,7 @@ def _lie_over_walls(site: Site, asked: Bool) -> Bool:
     every = site.sheets.labelled(np.ones_like(asked))
     for sheet in np.flatnonzero(asked).tolist():
         members = site.sheets.members(sheet)
-        _, below = look_below(every, members.cell, members.place)
+        _, below = find_below(every, members.cell, members.z)
         is_over = np.zeros((height, width), dtype=np.bool_)
         is_over.flat[members.cell] = over_wall_tops(site, members) | (below >= 0) & (below != sheet)
         for grid in (is_over, is_over.T):

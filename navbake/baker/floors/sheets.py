@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.blocks import Blocks, BlockTable, fit
-from navbake.baker.connect import connect
+from navbake.baker.connect import connect, ranges
 from navbake.baker.floors.kernels import labels as kernels
-from navbake.baker.floors.kernels.labels import JOINS, LINKS, Joining
+from navbake.baker.floors.kernels.labels import JOINS, LIES, LINKS, Joining
 from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
     Members,
-    fill_members,
     find_large,
     near_offsets,
 )
@@ -42,14 +41,14 @@ class Labels:
     Attributes:
         part: the number of each surface's part in its block, -1 for none, int32.
         count, offset: how many parts each block has, and the number of its first, int64.
-        measures: of the parts, see `label_blocks`.
+        measures, pairs: of the parts, see `label_blocks` and `list_pairs`.
     """
 
     def __init__(self, blocks: Blocks, joining: Joining) -> None:
         self.blocks, self._joining = blocks, joining
         self.part, self.count = NO_KEY, np.zeros(blocks.num, dtype=np.int64)
         self.measures = BlockTable(blocks.num, *NO_PARTS)
-        self._pairs = BlockTable(blocks.num, NO_ROWS)
+        self.pairs = BlockTable(blocks.num, NO_ROWS)
 
     def update(self, surfaces: Surfaces, stale: Bool, key: Int32 = NO_KEY) -> None:
         """Find the parts of stale blocks again; see `label_blocks` for the key."""
@@ -57,7 +56,7 @@ class Labels:
         chosen, near = np.flatnonzero(stale), np.flatnonzero(self.blocks.before(stale))
         asked = self.blocks.lattice, surfaces, key, self._joining, self.part
         self.count[chosen] = self.measures.fill(kernels.label_blocks, chosen, *asked)
-        self._pairs.fill(kernels.list_pairs, near, *asked)
+        self.pairs.fill(kernels.list_pairs, near, *asked)
         self.offset = np.concatenate([[0], np.cumsum(self.count)])
 
     @property
@@ -70,7 +69,7 @@ class Labels:
 
         Each pair is there once, the lower number first, shape (2, m).
         """
-        block, (rows,) = self._pairs.take()
+        block, (rows,) = self.pairs.take()
         one, other, what, _ = rows.T
         step = np.array([0, 1, self.blocks.cols])[what % 3]
         pairs = np.stack([self.offset[block] + one, self.offset[block + step] + other])
@@ -110,7 +109,6 @@ class Sheets:
         by_slopes = slopes_may_join(store.lattice, agent)
         self.joining = Joining(agent.traversable_floor_height, by_slopes=by_slopes)
         self.labels = Labels(blocks, self.joining)
-        self._stacks = BlockTable(blocks.num, NO_ROWS, NO_HEIGHTS)
         self.now = 0
         self.last, self.last_near = np.zeros((2, blocks.num), dtype=np.int64)
 
@@ -134,8 +132,6 @@ class Sheets:
         self.now += 1
         self.last[stale] = self.last_near[near] = self.now
         labels.update(surfaces, stale, key)
-        asked = self.lattice, surfaces, labels.part, NO_KEY, labels.part
-        self._stacks.fill(kernels.tally, np.flatnonzero(stale), *asked)
         _, (size, tops, first_key, box, digest) = labels.measures.take()
         whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
@@ -166,7 +162,9 @@ class Sheets:
 
     def stacks(self) -> tuple[Int32, Int32, Int]:
         """Upper sheets, the ones next below, and in how many cells; pairs may repeat."""
-        block, (rows, _) = self._stacks.take()
+        block, (rows,) = self.labels.pairs.take()
+        lies = rows[:, 2] // 3 == LIES
+        block, rows = block[lies], rows[lies]
         return self.sheet_at(block, rows[:, 0]), self.sheet_at(block, rows[:, 1]), rows[:, 3]
 
     def blocks_of(self, chosen: Bool) -> Bool:
@@ -177,12 +175,15 @@ class Sheets:
 
     def members(self, sheet: int, window: Sequence[int] | None = None) -> Members:
         """The surfaces of a sheet, all or those in a window: rows and columns as of `box`."""
-        chosen, num = np.arange(len(self.key)) == sheet, int(self.size[sheet])
-        types = np.int64, np.float64, np.int32, np.int64
-        members = Members._make(np.empty(num, dtype) for dtype in types)
-        window = self.box[sheet].tolist() if window is None else window
-        count = fill_members(self.labelled(chosen), tuple(window), members)
-        return Members._make(array[:count] for array in members)
+        surfaces, width = self.surfaces, self.lattice.width
+        row0, col0, row1, col1 = self.box[sheet].tolist() if window is None else window
+        cells = np.add.outer(np.arange(row0, row1) * width, np.arange(col0, col1)).ravel()
+        which, place = ranges(surfaces.first[cells], surfaces.first[cells] + surfaces.length[cells])
+        some = np.flatnonzero(self.labels.part[place] >= 0)
+        cell, place = cells[which[some]], place[some]
+        own = self.sheet_at(self.blocks.of(cell), self.labels.part[place]) == sheet
+        cell, place = cell[own], place[own]
+        return Members(cell, surfaces.z[place], surfaces.geom[place], place)
 
     def between(self, chosen: Bool, low: float, high: float) -> Bool:
         """Which of the chosen sheets have a surface from a height up to below another one [m]."""

@@ -15,8 +15,9 @@ from navbake.baker.kernels.constants import SLACK
 from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 
-# Kinds of pairs: both belong to one part; an agent steps from one to the other
-JOINS, LINKS = 0, 1
+# Kinds of pairs: both belong to one part; an agent steps from one to the other; one lies next over
+# the other
+JOINS, LINKS, LIES = 0, 1, 2
 # Floors whose heights round to the same multiple of this are one plateau [m]
 PLATEAU = 0.02
 # So many of the last rows are searched for the same three numbers
@@ -180,7 +181,8 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
     """List the pairs of parts that meet, inside of blocks and over their east and south borders.
 
     The rows: the part in the block; the other one; and three times the kind, JOINS (over borders
-    alone) or LINKS, plus 1 if the other one is in the block east of it, 2 in that south of it.
+    alone), LINKS or LIES, plus 1 if the other one is in the block east of it, 2 in that south of
+    it.
     """
     rows, num, width, far = columns[0], np.int64(0), lattice.width, _far(joining)
     first, length, z = surfaces.first, surfaces.length, surfaces.z
@@ -188,10 +190,15 @@ def list_pairs(lattice, surfaces, key, joining, part, blocks, counts, columns, b
         before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
-            # inside of a block parts are linked at most
-            only_border = joining.reach < 0.0 and row < row1 - 1
-            for col in range(col1 - 1 if only_border else col0, col1):
-                cell = row * width + col
+            for col in range(col0, col1):
+                cell, lower = row * width + col, np.int32(-1)
+                for a in range(first[cell], first[cell] + length[cell]):
+                    if part[a] >= 0 and lower >= 0:
+                        at = note_row(rows, before, num, part[a], lower, 3 * LIES)
+                        if at < 0:
+                            return k
+                        num = max(num, at + 1)
+                    lower = part[a] if part[a] >= 0 else lower
                 for way in range(2):
                     at_border = col == col1 - 1 if way == 0 else row == row1 - 1
                     if not at_border and joining.reach < 0.0:
@@ -228,8 +235,7 @@ def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, 
     """Count the surfaces of ``blocks[begin:end]`` whose `own` number is >= 0.
 
     The rows: the `own` and the `other` number, and the level, unless that is -1; if `level` is
-    empty, the multiple of PLATEAU. A column more has the lowest height of each row [m]. If `other`
-    is empty, it is the `own` number of the next one below; the lowest ones do not count.
+    empty, the multiple of PLATEAU. A column more has the lowest height of each row [m].
     """
     (rows, low), num = columns, np.int64(0)
     for k in range(begin, end):
@@ -237,16 +243,12 @@ def tally(lattice, surfaces, own, other, level, blocks, counts, columns, begin, 
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                lower = np.int32(-1)
                 for j in range(surfaces.first[cell], surfaces.first[cell] + surfaces.length[cell]):
                     if own[j] < 0 or (level.shape[0] > 0 and level[j] == -1):
                         continue
-                    beside, lower = other[j] if other.shape[0] > 0 else lower, own[j]
-                    if beside < 0:
-                        continue
                     z = surfaces.z[j]
                     value = np.int64(level[j]) if level.shape[0] > 0 else bin_of(z)
-                    at = note_row(rows, before, num, own[j], beside, value)
+                    at = note_row(rows, before, num, own[j], other[j], value)
                     if at < 0:
                         return k
                     low[at] = min(low[at], z) if at < num else z

@@ -136,22 +136,6 @@ def sheet_of(labelled, block, j):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def fill_members(labelled, window, members):
-    """List the surfaces of sheets in a window of rows and columns, cell by cell; their number."""
-    row0, col0, row1, col1 = window
-    lattice, count = labelled.lattice, 0
-    for row in range(row0, row1):
-        for col in range(col0, col1):
-            cell, block = row * lattice.width + col, block_of(lattice, row, col)
-            for j in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-                if sheet_of(labelled, block, j) >= 0:
-                    members.cell[count], members.z[count] = cell, labelled.z[j]
-                    members.geom[count], members.place[count] = labelled.geom[j], j
-                    count += 1
-    return count
-
-
-@kernel(nogil=True, **UNCOUNTED)
 def weigh(lattice, surfaces, part, level, blocks, counts, columns, begin, end):
     """Sum up the surfaces of ``blocks[begin:end]`` that have a part and a level, not less than 0.
 
@@ -284,36 +268,15 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def look_out(labelled, step, edges, begin, end):
-    """Write `cells`, `floors` and `landing`, before -1, NaN and -1, of ``edges[begin:end]``."""
-    lattice = labelled.lattice
-    for n in range(begin, end):
-        row, col = edges.cell[n] // lattice.width, edges.cell[n] % lattice.width
-        for k in range(edges.cells.shape[1]):
-            row, col = _next(lattice, row, col, edges.way[n])
-            if row < 0:
-                break
-            limit = edges.z[n] - step - SLACK
-            beside = _surface_below(labelled, row, col, edges.sheet[n], limit)
-            if beside == ITSELF:
-                break
-            edges.cells[n, k] = row * lattice.width + col
-            if beside >= 0:
-                block = block_of(lattice, row, col)
-                edges.floors[n, k] = labelled.z[beside]
-                edges.landing[n, k] = sheet_of(labelled, block, beside)
+def look_below(labelled, cells, sheets, limits, places, below, begin, end):
+    """Find the highest surfaces of other sheets below limits, for ``cells[begin:end]``.
 
-
-@kernel(nogil=True)
-def look_below(labelled, cells, places):
-    """Height [m] and sheet of the next labelled surface below each of some; NaN and -1 for none."""
-    z, sheet = np.full(cells.shape[0], math.nan), np.full(cells.shape[0], np.int32(-1))
+    Writes their places: NOTHING where there is none, ITSELF where the sheet has a surface in the
+    cell; and their sheets, -1 for none.
+    """
     width = labelled.lattice.width
-    for n in range(cells.shape[0]):
-        block = block_of(labelled.lattice, cells[n] // width, cells[n] % width)
-        for j in range(places[n] - 1, labelled.first[cells[n]] - 1, -1):
-            other = sheet_of(labelled, block, j)
-            if other >= 0:
-                z[n], sheet[n] = labelled.z[j], other
-                break
-    return z, sheet
+    for n in range(begin, end):
+        row, col = cells[n] // width, cells[n] % width
+        j = _surface_below(labelled, row, col, sheets[n], limits[n])
+        block = block_of(labelled.lattice, row, col)
+        places[n], below[n] = j, sheet_of(labelled, block, j) if j >= 0 else np.int32(-1)
