@@ -18,7 +18,6 @@ SLIVER = 0.5
 # A cell is steep, like a stair, where the floor rises by this share of the distance, over so far
 # on both sides of it [m]; a region is a stair where this share of its cells is as steep as one
 STEEPNESS, SLOPE_REACH, STAIR_SHARE = 0.3, 0.3, 0.5
-STRIP = 256  # rows that are looked at together, for the memory that it takes
 # By how much the distance from a corridor's middle to its walls varies at most, over all angles and
 # offsets to the lattice [half cells]
 ROUGHNESS = 1.0
@@ -109,8 +108,7 @@ def spread(label: Int32, open_cells: Bool) -> None:
     width = label.shape[1] + 2
     labels = np.pad(label, 1).ravel()
     waiting = np.flatnonzero(np.pad(open_cells, 1).ravel() & (labels == 0))
-    # the cell with a label that each one's is from
-    source = np.arange(len(labels), dtype=np.int32)
+    source = np.arange(len(labels))  # the cell with a label that each one's is from
     steps = 1, width, -1, -width
     while len(waiting):
         reached = np.logical_or.reduce([labels[waiting + step] > 0 for step in steps])
@@ -120,7 +118,7 @@ def spread(label: Int32, open_cells: Bool) -> None:
         found = np.full(len(wave), -1)
         nearest, own, row, col = (np.zeros(len(wave), dtype=np.int64) for _ in range(4))
         for step in steps:
-            origin = source[wave + step].astype(np.int64)
+            origin = source[wave + step]
             down, right = origin // width - wave // width, origin % width - wave % width
             square, there = down**2 + right**2, labels[wave + step]
             same = (there < own) | (there == own) & (col * down - row * right > 0)
@@ -140,16 +138,13 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     steep = np.zeros(label.shape, dtype=np.bool_)
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= rise / 2:
         return steep
-    for first in range(0, len(label), STRIP):
-        begin, end = max(first - steps, 0), first + STRIP
-        height = np.where(label[begin : end + steps] > 0, floor[begin : end + steps], np.nan)
-        squares = np.zeros(height.shape)
-        for over, squared in ((height, squares), (height.T, squares.T)):
-            change = over[2 * steps :] - over[: -2 * steps]
-            change *= change
-            squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
-        steep[first:end] = squares[first - begin :][:STRIP] >= rise**2
-    return steep & (label > 0)
+    height = np.where(label > 0, floor, np.nan)
+    squares = np.zeros(label.shape)
+    for over, squared in ((height, squares), (height.T, squares.T)):
+        change = over[2 * steps :] - over[: -2 * steps]
+        change *= change
+        squared[steps:-steps] += np.fmax(change, 0.0, out=change)  # NaN becomes 0
+    return (squares >= rise**2) & (label > 0)
 
 
 class _Regions:

@@ -190,8 +190,8 @@ class WallRays:
     """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice, self._floor = lattice, floor
-        low, high = np.nanmin(floor) + RAY_HEIGHT, np.nanmax(floor) + RAY_HEIGHT
+        self._lattice, self._height = lattice, floor + RAY_HEIGHT
+        low, high = np.nanmin(self._height), np.nanmax(self._height)
         corners, kept = walls.triangles.corners, np.empty(len(walls.triangles.geom), dtype=np.bool_)
 
         def choose(first: int, end: int) -> None:
@@ -232,8 +232,8 @@ class WallRays:
         self, axes: Float, tiled: TiledShapes, column: float, row: Int, col: Int, is_after: Bool
     ) -> Float:
         """How far walls are, plus a column, so that it isn't 0; see `measure`."""
-        height = self._floor[row, col] + RAY_HEIGHT
-        centers = np.column_stack([self._lattice.positions(row, col), height]) @ axes.T
+        centers = np.column_stack([self._lattice.positions(row, col), self._height[row, col]])
+        centers = centers @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
         across = np.array([-0.5, 0.0, 0.5]) * self._lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
