@@ -67,7 +67,8 @@ class GeomTriangles(NamedTuple):
     kind: str
 
 
-class Meshes(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Meshes:
     """The geoms that are made of triangles, ascending, shape (n,), and the triangles of each.
 
     Geoms of one mesh share all arrays but the vertices, which are in the world frame [m]. `boxes`
@@ -83,8 +84,15 @@ class Meshes(NamedTuple):
         """How many triangles each geom has, shape (n,)."""
         return np.array([len(one.faces) for one in self.triangles], dtype=np.int64)
 
+    @cached_property
+    def expanded(self) -> Facets:
+        """All triangles, which are kept."""
+        return self.expand()
+
     def only(self, kept: Bool) -> Meshes:
         """Those that are kept, shape (n,)."""
+        if kept.all():
+            return self
         pairs = zip(self.triangles, kept.tolist(), strict=True)
         chosen = [one for one, is_kept in pairs if is_kept]
         return Meshes(self.geom[kept], chosen, self.boxes[kept])
@@ -134,10 +142,10 @@ class Shapes:
         low, high = boxes[:, :3], boxes[:, 3:]
         return np.stack([low.min(axis=0), high.max(axis=0)]) if len(low) else None
 
-    @cached_property
+    @property
     def triangles(self) -> Facets:
         """All triangles."""
-        return self.meshes.expand()
+        return self.meshes.expanded
 
     def triangles_of_some(self) -> Iterator[Facets]:
         """All triangles, but of few geoms at a time where they are many."""
