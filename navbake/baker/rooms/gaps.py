@@ -65,14 +65,18 @@ Found = tuple[Direction, Scan, Gaps]
 
 
 def find_gaps(
-    open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
+    open_cells: Bool,
+    holes: Bool,
+    cell_size: float,
+    door_width: float | None,
+    rays: WallRays | None = None,
 ) -> tuple[list[Found], Int32, Int]:
     """The gaps of each direction, the spaces that all of them part, and how many cells each has.
 
     Space includes `holes`, without floor or wall. A gap wider than `door_width` [m] parts none.
     """
     space = open_cells | holes
-    directions = find_directions(space, cell_size)
+    directions = find_directions(space, cell_size, rays)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
     # doorways, come first, and close the way for others: so a line across a corridor does not go

@@ -72,10 +72,10 @@ def segment_by_gaps(
     around = slice(row, window[0].stop + 1), slice(col, window[1].stop + 1)
     floor, edge = level.floor[around], level.edge[around]
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
     rays = None
     if walls is not None and lattice is not None:
         rays = WallRays(walls, lattice.cut(*around), floor)
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width, rays)
     spaces = Spaces(found, cells, cell_size, door_width, rays)
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
