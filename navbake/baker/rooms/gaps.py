@@ -104,17 +104,17 @@ def find_gaps(
         number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
         label, cells = number[label], np.bincount(number, cells).astype(np.int64)
     found = []
-    for direction, own, thick in zip(directions, marks, thickness, strict=True):
+    for direction, own in zip(directions, marks, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
         scanned = turned(label, direction), turned(space, direction), direction.shift
         scan = Scan(*scanned, depths, leans)
-        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
+        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own)))
     return found, label, cells
 
 
-def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
-    """The gaps of a direction: neighbouring columns of at most `thickness` marked cells.
+def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
+    """The gaps of a direction: neighbouring columns of marked cells.
 
     They lie between the same two spaces, and one cell of each is marked in `own`.
     """
@@ -127,7 +127,6 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
     below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # at the lattice's edge that is a marked cell, which has no label
     crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
-    crosses &= bottom - top < thickness
     col, top, bottom, above, below, mark = (
         array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
     )
@@ -177,14 +176,24 @@ class Spaces:
         self._number = np.repeat(np.arange(len(found)), counts)
         # from the centre of a gap's first cell, and of its last one, to the wall [columns]
         self._beside = np.full((len(self._number), 2), 0.5)
-        self._width = np.ones(len(self._number))  # [cells]
+        self._width, self._far = np.ones((2, len(self._number)))  # [cells], [columns]
         for number, (direction, scan, gaps) in enumerate(found):
             own = slice(self._start[number], self._start[number + 1])
             cols = np.stack([gaps.first, gaps.last], axis=1)
             rows = (gaps.top + gaps.bottom) // 2
             doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
-            far = np.where(gaps.is_doorway, doorway, FAR)
-            self._beside[own] = self._beyond(number, rows * scan.label.shape[1] + cols, far)
+            self._far[own] = np.where(gaps.is_doorway, doorway, FAR)
+            # a gap that ends where the opening goes on between other spaces ends at no wall
+            aside = np.clip(cols + np.array([-1, 1]), 0, len(scan.shift) - 1)
+            on, last = scan.shift[aside] - scan.shift[cols], len(scan.label) - 1
+            top, middle, bottom = (
+                np.clip(at + on, 0, last) for at in (gaps.top - 1, rows, gaps.bottom + 1)
+            )
+            above, below = scan.label[top, aside], scan.label[bottom, aside]
+            goes_on = scan.is_open[middle, aside] & (above > 0) & (below > 0)
+            goes_on &= (above != gaps.above[:, None]) | (below != gaps.below[:, None])
+            ends = np.where(goes_on, -1, rows * len(scan.shift) + cols)
+            self._beside[own] = self._beyond(number, ends, self._far[own])
             inner = gaps.last - gaps.first
             self._width[own] = (inner + self._beside[own].sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
@@ -272,22 +281,23 @@ class Spaces:
         for number in sorted(set(numbers.tolist())):
             _, scan, listed = self._found[number]
             chosen, start = gaps[numbers == number], int(self._start[number])
-            asked = scan, listed, chosen - start, self.whole, DECIDING, WAVERING
-            lines, shares, wavers, met = kernels.measure_gaps(*asked)
+            lines, met = kernels.measure_gaps(scan, listed, chosen - start, self.whole)
             for k, space in met:
                 self._met_by[space].add(start + k)
-            if len(chosen) == len(listed.first):  # the rays of most later lines, at once
-                self._beyond(number, lines[..., 4:])
-            # for others it makes no difference where in the last cells the walls begin
-            close = np.flatnonzero(wavers)
-            if len(close) and self._rays is not None:
-                some, own = lines[close], self._beside[chosen[close], None, None]
-                passed = some[..., 2:4]
-                # up to the wall at the gap's end, or as far as openings beyond it go
-                beside = np.where(passed > 0, np.maximum(passed + 0.5, own), own).sum(axis=3)
-                beyond = self._beyond(number, some[..., 4:]).sum(axis=3)
-                exact = (some[..., 1] - 1 + beside) / (some[..., 0] - 1 + beyond)
-                shares[close] = np.minimum(exact.min(axis=2), 1.0)
+            length, width, passed, ends, through = np.split(lines, [1, 2, 4, 6], axis=3)
+            # up to the wall at the gap's end, or at that of openings beyond it
+            further = passed + self._beyond(number, through, self._far[chosen])
+            beside = np.where(passed > 0, further, self._beside[chosen, None, None])
+            open_width = width[..., 0] - 1 + beside.sum(axis=3)
+            shares = np.minimum(open_width / length[..., 0], 1.0).min(axis=2)
+            if self._rays is not None:
+                if len(chosen) == len(listed.first):  # the rays of most later lines, at once
+                    self._beyond(number, ends)
+                # for others it makes no difference where in the last cells the walls begin
+                off = np.abs(shares[..., None] - DECIDING).min(axis=2) * length.min(axis=(2, 3))
+                close = np.flatnonzero((off <= WAVERING).any(axis=1))
+                whole = length[close, ..., 0] - 1 + self._beyond(number, ends[close]).sum(axis=3)
+                shares[close] = np.minimum(open_width[close] / whole, 1.0).min(axis=2)
             self._shares[chosen] = shares
 
     def _beyond(self, number: int, cells: Int, far: Float | None = None) -> Float:

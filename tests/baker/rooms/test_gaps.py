@@ -354,11 +354,46 @@ def assert_rooms_at_all_sizes(plan, folder):
 
 
 @pytest.mark.parametrize(
+    ("turn", "width", "thick", "chase"),
+    [
+        (15.02, 3.35, 0.29, (0.67, 0.59)),
+        (64.92, 3.07, 0.15, (0.614, 0.52)),
+        (79.94, 2.83, 0.13, (0.566, 0.73)),
+    ],
+)
+def test_a_chase_that_leaves_four_fifths_of_a_room_parts_nothing(
+    turn, width, thick, chase, tmp_path
+):
+    """As wide as the walls stand apart, also where they lean and where a line is in parts."""
+    plan = two_rooms_turned(turn, width, thick, (width / 2, 0.9), chase=chase)
+    assert_rooms_at_all_sizes(plan, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("turn", "width", "thick", "door"),
+    [(9.68, 2.76, 0.08, (1.33, 0.98)), (60.31, 2.61, 0.16, (1.63, 0.96))],
+)
+def test_a_doorway_whose_lines_are_not_equally_long(turn, width, thick, door, tmp_path):
+    assert_rooms_at_all_sizes(two_rooms_turned(turn, width, thick, door), tmp_path)
+
+
+@pytest.mark.parametrize(
     ("turn", "width", "thick", "door", "slant"),
     [
         (16.26, 4.01, 0.23, (1.58, 0.85), 0.39),
+        (27.33, 4.09, 0.23, (1.78, 1.05), 0.85),
         (29.87, 3.31, 0.08, (1.69, 1.27), 0.86),
     ],
 )
 def test_a_doorway_in_a_wall_that_slants(turn, width, thick, door, slant, tmp_path):
     assert_rooms_at_all_sizes(two_rooms_turned(turn, width, thick, door, slant), tmp_path)
+
+
+def test_a_chase_deeper_than_a_wall_beside_a_wide_opening():
+    """The opening begins a line above the chase's lower end."""
+    is_open = hall(40, 70)
+    is_open[:, 30:33] = False
+    is_open[24:40, 30:33] = True
+    is_open[17:25, 1:7] = False
+    rooms = segment_by_gaps(is_open)[0]
+    assert rooms[10, 10] == rooms[35, 10] != rooms[10, 50]
