@@ -40,7 +40,7 @@ OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
-RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
+RAY_HEIGHT = 0.6  # at which walls are measured over the floor, below the sills of windows [m]
 CHUNK = 4096  # triangles that are looked at together
 # Walls farther from the centres of end cells are ignored: of lines [columns]; of doorways, whose
 # walls lean in the lattice where they are at an angle to it [m]

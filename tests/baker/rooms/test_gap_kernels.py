@@ -11,6 +11,7 @@ from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.walls import (
     FAR,
+    RAY_HEIGHT,
     WallRays,
     direction_of,
     find_directions,
@@ -361,7 +362,7 @@ def test_rays_to_walls(as_mesh, tmp_path):
     rays = WallRays(flags.walls, lattice, flags.levels[0].floor)
     rng = np.random.default_rng(1)
     row, col = rng.permutation(np.argwhere(is_open))[:400].T
-    upright = [box for box in plan.boxes if abs(box[1][2] - 1.0) < box[2][2]]
+    upright = [box for box in plan.boxes if abs(box[1][2] - RAY_HEIGHT) < box[2][2]]
     if not as_mesh:  # furniture and pillars are no walls
         upright = [box for box in upright if box[0].startswith("wall")]
     met = 0

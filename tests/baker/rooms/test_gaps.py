@@ -369,6 +369,14 @@ def test_a_chase_that_leaves_four_fifths_of_a_room_parts_nothing(
     assert_rooms_at_all_sizes(plan, tmp_path)
 
 
+def test_a_gap_that_ends_at_a_window_ends_at_its_wall(tmp_path):
+    plan = two_rooms_turned(48.5, 2.82, 0.14, (1.41, 0.9), chase=(0.56, 0.4))
+    plan.boxes = [box for box in plan.boxes if box[1][0] < 2.82]  # all but the right wall
+    window = Opening(2.1, 1.6, 0.9, 2.1)
+    plan.wall((2.89, 0.0), (2.89, 8.54), 0.14, [window])
+    assert_rooms_at_all_sizes(plan, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("turn", "width", "thick", "door"),
     [(9.68, 2.76, 0.08, (1.33, 0.98)), (60.31, 2.61, 0.16, (1.63, 0.96))],
