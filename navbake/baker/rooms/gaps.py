@@ -57,14 +57,18 @@ Found = tuple[Direction, Scan, Gaps]
 
 
 def find_gaps(
-    open_cells: Bool, holes: Bool, cell_size: float, door_width: float | None
+    open_cells: Bool,
+    holes: Bool,
+    cell_size: float,
+    door_width: float | None,
+    rays: WallRays | None = None,
 ) -> tuple[list[Found], Int32, Int]:
     """The gaps of each direction, the spaces that all of them part, and how many cells each has.
 
     Space includes `holes`, without floor or wall. A gap wider than `door_width` [m] parts none.
     """
     space = open_cells | holes
-    directions = find_directions(space, cell_size)
+    directions = find_directions(space, cell_size, rays)
     thickness = [int(THICKNESS * d.stretch / cell_size) + 2 for d in directions]
     # marks of each direction, as it is scanned; and of all. Gaps with steps on both sides, such as
     # doorways, come first, and close the way for others: so a line across a corridor does not go
@@ -92,17 +96,17 @@ def find_gaps(
         number = np.where(keeps, np.cumsum(keeps) - 1, 0).astype(np.int32)
         label, cells = number[label], np.bincount(number, cells).astype(np.int64)
     found = []
-    for direction, own, thick in zip(directions, marks, thickness, strict=True):
+    for direction, own in zip(directions, marks, strict=True):
         depths = np.array([max(1, round(d * direction.stretch / cell_size)) for d in DEPTHS])
         leans = np.rint(depths * direction.slope / direction.stretch**2).astype(np.int64)
         scanned = turned(label, direction), turned(space, direction), direction.shift
         scan = Scan(*scanned, depths, leans)
-        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own, thick)))
+        found.append((direction, scan, _list_gaps(scan, turned(marked, direction), own)))
     return found, label, cells
 
 
-def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
-    """The gaps of a direction: neighbouring columns of at most `thickness` marked cells.
+def _list_gaps(scan: Scan, marked: Bool, own: Marks) -> Gaps:
+    """The gaps of a direction: neighbouring columns of marked cells.
 
     They lie between the same two spaces, and one cell of each is marked in `own`.
     """
@@ -115,7 +119,6 @@ def _list_gaps(scan: Scan, marked: Bool, own: Marks, thickness: int) -> Gaps:
     below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # at the lattice's edge that is a marked cell, which has no label
     crosses = (above > 0) & (below > 0) & (above != below) & (mark > 0)
-    crosses &= bottom - top < thickness
     col, top, bottom, above, below, mark = (
         array[crosses].astype(np.int64) for array in (col, top, bottom, above, below, mark)
     )
@@ -163,20 +166,30 @@ class Spaces:
         counts = [len(gaps.first) for *_, gaps in found]
         self._start = np.cumsum([0, *counts])
         self._number = np.repeat(np.arange(len(found)), counts)
-        # by direction, from the centres of gaps' first and last cells to walls [columns], and what
-        # `WallRays.look` returns
-        self._walls = list[tuple[Float, Float]]()
+        # by direction, how far walls are from the centres of gaps' end cells, and at most are
+        # from those of openings beyond [columns], and what `WallRays.look` returns
+        self._walls = list[tuple[Float, Float, Float]]()
         self._width = np.ones(len(self._number))  # [cells]
         for number, (direction, scan, gaps) in enumerate(found):
             own = slice(self._start[number], self._start[number + 1])
             cols = np.stack([gaps.first, gaps.last], axis=1)
-            ends = (gaps.top + gaps.bottom) // 2 * scan.label.shape[1] + cols
-            known = rays.look(direction, ends) if rays else np.full((scan.label.size, 2), 1.5)
             doorway = max(FAR, FAR_OF_DOORWAY / (direction.stretch * cell_size))
-            far = np.where(gaps.is_doorway, doorway, FAR)[:, None]
+            far = np.where(gaps.is_doorway, doorway, FAR)
+            # a gap that ends where the opening goes on between other spaces ends at no wall
+            rows, last = (gaps.top + gaps.bottom) // 2, len(scan.label) - 1
+            aside = np.clip(cols + np.array([-1, 1]), 0, len(scan.shift) - 1)
+            on = scan.shift[aside] - scan.shift[cols]
+            top, middle, bottom = (
+                np.clip(at + on, 0, last) for at in (gaps.top - 1, rows, gaps.bottom + 1)
+            )
+            above, below = scan.label[top, aside], scan.label[bottom, aside]
+            goes_on = scan.is_open[middle, aside] & (above > 0) & (below > 0)
+            goes_on &= (above != gaps.above[:, None]) | (below != gaps.below[:, None])
+            ends = np.where(goes_on, -1, rows * len(scan.shift) + cols)
+            known = rays.look(direction, ends) if rays else np.full((scan.label.size, 2), 1.5)
             beside = known[ends, [0, 1]] - 1.0
-            beside = np.where(beside <= far, beside, 0.5)
-            self._walls.append((beside, known))
+            beside = np.where((ends >= 0) & (beside <= far[:, None]), beside, 0.5)
+            self._walls.append((beside, far, known))
             inner = gaps.last - gaps.first
             self._width[own] = (inner + beside.sum(axis=1)) * direction.stretch
         self._is_doorway = np.concatenate([np.empty(0), *(g.is_doorway for *_, g in found)]) > 0
@@ -263,14 +276,14 @@ class Spaces:
             direction, scan, listed = self._found[number]
             start = int(self._start[number])
             chosen = gaps[numbers == number] - start
-            asked = self.whole, *self._walls[number], DECIDING, WAVERING
+            asked = self.whole, self._walls[number], DECIDING, WAVERING
             lines, shares, waits, met = kernels.measure_gaps(scan, listed, chosen, *asked)
             for k, space in met:
                 self._met_by[space].add(start + k)
             if self._rays is not None and waits.any():
                 # the rays of most later lines, at once
                 some = slice(None) if len(chosen) == len(listed.first) else waits
-                self._rays.look(direction, lines[some][..., 4:])
+                self._rays.look(direction, lines[some][..., 4:].reshape(-1, 2))
                 again = kernels.measure_gaps(scan, listed, chosen[waits], *asked)
                 shares[waits] = again[1]
             self._shares[start + chosen] = shares

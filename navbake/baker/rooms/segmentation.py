@@ -11,7 +11,7 @@ from navbake.baker.rooms.gaps import WIDEST, CloseCall, Spaces, find_gaps
 from navbake.baker.rooms.walls import WallRays, distances_at, squared_distances, wall_nodes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_beside, run_in_bands
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # The rest of a segment with marked rooms is no room if it is nowhere as wide as this [m]
@@ -75,9 +75,9 @@ def segment_by_gaps(
     open_cells, hole = (np.ascontiguousarray(mask[around]) for mask in (level.open, level.hole))
     rays = None
     if walls is not None and lattice is not None:
-        rays = run_beside(WallRays, walls, lattice.cut(*around), floor)
-    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width)
-    spaces = Spaces(found, cells, cell_size, door_width, rays and rays())
+        rays = WallRays(walls, lattice.cut(*around), floor)
+    found, label, cells = find_gaps(open_cells, hole, cell_size, door_width, rays)
+    spaces = Spaces(found, cells, cell_size, door_width, rays)
     spaces.join_all()
     close = [c._replace(cell=(c.cell[0] + row, c.cell[1] + col)) for c in spaces.close_calls()]
     label = spaces.whole[label]

@@ -1,5 +1,7 @@
 """Walls: distances to them, the directions that they run in, and the sills that continue them."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -8,7 +10,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.connect import list_runs
-from navbake.baker.kernels.arrays import Facets
+from navbake.baker.kernels.arrays import Crossings, Facets
 from navbake.baker.kernels.constants import OPEN_SURFACE
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.scene.shapes import Shapes, turn_facets
@@ -19,23 +21,27 @@ from navbake.types import Bool, Float, Int, Int32
 T = TypeVar("T", bound=np.generic)
 
 STRIP = 64  # columns that are worth a thread's while
-# Directions of walls are measured at this distance from them [m], in bins of so many degrees; each
-# needs this length of wall [m], and this share of all
-OFF_WALL, BIN, LEAST_WALL, LEAST_SHARE = 0.3, 5, 1.2, 0.01
+# Directions of walls are taken from their geometry, at points about so far apart [m], in bins of so
+# many degrees and lines so wide [m], if this share of the points lies on walls with a direction
+SPACING, FINE_BIN, FINE_LINE, MOST_POINTS = 0.1, 1.0, 0.01, 0.5
+# Else they are measured at this distance from walls [m], in such bins [°] and lines [cells]
+OFF_WALL, BIN, LINE = 0.3, 5.0, 0.5
+# Each direction needs this length of wall [m], and this share of all
+LEAST_WALL, LEAST_SHARE = 1.2, 0.01
 # So much of a wall lies on one line; its gaps begin or end so near to it [m]
 LINE_WALL, NEAR_WALL = 0.8, 1.5
-# The steps [°] in which a direction is refined, by lines so wide [cells], and about so many points;
-# an axis of the lattice is taken if it is as sharp as this share of the sharpest
-FINE, LINE, MOST_POINTS, AS_SHARP = 0.25, 0.5, 2000, 0.9
-# A direction with this share of walls is one of the whole building, as is the one at right angles,
-# within so many degrees
-MANY, SQUARE = 0.15, 1.0
+# The steps in which a direction is refined [bins], by about so many points; an axis of the lattice
+# is taken if it is as sharp as this share of the sharpest
+FINE, ENOUGH, AS_SHARP = 0.05, 2000, 0.9
+# A direction is one of the whole building if it is the first or at right angles to it, within so
+# many degrees; others are those of the walls near to them
+SQUARE = 1.0
 # The lattice's steps disturb what is nearer to a wall [cells]
 OFF_STEPS = 5
 # Cells round the lattice in which slopes at its edge are measured
 PADDING = 2
 
-RAY_HEIGHT = 1.0  # at which walls are measured over the floor [m]
+RAY_HEIGHT = 0.6  # at which walls are measured over the floor, below the sills of windows [m]
 CHUNK = 4096  # triangles that are looked at together
 # Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
 # gaps, `kernels.FAR`, as they lean in the lattice where they are at an angle to it
@@ -93,8 +99,74 @@ class Direction(NamedTuple):
     near: Bool  # cells near to walls that run in it
 
 
-def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
-    """Find the directions that walls run in, from the slope of the distance to them."""
+class WallPoints(NamedTuple):
+    """Points on walls, from which the directions of these follow."""
+
+    place: Float  # (2, n) [rows, columns]
+    angle: Float  # of the wall there, from the columns' axis towards the rows', (n,) [°]
+    apart: float  # how far neighbours on a wall are from each other [m]
+    each: float  # the bins in which they are counted [°]
+    width: float  # of the lines on which they are [cells]
+
+
+def find_directions(
+    open_cells: Bool, cell_size: float, rays: WallRays | None = None
+) -> list[Direction]:
+    """Find the directions that walls run in.
+
+    They follow from the walls' geometry, or where there is none, or where it is as rough as that of
+    a scan, from the slope of the distance to closed cells.
+    """
+    if rays is not None:
+        points, asked = rays.find_points(open_cells)
+        directions, explained = _list_directions(points, open_cells.shape, cell_size)
+        if explained >= MOST_POINTS * asked:
+            return directions
+    return _list_directions(_find_points(open_cells, cell_size), open_cells.shape, cell_size)[0]
+
+
+def _list_directions(
+    points: WallPoints, shape: tuple[int, ...], cell_size: float
+) -> tuple[list[Direction], int]:
+    """The directions that points on walls have, and how many of these have one."""
+    foot, angle, apart, each, width = points
+    num = round(180 / each)
+    bins = np.rint(angle / each).astype(np.int64) % num
+    # round the corners of walls the slope has all directions alike
+    around = 2.0 * float(np.median(_smooth(np.bincount(bins, minlength=num))))
+    least = max(LEAST_WALL / apart, LEAST_SHARE * len(bins))
+    directions, main, total = list[Direction](), 0.0, 0
+    left = np.ones(len(bins), dtype=np.bool_)
+    while True:
+        count = _smooth(np.bincount(bins[left], minlength=num))
+        best = int(count.argmax())
+        if count[best] < least + around:
+            return directions, total
+        off = np.abs((angle - best * each + 90.0) % 180.0 - 90.0)
+        near = left & (off <= 1.5 * each)
+        chosen = _align(foot[:, near], best, each, width)
+        # points on its walls count for no other direction, a few degrees off
+        near = left & (off <= 2.5 * each)
+        explained = _on_walls(foot[:, near], chosen, width, LINE_WALL / apart)
+        if explained.sum() >= least:
+            walls: Bool = np.zeros(shape, dtype=np.bool_)
+            row, col = np.rint(foot[:, near][:, explained]).astype(np.int64)
+            inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+            walls[row[inside], col[inside]] = True
+            found = direction_of(chosen, shape)
+            main = main if directions else chosen
+            if abs((chosen - main + 45.0) % 90.0 - 45.0) > SQUARE:
+                most = round(NEAR_WALL / cell_size)
+                found = found._replace(near=squared_distances(walls, most) <= most**2)
+            directions.append(found)
+            left[near] = ~explained
+            total += int(explained.sum())
+        else:
+            left[near] = False
+
+
+def _find_points(open_cells: Bool, cell_size: float) -> WallPoints:
+    """Points on walls by the slope of the distance to them."""
     reach = max(OFF_STEPS, round(OFF_WALL / cell_size))
     # the edge of the lattice is no wall: what is there goes on beyond it
     closed = np.pad(~open_cells, PADDING, mode="edge")
@@ -111,76 +183,44 @@ def find_directions(open_cells: Bool, cell_size: float) -> list[Direction]:
     angle = np.mod(np.rad2deg(np.arctan2(down, right)) + 90.0, 180.0)
     slope = np.hypot(down, right)
     foot = np.array(np.divmod(cells, width)) - distance * np.stack([down, right]) / slope
-    num = 180 // BIN
-    bins = np.rint(angle / BIN).astype(np.int64) % num
-    # round the corners of walls the slope has all directions alike
-    around = 2.0 * float(np.median(_smooth(np.bincount(bins, minlength=num))))
-    least = max(LEAST_WALL / cell_size, LEAST_SHARE * len(bins))
-    directions, main = list[Direction](), list[float]()
-    left = np.ones(len(bins), dtype=np.bool_)
-    while True:
-        count = _smooth(np.bincount(bins[left], minlength=num))
-        best = int(count.argmax())
-        if count[best] < least + around:
-            return directions
-        off = np.abs((angle - best * BIN + 90.0) % 180.0 - 90.0)
-        near = left & (off <= 1.5 * BIN)
-        chosen = _align(foot[:, near], best * BIN)
-        # points on its walls count for no other direction, a few degrees off
-        near = left & (off <= 2.5 * BIN)
-        explained = _on_walls(foot[:, near], chosen, LINE_WALL / cell_size)
-        if explained.sum() >= least:
-            walls: Bool = np.zeros(open_cells.shape, dtype=np.bool_)
-            row, col = np.rint(foot[:, near][:, explained]).astype(np.int64) - PADDING
-            inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
-            walls[row[inside], col[inside]] = True
-            found = direction_of(chosen, open_cells.shape)
-            if not directions or explained.sum() >= MANY * len(bins):
-                main.append(chosen)
-            elif all(abs((chosen - other + 45.0) % 90.0 - 45.0) > SQUARE for other in main):
-                most = round(NEAR_WALL / cell_size)
-                found = found._replace(near=squared_distances(walls, most) <= most**2)
-            directions.append(found)
-            left[near] = ~explained
-        else:
-            left[near] = False
+    return WallPoints(foot - PADDING, angle, cell_size, BIN, LINE)
 
 
 def _smooth(count: Int) -> Int:
     return count + np.roll(count, 1) + np.roll(count, -1)
 
 
-def _across(foot: Float, angles: Float) -> Float:
-    """In which line each point lies, (angles, n), of lines in directions [°], `LINE` wide."""
+def _across(foot: Float, angles: Float, width: float) -> Float:
+    """In which line each point lies, (angles, n), of lines in directions [°] so wide [cells]."""
     turn = np.deg2rad(angles)[:, None]
     across = foot[0] * np.cos(turn) - foot[1] * np.sin(turn)
-    return np.asarray((across - across.min(axis=1, keepdims=True)) / LINE)
+    return np.asarray((across - across.min(axis=1, keepdims=True)) / width)
 
 
-def _on_walls(foot: Float, angle: float, least: float) -> Bool:
+def _on_walls(foot: Float, angle: float, width: float, least: float) -> Bool:
     """Which points lie on two neighbouring lines that have as many as a wall."""
-    line = _across(foot, np.array([angle]))[0].astype(np.int64)
+    line = _across(foot, np.array([angle]), width)[0].astype(np.int64)
     count = np.pad(np.bincount(line), 1)
     pairs = count[1:] + count[:-1]  # each line with the one before
     is_wall: Bool = np.maximum(pairs[line], pairs[line + 1]) >= least
     return is_wall
 
 
-def _align(foot: Float, around: float) -> float:
+def _align(foot: Float, number: int, each: float, width: float) -> float:
     """The angle within 1.5 bins at which points, (2, n), are on the fewest lines [°].
 
     It has the sharpest projection of a Radon transform; an axis of the lattice about as sharp wins.
     """
-    foot = foot[:, :: max(1, foot.shape[1] // MOST_POINTS)]
-    most = round(1.5 * BIN / FINE)
-    angles = around + FINE * np.arange(-most, most + 1, dtype=np.float64)
-    across = _across(foot, angles)
+    foot = foot[:, :: max(1, foot.shape[1] // ENOUGH)]
+    most = round(1.5 / FINE)
+    angles = each * (number + FINE * np.arange(-most, most + 1, dtype=np.float64))
+    across = _across(foot, angles, width)
     sharpness = np.zeros(len(angles), dtype=np.int64)
     for phase in (0.0, 0.5):  # so that no wall falls between two lines
         line = (across + phase).astype(np.int64)
         lines = int(line.max()) + 1
-        number = line + lines * np.arange(len(angles))[:, None]
-        count = np.bincount(number.ravel(), minlength=lines * len(angles)).reshape(-1, lines)
+        place = line + lines * np.arange(len(angles))[:, None]
+        count = np.bincount(place.ravel(), minlength=lines * len(angles)).reshape(-1, lines)
         # the squares of the sums of two lines next to each other; whole numbers, so exact
         sharp = (count**2).sum(axis=1) + (count[:, 1:] * count[:, :-1]).sum(axis=1)
         np.maximum(sharpness, sharp, out=sharpness)
@@ -241,24 +281,70 @@ class WallRays:
         cell, way = cells[at], at[-1]
         new = known[cell, way] == 0.0
         cell, way = cell[new], way[new]
-        if not len(cell):
-            return known
+        if len(cell):
+            row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
+            row, col = (col, row) if direction.swapped else (row, col)
+            away, *_ = self._cast(axes, tiled, row, col, way == 1, (-0.5, 0.0, 0.5))
+            known[cell, way] = away / (direction.stretch * self._lattice.cell_size) + 1.0
+        return known
+
+    def find_points(self, open_cells: Bool) -> tuple[WallPoints, int]:
+        """Points on walls that are met from the open cells beside closed ones; how many are asked.
+
+        Rays along the lattice's axes meet them.
+        """
+        closed, size = np.pad(~open_cells, 1, mode="edge"), self._lattice.cell_size
+        has_floor, every = open_cells & ~np.isnan(self._floor), max(1, int(SPACING / size))
+        rows, cols = open_cells.shape
+        places, angles, asked = list[Float](), list[Float](), 0
+        for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            beside = closed[1 + down : 1 + down + rows, 1 + right : 1 + right + cols]
+            row, col = np.divmod(np.flatnonzero(has_floor & beside), cols)
+            some = (row + col) % every == 0
+            row, col = row[some], col[some]
+            axes, tiled, _ = self._turn(direction_of(90.0 * abs(down), open_cells.shape))
+            is_after = np.full(len(row), down + right > 0)
+            away, crossings, line, ahead = self._cast(axes, tiled, row, col, is_after, (0.0,))
+            normal, first = np.zeros((len(row), 3)), ahead == away[line]
+            normal[line[first]] = crossings.normal[first]
+            # what is steeper to the ray is met by those along the other axis
+            own = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
+            met, asked = own & np.isfinite(away), asked + int(own.sum())
+            row, col, away = row[met], col[met], away[met] / size
+            places.append(np.stack([row + down * away, col + right * away]))
+            x, y, _ = axes.T @ normal[met].T
+            angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
+        found = np.concatenate(places, axis=1), np.concatenate(angles)
+        return WallPoints(*found, every * size, FINE_BIN, FINE_LINE / size), asked
+
+    def _cast(
+        self,
+        axes: Float,
+        tiled: TiledShapes,
+        row: Int,
+        col: Int,
+        is_after: Bool,
+        offsets: tuple[float, ...],
+    ) -> tuple[Float, Crossings, Int, Float]:
+        """Cast rays on or back from cells, at some offsets across them [cells].
+
+        Returns how far walls are [m], inf for none; and what the rays cross, its cells' numbers,
+        and how far ahead of these it is, inf for what is behind.
+        """
         lattice = self._lattice
-        row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
-        row, col = (col, row) if direction.swapped else (row, col)
         centers = np.column_stack([lattice.positions(row, col), self._floor[row, col] + RAY_HEIGHT])
         centers = centers @ axes.T
         # over a cell's width, as a thin wall lies beside the centres of cells that it is in
-        across = np.array([-0.5, 0.0, 0.5]) * lattice.cell_size
+        across = np.array(offsets) * lattice.cell_size
         points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
         points.reshape(len(row), len(across), 2)[..., 0] += across
         crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
         line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
-        ahead = np.where(way[line] == 1, 1.0, -1.0) * (crossings.z - centers[line, 2])
+        ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
+        ahead[~(ahead >= 0.0)] = np.inf
         nearest = np.full(len(row), np.inf)
-        np.minimum.at(nearest, line, np.where(ahead >= 0.0, ahead, np.inf))
-        known[cell, way] = nearest / (direction.stretch * lattice.cell_size) + 1.0
-        return known
+        np.minimum.at(nearest, line, ahead)
+        return nearest, crossings, line, ahead
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
         """A frame in which the direction is up, its axes as rows; the walls in it; see `look`."""

@@ -10,6 +10,7 @@ from scipy import ndimage
 from navbake.baker.rooms.gaps import DECIDING, GROWTH, WAVERING, Spaces, find_gaps
 from navbake.baker.rooms.kernels import gaps as kernels
 from navbake.baker.rooms.walls import (
+    RAY_HEIGHT,
     WallRays,
     direction_of,
     distances_at,
@@ -111,10 +112,13 @@ def test_gaps_are_beside_longer_runs(both):
                 continue
             for other in range(row, min(row + thickness, len(lane))):
                 there = lane[other]
-                if not 0 < there <= widest or max(GROWTH * there, there + rise) <= here:
+                narrower = max(GROWTH * there, there + rise + kernels.JITTER) < here
+                if not 0 < there <= widest or narrower:
                     break
                 if other + 1 < len(lane) and widens(there, lane[other + 1]):
-                    expected[row : other + 1, col] = 2
+                    for between in range(row, other + 1):
+                        runs, _ = ndimage.label(is_open[between])
+                        expected[between, runs == runs[col]] = 2
                     break
         np.testing.assert_array_equal(gap, expected)
         assert (gap > 0).any()
@@ -248,16 +252,18 @@ def test_the_share_that_a_gap_has(angle):
             whole[whole == max(one, other)] = min(one, other)
         for _, scan, gaps in found:
             chosen = np.arange(len(gaps.first))
-            beside, known = np.full((len(chosen), 2), 0.5), np.full((scan.label.size, 2), 1.5)
-            asked = scan, gaps, chosen, whole, beside, known, DECIDING, WAVERING
+            walls = np.full((len(chosen), 2), 0.5), np.full(len(chosen), kernels.FAR)
+            known = np.full((scan.label.size, 2), 1.5)
+            asked = scan, gaps, chosen, whole, (*walls, known), DECIDING, WAVERING
             lines, shares, waits, met = kernels.measure_gaps(*asked)
             assert not waits.any()
-            nothing = *asked[:5], np.zeros_like(known), *asked[6:]
+            nothing = *asked[:4], (*walls, np.zeros_like(known)), *asked[5:]
             waits = kernels.measure_gaps(*nothing)[2]
-            ended = (lines[..., 4:] >= 0).any(axis=(1, 2, 3))
+            ended, through = ((lines[..., k : k + 2] >= 0).any(axis=(1, 2, 3)) for k in (4, 6))
             far = np.abs(shares[..., None] - DECIDING).min(axis=2) * lines[..., 0].min(axis=2)
             is_apart = whole[gaps.above] != whole[gaps.below]
-            assert (waits == ((far <= WAVERING).any(axis=1) & ended))[is_apart].all()
+            wavers = (far <= WAVERING).any(axis=1)
+            assert (waits == (wavers & ended | through))[is_apart].all()
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}
                 if whole[gaps.above[k]] == whole[gaps.below[k]]:
@@ -377,7 +383,7 @@ def test_rays_to_walls(as_mesh, tmp_path):
     rays = WallRays(flags.walls, lattice, flags.levels[0].floor)
     rng = np.random.default_rng(1)
     row, col = rng.permutation(np.argwhere(is_open))[:400].T
-    upright = [box for box in plan.boxes if abs(box[1][2] - 1.0) < box[2][2]]
+    upright = [box for box in plan.boxes if abs(box[1][2] - RAY_HEIGHT) < box[2][2]]
     if not as_mesh:  # furniture and pillars are no walls
         upright = [box for box in upright if box[0].startswith("wall")]
     met = 0

@@ -13,7 +13,7 @@ from navbake.baker.rooms import segmentation
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.baker.rooms.gaps import Spaces, find_gaps
 from navbake.baker.rooms.walls import find_directions, find_windows
-from offices import make_plan
+from offices import Opening, Plan, make_plan
 from offices_truth import bake_plan, count_leaks, overlaps
 
 CELL = 0.1
@@ -318,3 +318,90 @@ def test_a_cavity_is_no_room(tmp_path, wide, rooms):
     stages = stages_of_xml(tmp_path, world(box("floor", 0, 0, -0.1, 10, 5, 0) + walls))
     assert len(stages.rooms.table) == rooms
     assert (stages.rooms.index[0].flat[stages.lattice.width * 30 + 45] == 0) == (rooms == 2)
+
+
+def two_rooms_turned(turn, width, thick, door, slant=0.0, chase=None):
+    """Two rooms in a row, each `width` by about 4.2 m, turned by so many degrees.
+
+    The wall between them has a doorway, its start and width as given, and may slant: its right end
+    is 2 `slant` further up. A chase of so many metres, out of the wall and along it, may stand in
+    the middle of the first room's left wall.
+    """
+    plan = Plan(np.random.default_rng(0), 2.5, np.deg2rad(turn))
+    depth, length, half = 4.2, 8.4 + thick, thick / 2
+    for end in (-half, length + half):
+        plan.wall((-thick, end), (width + thick, end), thick)
+    for side in (-half, width + half):
+        plan.wall((side, 0.0), (side, length), thick)
+    low, high = depth + half - slant, depth + half + slant
+    plan.wall((0.0, low), (width, high), thick, [Opening(*door, 0.0, 2.1)])
+    off = half * np.hypot(width, 2 * slant) / width
+    plan.room((0.0, 0.0), (width, 0.0), (width, high - off), (0.0, low - off))
+    plan.room((0.0, low + off), (width, high + off), (width, length), (0.0, length))
+    if chase is not None:
+        out, along = chase
+        plan.pier("wall_chase", (0.0, (depth - along) / 2, out, (depth + along) / 2))
+    plan.box("slab", (0.0, 0.0, width, length), -0.2, 0.0)
+    return plan
+
+
+def assert_rooms_at_all_sizes(plan, folder):
+    for cell_size in (0.05, 0.08, 0.1):
+        stages = bake_plan(plan, folder, as_mesh=False, cell_size=cell_size)
+        rooms = stages.rooms.index[0]
+        assert rooms.max() == len(plan.rooms)
+        assert min(overlaps(rooms, plan.truth(stages.lattice))) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("turn", "width", "thick", "chase"),
+    [
+        (15.02, 3.35, 0.29, (0.67, 0.59)),
+        (64.92, 3.07, 0.15, (0.614, 0.52)),
+        (79.94, 2.83, 0.13, (0.566, 0.73)),
+    ],
+)
+def test_a_chase_that_leaves_four_fifths_of_a_room_parts_nothing(
+    turn, width, thick, chase, tmp_path
+):
+    """As wide as the walls stand apart, also where they lean and where a line is in parts."""
+    plan = two_rooms_turned(turn, width, thick, (width / 2, 0.9), chase=chase)
+    assert_rooms_at_all_sizes(plan, tmp_path)
+
+
+def test_a_gap_that_ends_at_a_window_ends_at_its_wall(tmp_path):
+    plan = two_rooms_turned(48.5, 2.82, 0.14, (1.41, 0.9), chase=(0.56, 0.4))
+    plan.boxes = [box for box in plan.boxes if box[1][0] < 2.82]  # all but the right wall
+    window = Opening(2.1, 1.6, 0.9, 2.1)
+    plan.wall((2.89, 0.0), (2.89, 8.54), 0.14, [window])
+    assert_rooms_at_all_sizes(plan, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("turn", "width", "thick", "door"),
+    [(9.68, 2.76, 0.08, (1.33, 0.98)), (60.31, 2.61, 0.16, (1.63, 0.96))],
+)
+def test_a_doorway_whose_lines_are_not_equally_long(turn, width, thick, door, tmp_path):
+    assert_rooms_at_all_sizes(two_rooms_turned(turn, width, thick, door), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("turn", "width", "thick", "door", "slant"),
+    [
+        (16.26, 4.01, 0.23, (1.58, 0.85), 0.39),
+        (27.33, 4.09, 0.23, (1.78, 1.05), 0.85),
+        (29.87, 3.31, 0.08, (1.69, 1.27), 0.86),
+    ],
+)
+def test_a_doorway_in_a_wall_that_slants(turn, width, thick, door, slant, tmp_path):
+    assert_rooms_at_all_sizes(two_rooms_turned(turn, width, thick, door, slant), tmp_path)
+
+
+def test_a_chase_deeper_than_a_wall_beside_a_wide_opening():
+    """The opening begins a line above the chase's lower end."""
+    is_open = hall(40, 70)
+    is_open[:, 30:33] = False
+    is_open[24:40, 30:33] = True
+    is_open[17:25, 1:7] = False
+    rooms = segment_by_gaps(is_open)[0]
+    assert rooms[10, 10] == rooms[35, 10] != rooms[10, 50]

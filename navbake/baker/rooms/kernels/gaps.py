@@ -20,6 +20,8 @@ from navbake.types import Bool, Int, Int32
 FAR = 4.0
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
+# A doorway's lines differ by so many columns, as its jambs waver in the lattice
+JITTER = 2.0
 # The bit of a way that follows its line exactly, see `_hold`
 EXACT = 8
 # The bits of the cells that are at most one line from the one above, on and below the line
@@ -124,8 +126,8 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
 
     A run counts if a cell of it is `near` a wall along the line, which is spread to all its cells.
     Much longer is by the factor `growth` and by `rise` cells. Between two such steps at most
-    `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8; else the last
-    one is marked 1, unless only gaps with steps on `both` sides are wanted.
+    `thickness` lines apart, as in a doorway, all lines are marked 2 in `gap`, uint8, from end to
+    end; else the last one is marked 1, unless only gaps with steps on `both` sides are wanted.
     """
     run = measure_runs(is_open, shift, near)
     rows, cols = run.shape
@@ -141,16 +143,34 @@ def mark_gaps(is_open, shift, near, widest, growth, rise, thickness, both, gap):
                 for other in range(row, min(row + thickness, rows)):
                     there = run[other, col]
                     # a step to a narrower one ends it, too: the doorway begins there
-                    if there == 0 or there > widest or max(growth * there, there + rise) <= here:
+                    narrower = max(growth * there, there + rise + JITTER) < here
+                    if there == 0 or there > widest or narrower:
                         break
                     if other + 1 < rows and run[other + 1, col] >= max(
                         growth * there, there + rise
                     ):
                         for between in range(row, other + 1):
-                            gap[between, col] = 2
+                            if gap[between, col] < 2:
+                                _mark_doorway(run, shift, between, col, gap)
                         break
             if not both and row + 1 < rows and run[row + 1, col] >= least:
                 gap[row, col] = max(gap[row, col], 1)
+
+
+@part
+def _mark_doorway(run, shift, row, col, gap):
+    """Mark all of a cell's run as a doorway's, see `measure_runs`."""
+    gap[row, col] = 2
+    for way in (-1, 1):
+        here, end = row, col + way
+        while 0 <= end < len(shift):
+            there = here - shift[end - way] + shift[end]
+            if not 0 <= there < len(run) or run[there, end] == 0 or gap[there, end] == 2:
+                break
+            if run[there, end - way] == 0 and run[here, end] == 0:
+                break  # between two closed cells that touch at their corners
+            gap[there, end] = 2
+            here, end = there, end + way
 
 
 @kernel(nogil=True)
@@ -204,7 +224,7 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
+def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
     """Measure lines behind some gaps, parallel to them, in the regions above and below.
 
     At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
@@ -212,21 +232,25 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
     A region that ends before the first depth is measured where it ends. `whole` is the current
     region of each label.
 
-    Shares are measured in cells; and up to the walls where at most `wavering` cells keep the least
-    one from one of the `deciding` ones. The walls lie `beside` the centres of a gap's end cells,
-    (gaps, 2), and beyond those of a line as is `known` by cell and end, see `WallRays.look`.
+    Widths are measured up to walls; lengths in cells, or up to walls where at most `wavering` cells
+    keep the least share from one of the `deciding` ones. `walls`: how far they are from the centres
+    of gaps' end cells, (gaps, 2), and at most from those of openings, (gaps,) [columns]; and what
+    is known of them by cell and end, see `WallRays.look`.
 
     Returns:
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
-        such openings before and after it [columns]; and the cells at which it ends at a wall before
-        and after, -1 for none. Nothing is measured if both sides are one region.
-        By gap and side, the least share of a line that is the gap's width or such openings.
+        such openings before and after it [columns]; the cells at which it ends at a wall before
+        and after, and the last cells of such openings, -1 for none. Nothing is measured if both
+        sides are one region.
+        By gap and side, the least share of a line that is the gap's width and such openings.
         By gap, whether its shares wait for walls that are not known yet.
         Pairs of gaps and other regions that their lines met: only if one of these is joined, the
         lines change.
     """
-    lines = np.full((len(chosen), 2, len(scan.depths), 6), -1, dtype=np.int64)
+    beside, far, known = walls
+    lines = np.full((len(chosen), 2, len(scan.depths), 8), -1, dtype=np.int64)
     shares, waits = np.ones((len(chosen), 2)), np.zeros(len(chosen), dtype=np.bool_)
+    openings = np.zeros((2, len(scan.depths)))
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
@@ -249,8 +273,17 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
                 if depth == 0 and deep < rows:
                     rows, lean = np.int64(max(deep, 1)), lean if rows == 1 else np.int64(0)
                 _measure_line(scan, gaps, k, (side, rows, lean, own, other), whole, met, measured)
-                share = (measured[1] + measured[2] + measured[3]) / measured[0]
-                shares[i, side] = min(shares[i, side], share)
+                width = 0.0
+                for end in range(2):
+                    # up to the wall at the gap's end, or at that of openings beyond it
+                    passed, cell = measured[2 + end], measured[6 + end]
+                    if passed > 0:
+                        waits[i] |= known[cell, end] == 0.0
+                        width += passed + _beyond(known, cell, end, far[k])
+                    else:
+                        width += beside[k, end]
+                openings[side, depth] = measured[1] - 1 + width
+                shares[i, side] = min(shares[i, side], openings[side, depth] / measured[0])
                 shortest = min(shortest, measured[0])
             for share in deciding:
                 wavers |= abs(shares[i, side] - share) * shortest <= wavering
@@ -258,17 +291,22 @@ def measure_gaps(scan, gaps, chosen, whole, beside, known, deciding, wavering):
         for side in range(2 if wavers else 0):
             shares[i, side] = 1.0
             for depth in range(len(scan.depths)):
-                measured, width, length = lines[i, side, depth], 0.0, 0.0
+                measured, length = lines[i, side, depth], 0.0
                 for end in range(2):
-                    # up to the wall at the gap's end, or as far as openings beyond it go
-                    passed, cell = measured[2 + end], measured[4 + end]
-                    width += max(passed + 0.5, beside[k, end]) if passed > 0 else beside[k, end]
-                    beyond = known[cell, end] - 1.0 if cell >= 0 else 0.5
-                    waits[i] |= beyond < 0.0
-                    length += beyond if beyond <= FAR else 0.5
-                share = (measured[1] - 1 + width) / (measured[0] - 1 + length)
+                    cell = measured[4 + end]
+                    waits[i] |= cell >= 0 and known[cell, end] == 0.0
+                    length += _beyond(known, cell, end, FAR)
+                share = openings[side, depth] / (measured[0] - 1 + length)
                 shares[i, side] = min(shares[i, side], share)
     return lines, shares, waits, met[1:]
+
+
+@part
+def _beyond(known, cell, end, far):
+    """How far the wall is from a cell's centre; half a column without a cell or a wall so near."""
+    if cell < 0 or not known[cell, end] - 1.0 <= far:
+        return 0.5
+    return known[cell, end] - 1.0
 
 
 @part
@@ -304,7 +342,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
             start = gaps.first[k] if end == 0 else gaps.last[k]
             top, bottom = gaps.top[k, end], gaps.bottom[k, end]
             near_row, far_row = (top, bottom) if side == 0 else (bottom, top)
-            reached, opened, passed, last = 0, 0, 0, np.int64(-1)
+            reached, opened, passed, last, through = 0, 0, 0, np.int64(-1), np.int64(-1)
             for step in range(cols):
                 col = start + way * step
                 near, far = col + lean, col - lean
@@ -339,6 +377,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
                         # another gap that ends here has no label: the line goes on beyond it
                         if there == other or there == 0:
                             opened += 1
+                            through = ((top + bottom) // 2 + on) * cols + col
                         elif there > 0:
                             _meet(met, k, there)
                 if here > 0:
@@ -348,6 +387,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
             if is_last:
                 length += reached
                 measured[2 + end], measured[4 + end] = passed, last
+                measured[6 + end] = through if passed > 0 else np.int64(-1)
             else:
                 whole_width += opened
     measured[0], measured[1] = length, width
