@@ -48,7 +48,8 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
 
     def first_ray_row() -> Row:
         job = Job("navbake bake, up to the first ray", lambda: _work("first-ray", soup(rooms)))
-        return Row(job, [_read_job(soup(rooms))], limit=2.0)
+        peer = Job("trimesh reads the file", lambda: _work("read-trimesh", soup(rooms)))
+        return Row(job, [peer], limit=2.0)
 
     def dungeon_row() -> Row:
         if DUNGEON.exists():
@@ -151,21 +152,17 @@ def _against_recast(
 
 
 def _without_reading(job: Job, path: Path) -> Job:
-    """Take off the time that trimesh needs to read the file, the median of three."""
+    """Take off the time that a bake needs to read the file, the median of three."""
     taken: list[float] = []
 
     def measure() -> Sample:
         if not taken:
-            taken.append(statistics.median(_read_job(path).measure().seconds for _ in range(3)))
+            taken.append(statistics.median(_work("read", path).seconds for _ in range(3)))
         sample = job.measure()
         facts = {**(sample.facts or {}), "read": taken[0]}
         return Sample(sample.seconds - taken[0], sample.peak, facts)
 
     return Job(f"{job.name}, after reading", measure)
-
-
-def _read_job(path: Path) -> Job:
-    return Job("trimesh reads the file", lambda: _work("read", path))
 
 
 def _per_million(scenes: Scenes, rooms: int) -> Job:

@@ -3,6 +3,7 @@
     python worker.py bake SETTINGS [--warm-up SETTINGS] [--threads N]
     python worker.py first-ray SETTINGS
     python worker.py read SETTINGS
+    python worker.py read-trimesh SETTINGS
 
 SETTINGS is JSON. Each prints a line of JSON; its `seconds`, if any, leave out what starts up.
 """
@@ -55,12 +56,19 @@ def count_triangles(path: str) -> int:
     return int(words[words.index(b"face") + 1]) if b"face" in words else 0
 
 
-def read_mesh(path: str) -> dict[str, Any]:
-    """Read a mesh file by the clock, as trimesh does."""
+def read_mesh(path: str, *, by_trimesh: bool = False) -> dict[str, Any]:
+    """Read a mesh file by the clock, as a warm bake does, or as trimesh."""
     import trimesh
 
+    from navbake.baker.scene.mesh_scene import read_mesh_parts
+
+    if not by_trimesh:
+        read_mesh_parts(Path(path))
     start = time.perf_counter()
-    trimesh.load(path, process=False, force="mesh")
+    if by_trimesh:
+        trimesh.load(path, process=False, force="mesh")
+    else:
+        read_mesh_parts(Path(path))
     return {"seconds": time.perf_counter() - start}
 
 
@@ -87,15 +95,16 @@ def reach_first_ray(settings: dict[str, Any]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Run one job by the clock.")
-    parser.add_argument("job", choices=("bake", "first-ray", "read"))
+    parser.add_argument("job", choices=("bake", "first-ray", "read", "read-trimesh"))
     parser.add_argument("settings", type=json.loads)
     parser.add_argument("--warm-up", type=json.loads, default={})
     parser.add_argument("--threads", type=int)
     given = parser.parse_args()
     if given.job == "bake":
         print(json.dumps(bake(given.settings, given.warm_up, given.threads)))
-    elif given.job == "read":
-        print(json.dumps(read_mesh(given.settings["scene"]["path"])))
+    elif given.job.startswith("read"):
+        by_trimesh = given.job == "read-trimesh"
+        print(json.dumps(read_mesh(given.settings["scene"]["path"], by_trimesh=by_trimesh)))
     else:
         reach_first_ray(given.settings)
 

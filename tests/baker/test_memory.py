@@ -398,7 +398,7 @@ def with_nan(model):
         (lambda m: (None,), {}, f"{NO_SCENE}.* got NoneType"),
         (lambda m: ("a.xml", mujoco.MjData(m)), {}, "give the model, too"),
         (lambda m: (m,), {"agnt": {}}, "unknown key `agnt`, the nearest known one is `agent`"),
-        (lambda m: (m,), {"radius": 0.2}, "write `agent=.*in place of the keyword `radius`"),
+        (lambda m: (m,), {"radius": 0.2}, "write `agent=.*in place of `radius`"),
         (lambda m: (m,), {"agent": {"radus": 1}}, "unknown key `agent.radus`.* `agent.radius`"),
         (lambda m: (m,), {"agent": 0.2}, "expected a mapping, got 0.2 at `agent` in the keywords"),
         (lambda m: (m,), {"robot": "bse"}, "no body 'bse' for `robot`: did you mean 'base'"),

@@ -217,7 +217,13 @@ def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
 
 def turn_facets(facets: Facets, axes: Float) -> Facets:
     """Triangles in a frame with these axes, its rows, shape (3, 3)."""
-    vertices = (facets.corners @ axes.T).reshape(-1, 3)
+    corners = facets.corners.reshape(-1, 3)
+    vertices = np.empty_like(corners)
+
+    def turn(first: int, end: int) -> None:
+        np.einsum("ij,kj->ik", corners[first:end], axes, out=vertices[first:end])
+
+    run_in_bands(turn, len(vertices), least=4096)
     faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
     mesh = GeomTriangles(vertices, faces, facets.part, facets.closed, "")
     geoms = np.zeros(1, dtype=np.int32)
