@@ -40,7 +40,7 @@ from navbake.types import Bool, Int, Int32
 KEPT_CELLS = 1 << 22
 # Blocks that there are at a time: the one that is looked at, and the next one
 ALIVE = 2
-# So many triangles are kept expanded: they take about 180 bytes each. More are, too, unless all
+# So many triangles are kept expanded: they take about 130 bytes each. More are, too, unless all
 # blocks of rows together are near to at most so many times as many
 KEPT_TRIANGLES, TIMES = 1 << 20, 2.0
 

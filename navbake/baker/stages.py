@@ -364,6 +364,7 @@ class Stages:
         geometry = "tiled", "judged_shapes", "judged_columns", "columns"
         for name in (*geometry, "_extents", "cells", "room_flags"):
             self.__dict__.pop(name, None)
+        self.doorless.shapes.forget_triangles()
 
 
 def _describe_extent(scene: Scene, config: BakeConfig) -> str:

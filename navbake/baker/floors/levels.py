@@ -222,8 +222,9 @@ class FloorFinder:
         """The fields of a `Site` from `edges` to `at_edges`."""
         sheets, blocks, reach = self._sheets, self._blocks, self._reach
         keys = np.where(is_large, sheets.key, -1)[sheets.of_part]
-        other = blocks.around(self._large.differ(sheets.labels.count, keys), reach + 1)
-        other |= sheets.last_near == sheets.now
+        # the parts of a stale block are numbered anew, so that others may have the same keys
+        other = sheets.stale | self._large.differ(sheets.labels.count, keys)
+        other = blocks.around(other, reach + 1) | (sheets.last_near == sheets.now)
         asked = sheets.labelled(is_large), self._agent.traversable_floor_height, reach
         self._edges.fill(list_edges, np.flatnonzero(other), *asked)
         self._last[other] = sheets.now

@@ -87,8 +87,8 @@ class Sheets:
     Attributes:
         joining: what joins surfaces to sheets.
         now: the number of the update.
-        last, last_near: in which update each block last had other surfaces, and when some near
-            it were, as far away as shrinking and edges look.
+        last, last_near: in which update each block last had other surfaces, and when columns near
+            it were last cast again, as far away as shrinking and edges look.
         of_part: the sheet of each part, shape (parts,), int32.
         key: an id of each sheet that stays while others come and go, int64, ascending.
         size: how many surfaces each has, int64.
@@ -124,9 +124,9 @@ class Sheets:
         return stale
 
     def update(self, stale: Bool, near: Bool, key: Int32 = NO_KEY) -> None:
-        """Find the sheets again after surfaces in stale blocks, and near others, changed.
+        """Find the sheets again after surfaces in stale blocks changed; for the key, `label_blocks`.
 
-        For the key, see `label_blocks`.
+        Blocks are near where columns were cast again, see `last_near`.
         """
         surfaces, labels = self.surfaces, self.labels
         self.now += 1

@@ -169,7 +169,8 @@ class Storeys:
         orders = (np.argsort(height[ends], kind="stable") for ends in (lower, upper))
         above, below = kernels.climb(lower, upper, area, *orders)
         is_stair = (TIMES_LARGER * area < np.minimum(above, below))[whole]
-        self._mark(seen.differ(labels.count, is_stair))
+        # plateaus of a stale block are numbered anew
+        self._mark(stale | seen.differ(labels.count, is_stair))
         return Kept(self._key, labels.part, labels.offset, is_stair)
 
     def _find_grounds(self, kept: Kept) -> list[float]:

@@ -120,7 +120,7 @@ def find_directions(
     if rays is not None:
         points, asked = rays.find_points(open_cells)
         directions, explained = _list_directions(points, open_cells.shape, cell_size)
-        if explained >= MOST_POINTS * asked:
+        if asked and explained >= MOST_POINTS * asked:
             return directions
     return _list_directions(_find_points(open_cells, cell_size), open_cells.shape, cell_size)[0]
 
@@ -214,16 +214,12 @@ def _align(foot: Float, number: int, each: float, width: float) -> float:
     foot = foot[:, :: max(1, foot.shape[1] // ENOUGH)]
     most = round(1.5 / FINE)
     angles = each * (number + FINE * np.arange(-most, most + 1, dtype=np.float64))
-    across = _across(foot, angles, width)
     sharpness = np.zeros(len(angles), dtype=np.int64)
-    for phase in (0.0, 0.5):  # so that no wall falls between two lines
-        line = (across + phase).astype(np.int64)
-        lines = int(line.max()) + 1
-        place = line + lines * np.arange(len(angles))[:, None]
-        count = np.bincount(place.ravel(), minlength=lines * len(angles)).reshape(-1, lines)
-        # the squares of the sums of two lines next to each other; whole numbers, so exact
-        sharp = (count**2).sum(axis=1) + (count[:, 1:] * count[:, :-1]).sum(axis=1)
-        np.maximum(sharpness, sharp, out=sharpness)
+    for k, across in enumerate(_across(foot, angles, width)):
+        for phase in (0.0, 0.5):  # so that no wall falls between two lines
+            count = np.bincount((across + phase).astype(np.int64))
+            # the squares of the sums of two lines next to each other; whole numbers, so exact
+            sharpness[k] = max(sharpness[k], count @ count + count[1:] @ count[:-1])
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= AS_SHARP * sharpness.max()).any():
         return float(angles[is_axis][0])
@@ -275,7 +271,7 @@ class WallRays:
         """Cast rays from `cells`, shape (…, 2), back and on along a direction; -1 for none.
 
         Returns how far walls are from cells' centres as far as that is known, plus 1, 0 where it
-        isn't, inf beyond the rays' reach [columns]: (cells, 2), as the direction scans them.
+        isn't, inf for none [columns]: (cells, 2), as the direction scans them.
         """
         axes, tiled, known = self._turn(direction)
         at = np.nonzero(cells >= 0)
@@ -306,7 +302,7 @@ class WallRays:
             axes, tiled, _ = self._turn(direction_of(90.0 * abs(down), open_cells.shape))
             is_after = np.full(len(row), down + right > 0)
             away, crossings, line, ahead = self._cast(axes, tiled, row, col, is_after, (0.0,))
-            normal, first = np.zeros((len(row), 3)), ahead == away[line]
+            normal, first = np.zeros((len(row), 3)), np.isfinite(ahead) & (ahead == away[line])
             normal[line[first]] = crossings.normal[first]
             # what is steeper to the ray is met by those along the other axis
             own = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])

@@ -120,8 +120,8 @@ class Meshes:
 
 
 Items = TypeVar("Items", Solids, Planes)
-# So many triangles are expanded together where there are more than so many times as many
-TOGETHER, MANY = 1 << 20, 4
+# So many triangles are expanded together
+TOGETHER = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -147,12 +147,16 @@ class Shapes:
         """All triangles."""
         return self.meshes.expanded
 
+    def forget_triangles(self) -> None:
+        """Give back the memory of the triangles; they are expanded again when asked for."""
+        self.meshes.__dict__.pop("expanded", None)
+
     def triangles_of_some(self) -> Iterator[Facets]:
-        """All triangles, but of few geoms at a time where they are many."""
-        group = np.cumsum(self.meshes.counts) // TOGETHER
-        if len(set(group.tolist())) <= MANY:
+        """All triangles, but of few geoms at a time unless they are all expanded."""
+        if "expanded" in self.meshes.__dict__:
             yield self.triangles
             return
+        group = np.cumsum(self.meshes.counts) // TOGETHER
         for number in np.unique(group).tolist():
             yield self.meshes.only(group == number).expand()
 

@@ -240,8 +240,8 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
     Returns:
         By gap, side and depth, int64: the length of the line, the width of the gap, and that of
         such openings before and after it [columns]; the cells at which it ends at a wall before
-        and after, and the last cells of such openings, -1 for none. Nothing is measured if both
-        sides are one region.
+        and after, and the last cells of such openings, -1 for none; of these also where the line
+        ends at no wall. Nothing is measured if both sides are one region.
         By gap and side, the least share of a line that is the gap's width and such openings.
         By gap, whether its shares wait for walls that are not known yet.
         Pairs of gaps and other regions that their lines met: only if one of these is joined, the
@@ -278,7 +278,7 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
                     # up to the wall at the gap's end, or at that of openings beyond it
                     passed, cell = measured[2 + end], measured[6 + end]
                     if passed > 0:
-                        waits[i] |= known[cell, end] == 0.0
+                        waits[i] |= cell >= 0 and known[cell, end] == 0.0
                         width += passed + _beyond(known, cell, end, far[k])
                     else:
                         width += beside[k, end]
@@ -304,7 +304,7 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
 @part
 def _beyond(known, cell, end, far):
     """How far the wall is from a cell's centre; half a column without a cell or a wall so near."""
-    if cell < 0 or not known[cell, end] - 1.0 <= far:
+    if cell < 0 or not 1.0 <= known[cell, end] <= far + 1.0:
         return 0.5
     return known[cell, end] - 1.0
 
@@ -387,7 +387,7 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
             if is_last:
                 length += reached
                 measured[2 + end], measured[4 + end] = passed, last
-                measured[6 + end] = through if passed > 0 else np.int64(-1)
+                measured[6 + end] = through if passed > 0 and last >= 0 else np.int64(-1)
             else:
                 whole_width += opened
     measured[0], measured[1] = length, width
