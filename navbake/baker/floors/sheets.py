@@ -124,7 +124,7 @@ class Sheets:
         return stale
 
     def update(self, stale: Bool, near: Bool, key: Int32 = NO_KEY) -> None:
-        """Find the sheets again after surfaces in stale blocks changed; for the key, `label_blocks`.
+        """Find the sheets again after surfaces in stale blocks changed; `key` is of `label_blocks`.
 
         Blocks are near where columns were cast again, see `last_near`.
         """
