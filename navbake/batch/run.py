@@ -54,7 +54,7 @@ AT_ONCE = 16  # scenes whose records are read at once
 BOOKKEEPING = ("key", "inputs", "files", "ended")
 SHARD = re.compile(r"shard-\d{6,}\.tar")
 TIMES = ("seconds", "stages", "ended")  # keys of a row that differ each time
-BROKEN = "broken"  # why a scene would be baked in vain
+DONE_BEFORE, BROKEN = "done", "broken"  # why a scene isn't baked, or would be in vain
 SHARES = (50, 90, 100)  # percentiles
 
 
@@ -350,7 +350,7 @@ def preview(plan: Plan, jobs: Sequence[Job]) -> list[Json]:
     found = []
     for job, (row, why), (num_bytes, broken) in zip(jobs, checked, measured, strict=True):
         if row is not None:
-            why = DONE
+            why = DONE_BEFORE
         elif broken or job.id in twins:
             why = broken or f"equal to {twins[job.id]}"
         elif why == NEW and job.id in failed:

@@ -99,6 +99,10 @@ def test_sets_are_converted(run):
     assert Path("b.jsonl").read_bytes().count(b'"scene":"house"') == 1 + 5
     status, _, err = run("convert", "a.json.gz", "o.jsonl", "--scene", "house=WRONG")
     assert status == 1 and "house=WRONG fits no scene of a.json.gz" in err and "x/house.glb" in err
+    # one list of scenes may serve files that have one of them each
+    scenes = ("--scene", "house=x/house.glb", "--scene", "flat=x/flat.glb", "-q")
+    assert run("convert", "a.json.gz", "e.jsonl", *scenes)[0] == 0
+    assert Path("e.jsonl").read_bytes() == Path("b.jsonl").read_bytes()
     status, out, _ = run("convert", "a.json.gz", "c.csv", "--to", "minos")
     assert status == 0 and "c.csv doesn't hold: agent, path" in out
     assert run("convert", "c.csv", "d.json", "--to", "habitat-vln")[2].count("needs paths") == 1

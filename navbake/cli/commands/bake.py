@@ -217,9 +217,14 @@ class Isolation(NamedTuple):
     """Options that run MuJoCo's compiler in a process of its own."""
 
     isolate: bool = flag("--isolate", "Compile in a process of its own: a crash is an error then.")
-    seconds: float | None = option("S", "Time [s].  [default: 60]", "--isolate-seconds", min=0.0)
+    seconds: float | None = option(
+        "SECONDS", "How long that may take [s].  [default: 60]", "--isolate-seconds", min=0.0
+    )
     memory: float | None = option(
-        "GIB", "Memory, on Linux [GiB].  [default: 4]", "--isolate-memory", min=0.0
+        "GIB",
+        "How much memory it may take, on Linux [GiB].  [default: 4]",
+        "--isolate-memory",
+        min=0.0,
     )
 
 

@@ -45,7 +45,11 @@ class Ways(NamedTuple):
     page: bool = flag("--page", "Write FOLDER/index.html: all scenes, their failures and times.")
     parquet: bool = flag("--parquet", "Write the index as index.parquet as well.")
     time_limit: float | None = option("SECONDS", "How long a scene may take [s].", min=0.001)
-    memory_limit: float | None = option("GIB", "Memory of a scene, on Linux [GiB].", min=0.01)
+    memory_limit: float | None = option(
+        "GIB",
+        "Memory that a scene may take beyond what its process starts with, on Linux [GiB].",
+        min=0.01,
+    )
     retries: int = option("N", "How often a crash or a limit is tried again.", default=0, min=0)
     preview: bool = flag("--plan", "Bake nothing: say what would be baked, why, and its size.")
     part: str | None = option("K/N", "Every N-th scene from the K-th; then --merge.", "--slice")
@@ -76,7 +80,9 @@ def batch(
         "repeated.",
     ),
     column: list[str] | None = option(
-        "NAME=COLUMN", "A list's column of scene, config, id or a setting. May be repeated."
+        "NAME=COLUMN",
+        "A list's column for scene, config, id or a setting; all others are then ignored. May be "
+        "repeated.",
     ),
     allow_hosts: list[str] | None = option(
         "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
@@ -165,8 +171,7 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     from rich.filesize import decimal
 
     from navbake.batch.index import read_index
-    from navbake.batch.run import BROKEN, measure_cost, preview
-    from navbake.batch.workers import DONE
+    from navbake.batch.run import BROKEN, DONE_BEFORE, measure_cost, preview
 
     found = preview(plan, jobs)
     if as_json:
@@ -180,13 +185,14 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     for kind, scenes in by_why.items():
         some = [
             scene["id"] + (f" ({scene['why'].removeprefix(f'{kind}: ')})" * (kind != scene["why"]))
-            for scene in scenes[: 0 if kind == DONE else MOST_NAMED]
+            for scene in scenes[: 0 if kind == DONE_BEFORE else MOST_NAMED]
         ]
         more = [f"{len(scenes) - len(some)} more"] if some and scenes[len(some) :] else []
         names = f": {', '.join([*some, *more])}" if some else ""
         size = decimal(sum(scene["bytes"] for scene in scenes))
         say(f"{kind}: {count_of(len(scenes), 'scene')}, {size}{names}")
-    baked = [scene for kind, some in by_why.items() for scene in some if kind not in (DONE, BROKEN)]
+    unbaked = DONE_BEFORE, BROKEN
+    baked = [scene for kind, some in by_why.items() for scene in some if kind not in unbaked]
     copied = len(by_why.get("equal", ()))
     line = f"{len(baked) - copied} of {count_of(len(found), 'scene')} would be baked"
     line += f", and {copied} copied" if copied else ""

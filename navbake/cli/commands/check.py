@@ -71,7 +71,11 @@ def verify(
         "METRES", "Of the agent [m]; inflates the grid, if need be.  [default: that of the grid]"
     ),
     paths: int = option("N", "Sweep the agent along this many paths.", default=0, min=0),
-    tolerance: float = option("METRES", "What touches by less is free [m], > 0.", default=1e-4),
+    tolerance: float = option(
+        "METRES",
+        "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
+        default=1e-4,
+    ),
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
@@ -104,7 +108,9 @@ def verify(
         else:
             _print(report)
     if output is not None:
-        marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
+        from navbake.views.plot import Mark  # loads numpy
+
+        marks = [Mark(found.level, *found.position[:2], found.kind) for found in report.findings]
         drawn = navbake.load(grid)
         options.write_picture(drawn, output, layers=("occupancy",), marks=marks)
     if not report.ok:
@@ -138,7 +144,9 @@ def audit(
     as_json: AsJson = False,
     output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
     on: Path | None = option("FILE", "GRID is a graph of routes on this grid or map.", "--grid"),
-    radius: float | None = option("METRES", "Of lanes [m].  [default: the radius of the graph]"),
+    radius: float | None = option(
+        "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
+    ),
 ) -> None:
     """Look at a grid of any program, or at a graph of routes, for what a person would notice.
 
@@ -169,8 +177,12 @@ def audit(
             others = count_of(len(report.remarks) - len(report.errors), "remark")
             say(f"{len(report.checks)} checks: {errors}, {others}")
     if output is not None:
+        from navbake.views.plot import Mark  # loads numpy
+
         placed = [(-1 if r.level is None else r.level, r.place, r.check) for r in report.remarks]
-        marks = [(level, *place[:2], kind) for level, place, kind in placed if place is not None]
+        marks = [
+            Mark(level, *place[:2], kind) for level, place, kind in placed if place is not None
+        ]
         options.write_picture(content, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)

@@ -117,7 +117,8 @@ def convert_set(source: Path, output: Path, form: str | None, scenes: dict[str, 
     options.check_output(output, inputs=[source])
     content = read_episodes(source, scenes)
     known = {episode.scene for episode in content.episodes}
-    for name in sorted(scenes.keys() - known):
+    if scenes and known.isdisjoint(scenes):  # other scenes may be in other files
+        name = min(scenes)
         fault = f"--scene {name}={scenes[name]} fits no scene of {source}"
         raise ConfigError(f"{fault}: {suggest(name, sorted(known))}")
     lost = write_episodes(content, output, form, scenes)

@@ -54,7 +54,9 @@ class FormatOptions(NamedTuple):
     height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]")
     flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
     scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
-    categories: Path | None = option("TXT", "OmniGibson's room_categories.txt.  [default: new]")
+    categories: Path | None = option(
+        "TXT", "OmniGibson's room_categories.txt.  [default: one of these rooms, written beside]"
+    )
     route: list[str] | None = option(
         "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
     )
@@ -275,7 +277,9 @@ class Squares(NamedTuple):
     level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0)
     corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]")
     rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1)
-    cols: int | None = option("N", "And across.  [default: the whole level; decoding: 15]", min=1)
+    cols: int | None = option(
+        "N", "Squares across.  [default: the whole level; decoding: 15]", min=1
+    )
     square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]")
 
 
@@ -283,7 +287,9 @@ def map_descriptor(
     squares: Squares,
     grid: Path | None = argument("GRID", "A NavGrid file.", None),
     decode: tuple[str, str] | None = option("P1 P2", "Draw this descriptor in place of a GRID."),
-    explored: Path | None = option("NPY", "Explored squares, [row, col] from the top left."),
+    explored: Path | None = option(
+        "NPY", "Which squares are explored: an array [row, col], row 0 at the top.  [default: all]"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Write a level as a map descriptor (two hex strings) and draw it.

@@ -135,7 +135,12 @@ def _report_on_batch(folders: list[Path], output: Path | None) -> None:
 class Address(NamedTuple):
     """Options of the page's address."""
 
-    host: str = option("HOST", "Where to listen; 0.0.0.0 lets others in.", default="127.0.0.1")
+    host: str = option(
+        "HOST",
+        "Address of this machine to listen at. Only this machine can reach the default; "
+        "0.0.0.0 lets others in, too.",
+        default="127.0.0.1",
+    )
     port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535)
     no_open: bool = flag("--no-open", "Only print the link.")
     allow_origin: list[str] | None = option("URL", "An address of a proxy. May be repeated.")

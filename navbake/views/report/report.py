@@ -18,7 +18,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
-from navbake.views import tables as made
+from navbake.views import tables
 from navbake.views.describe import describe, stair_table
 from navbake.views.layers import LAYERS, make_panel, paint
 from navbake.views.page.page import make_page, pack, show_table
@@ -54,13 +54,21 @@ class Verification(TypedDict):
 
 
 def write_report(
-    grids: NavGrid | Sequence[NavGrid], path: str | PathLike[str], **more: Any
+    grids: NavGrid | Sequence[NavGrid],
+    path: str | PathLike[str],
+    *,
+    names: Sequence[str] | None = None,
+    audits: Sequence[AuditReport | None] | None = None,
+    verifications: Sequence[Json | None] | None = None,
 ) -> Path:
-    """Write what `render_report` makes of the same arguments, whole or not at all.
+    """Write what `render_report` makes, whole or not at all, and return the path.
 
-    Returns the path. Raises a FormatError if it can't be written, and as `render_report`.
+    Raises:
+        FormatError: it can't be written.
+        QueryError: see `render_report`.
     """
-    write_bytes(render_report(grids, **more), path)
+    content = render_report(grids, names=names, audits=audits, verifications=verifications)
+    write_bytes(content, path)
     return Path(path)
 
 
@@ -155,14 +163,14 @@ def _describe_grid(
         if isinstance(value, int | float)
     ]
     settings = flatten(grid.navbake.get("settings")).items()
-    tables = {
-        "Levels": made.level_table(facts),
-        "Rooms": made.room_table(grid.rooms, grid.level_names),
-        "Doors": made.door_table(grid.doors, grid.level_names),
+    named_tables = {
+        "Levels": tables.level_table(facts),
+        "Rooms": tables.room_table(grid.rooms, grid.level_names),
+        "Doors": tables.door_table(grid.doors, grid.level_names),
         "Stairs and steep ramps": stair_table(grid),
-        "Links": made.link_table(grid.links, grid.level_names),
-        "Areas": made.area_table(facts["areas"]),
-        "Agents": made.agent_table(facts["agents"]),
+        "Links": tables.link_table(grid.links, grid.level_names),
+        "Areas": tables.area_table(facts["areas"]),
+        "Agents": tables.agent_table(facts["agents"]),
         **dict(table for _, table in remarks),
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
@@ -177,7 +185,7 @@ def _describe_grid(
         "warnings": facts["warnings"],
         "levels": levels,
         "tables": [
-            show_table(*one, folded=one[0] in FOLDED) for one in tables.items() if one[1].rows
+            show_table(*one, folded=one[0] in FOLDED) for one in named_tables.items() if one[1].rows
         ],
     }
 

@@ -192,7 +192,7 @@ class Controls:
         opacity = gui.add_slider("Layer's opacity", 0.1, 1.0, 0.1, chosen.opacity)
         self._keep("opacity", opacity, _set("opacity"))
         self._keep("names", gui.add_checkbox("Names", chosen.with_names), _set("with_names"))
-        self._keep("dark", gui.add_checkbox("Dark page", chosen.dark), _set("dark"))
+        self._keep("dark", gui.add_checkbox("Dark page", bool(chosen.dark)), _set("dark"))
 
     def show(self, chosen: Choices, route: Path | str | None, told: Json | None) -> None:
         """Bring what is said, and inputs that follow from others, up to date."""
@@ -218,7 +218,7 @@ class Controls:
             at["radius"].value = min(grid.agent_radius, float(at["radius"].max))
             at["clearance"].value = 0.0
         at["as baked"].disabled = chosen.inflation is None
-        at["dark"].value = chosen.dark
+        at["dark"].value = bool(chosen.dark)
         if "level" in at:
             at["level"].value = _level(list(at["level"].options), chosen)
         for number in range(len(grid.levels) if "level 0" in at else 0):

@@ -60,7 +60,7 @@ class Choices:
     with_hidden: bool = False  # what MuJoCo's viewers hide, too: the geom groups from 3 on
     with_names: bool = True  # of rooms and doors
     opacity: float = 0.9  # of the layer, above 0, up to 1
-    dark: bool = False  # the page
+    dark: bool | None = None  # the page; None, which is light, until a reader has it dark
     click: str = INSPECT  # one of `CLICKS`
     start: Pick | None = None  # of the path
     goal: Pick | None = None
@@ -78,6 +78,10 @@ class Choices:
         able = [door.id for door in grid.doors if door.id in names and state in door.states]
         states = {**dict(self.doors), **dict.fromkeys(able, state)}
         return replace(self, doors=tuple(sorted(states.items() - own.items())))
+
+    def with_dark_system(self) -> Choices:
+        """For a reader whose system is dark: the page turns dark, unless a reader chose before."""
+        return replace(self, dark=True) if self.dark is None else self
 
     def without_clicks(self) -> Choices:
         """Forget what was clicked."""

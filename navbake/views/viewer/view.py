@@ -10,7 +10,6 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from os import PathLike
@@ -105,7 +104,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._set_up()
         self._place_camera(exhibit.bounds)
         self._scene.on_click()(self._click)
-        page.on_dark = lambda: self._changes.put(lambda chosen: replace(chosen, dark=True))
+        page.on_dark = lambda: self._changes.put(Choices.with_dark_system)
         forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
         forget.on_trigger(lambda _: self._changes.put(Choices.without_clicks))
         self._thread = threading.Thread(target=self._work, name="viewer", daemon=True)
@@ -213,9 +212,9 @@ class Viewer(AbstractContextManager["Viewer"]):
         """Bring the page up to date; only what has changed is sent."""
         exhibit = self._exhibit
         route, told = exhibit.route(chosen), exhibit.tell(chosen)
-        if chosen.dark != self._dark:
-            self._dark = chosen.dark
-            self._server.gui.configure_theme(dark_mode=chosen.dark, **THEME)
+        if bool(chosen.dark) != self._dark:
+            self._dark = bool(chosen.dark)
+            self._server.gui.configure_theme(dark_mode=self._dark, **THEME)
         with self._server.atomic():
             self._draw(chosen, route, told)
             self._controls.show(chosen, route, told)

@@ -47,6 +47,13 @@ def at(exhibit, x, y, level=0, geom=None):
     return Pick(cell, (x, y, 0.0), geom)
 
 
+def test_a_dark_system_darkens_the_page_unless_a_reader_chose(chosen):
+    assert chosen.with_dark_system().dark
+    for dark in (True, False):
+        own = replace(chosen, dark=dark)
+        assert own.with_dark_system() == own
+
+
 def test_the_radius_frees_what_inflate_frees(room, chosen):
     for radius in (0.0, 0.2, 0.35):
         now = replace(chosen, inflation=(radius, 0.1))

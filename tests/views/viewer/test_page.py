@@ -114,6 +114,13 @@ def test_the_page_is_dark_where_the_system_is(shown):
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
     page.driver.refresh()
     wait_until(lambda: page.driver.execute_script(scheme) == "dark", "a dark page", PATIENCE)
+    # what a reader chose outlasts a reload
+    page.tick("Dark page")
+    wait_until(lambda: page.driver.execute_script(scheme) == "light", "a light page", PATIENCE)
+    page.driver.refresh()
+    page.wait_for("room — one level", PATIENCE)
+    time.sleep(1.0)  # the request that would darken it
+    assert page.driver.execute_script(scheme) == "light"
 
 
 def rewrite(path, text):
