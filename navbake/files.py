@@ -45,11 +45,16 @@ def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
 
 
 @contextmanager
-def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], object]]:
+def _beside(data: bytes | Iterable[bytes], path: Path) -> Iterator[Callable[[], None]]:
     """Write a file under another name; yields a commit function that renames it."""
     pieces = [data] if isinstance(data, bytes) else data
     if not _is_replaceable(path):
-        yield lambda: path.write_bytes(b"".join(pieces))
+
+        def write_device() -> None:
+            with open(path, "wb") as device:
+                device.writelines(pieces)
+
+        yield write_device
         return
     target = Path(os.path.realpath(path))
     if target.parent not in _swept:  # once per process, as listing a large folder is slow

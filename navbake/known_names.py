@@ -24,14 +24,14 @@ def find_near(name: object, known: Iterable[str], most: int = 1) -> list[str]:
     return [by_folded[other] for other in dict.fromkeys([*typos, *longer])][:most]
 
 
-def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED) -> str:
-    """The nearest of the known names, if one is near, and the first `limit` of them all."""
+def suggest(name: object, known: Iterable[str], limit: int = MAX_LISTED, owner: str = "it") -> str:
+    """The nearest of the known names, if one is near, and the first `limit` that the owner has."""
     names = list(dict.fromkeys(known))
     folded = str(name).casefold()
     near = find_near(name, names) or [n for n in names if _is_two_slips(folded, n.casefold())]
     hint = f"did you mean {near[0]!r}? " if near else ""
     more = f", and {len(names) - limit} more" if len(names) > limit else ""
-    return f"{hint}it has {', '.join(names[:limit]) or 'none'}{more}"
+    return f"{hint}{owner} has {', '.join(names[:limit]) or 'none'}{more}"
 
 
 def list_first(names: Sequence[str], most: int = 1) -> str:

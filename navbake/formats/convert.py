@@ -34,10 +34,12 @@ class Format(NamedTuple):
     meaning: str  #: A description in one line.
     encode: str | None  #: The writer, None if it is only read.
     read: str | None = None  #: The reader, None if it is only written.
-    write_options: tuple[str, ...] = ()  #: Names of the writer's options.
+    write_options: tuple[str, ...] = ()  #: Names of the options of writing.
     #: The function that lists further files of the reader, None for a single file.
     parts: str | None = None
     read_options: tuple[str, ...] = ()  #: Names of the reader's options.
+    #: Whether `encode_as` inflates the grid for the option ``radius``, instead of the writer.
+    inflates: bool = False
 
 
 FORMATS = (
@@ -59,16 +61,18 @@ FORMATS = (
            "nav2_masks:encode_speed", "nav2_masks:read_speed",
            ("level", "image", "zone", "zones", "agent", "absolute"), "nav2:list_images"),
     Format("procthor", (".png",), "ProcTHORMap of MolmoSpaces: free cells and rooms of each level",
-           "simulators:encode_procthor", "simulators:read_procthor", ("level", "radius")),
+           "simulators:encode_procthor", "simulators:read_procthor", ("level", "radius"),
+           inflates=True),
     Format("omnigibson", (".png",),
            "OmniGibson: floor_trav_N.png of each level, with room maps of level 0",
            "simulators:encode_omnigibson", "simulators:read_omnigibson",
-           ("level", "radius", "categories"), "simulators:list_room_maps"),
+           ("level", "radius", "categories"), "simulators:list_room_maps", inflates=True),
     Format("grscenes", (".npy",), "occupancy.npy of GRScenes: free, obstacle or undefined",
-           "simulators:encode_grscenes", "simulators:read_grscenes", ("level", "radius")),
+           "simulators:encode_grscenes", "simulators:read_grscenes", ("level", "radius"),
+           inflates=True),
     Format("mcap", (".mcap",),
            "messages of ROS 2 for Foxglove and rerun: a map of each level, paths, links",
-           "mcap:encode_mcap", None, ("level", "radius", "route")),
+           "mcap:encode_mcap", None, ("level", "radius", "route"), inflates=True),
     Format("mjcf", (".xml",),
            "MuJoCo scene of walls and floors, and the settings that bake it to these cells",
            "extrude:encode_mjcf", None, ("level", "height", "flat")),
@@ -129,7 +133,8 @@ def find_format(
     if fitting:
         return max(fitting, key=lambda pair: len(pair[0]))[1]  # the first of equally long ones
     listed = ", ".join(f"{'/'.join(form.endings)} ({form.name})" for form in known)
-    hint = ": give the .yaml of the map, which names the image" if file.endswith(".pgm") else ""
+    is_image = formats is FORMATS and file.endswith(".pgm")
+    hint = ": give the .yaml of the map, which names the image" if is_image else ""
     raise FormatError(
         f"expected a name that ends as a format that is {done} does, {listed}; got "
         f"{os.fsdecode(path)}{hint}"
@@ -156,17 +161,16 @@ def encode_as(
 ) -> Files:
     """Encode the files of a grid in any format that is written, without writing them.
 
-    `name` is the format's, by default that of the path's ending; `options` are those of the
-    format's writer, see `FORMATS`; a `radius` inflates the grid for a robot of it first [m]. Raises
-    a FormatError for an unknown format, or a grid that it can't hold.
+    `name` is the format's, by default that of the path's ending; `options` are those that `FORMATS`
+    lists for it. Where the format `inflates`, the grid is inflated for a robot of `radius` first
+    [m]. Raises a FormatError for an unknown format, or a grid that it can't hold.
     """
     form = find_format(path, name, writing=True)
     for option in options:
         if option not in form.write_options:
             takes = ", ".join(form.write_options) or "none"
             raise FormatError(f"{form.name} takes no option {option!r}, it takes: {takes}")
-    # before all but the maps of nav2, whose costs need the grid as it is
-    radius = options.pop("radius", None) if form.name != "nav2" else None
+    radius = options.pop("radius", None) if form.inflates else None
     grid = grid if radius is None else grid.inflate(radius)
     made: Files = resolve(f"navbake.formats.{form.encode}")(grid, Path(path), **options)
     return made

@@ -360,12 +360,12 @@ def encode_graphml(grid: NavGrid, path: Path) -> Files:
 
 
 def encode_networkx(graph: Any) -> bytes:
-    """Encode a graph of networkx as GraphML; control characters are replaced."""
+    """Encode a graph of networkx as GraphML; characters that XML can't hold are replaced."""
     networkx = import_extra("networkx")
 
     def allowed(value: Any) -> Any:
         is_text = isinstance(value, str)
-        return re.sub("[\0-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
+        return re.sub("[\0-\x08\x0b-\x1f\ufffe\uffff]", "\ufffd", value) if is_text else value
 
     named = networkx.relabel_nodes(graph, {node: allowed(node) for node in graph})
     nodes, edges = named.nodes(data=True), named.edges(data=True)

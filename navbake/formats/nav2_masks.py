@@ -169,7 +169,8 @@ def _mark_zones(
             value = int(text)
         found = [own for own in known if name in own[0]]  # on all levels with that name
         if not found:
-            there = suggest(name, (own[0][-1] for own in known), MAX_LISTED)
+            owner = "the grid" if zones is None else f"the grid or {zones}"
+            there = suggest(name, (own[0][-1] for own in known), MAX_LISTED, owner)
             raise FormatError(f"no room or polygon is called {name!r}: {there}")
         chosen += [(own, value) for own in found]
     if not chosen:
@@ -226,6 +227,24 @@ def _encode_info(path: Path, scale: Scale) -> bytes:
 
 
 # ---------------------------------------------------------------- reading
+
+
+def read_keepout(
+    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
+) -> NavGrid:
+    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=False, grid=grid, level=level)
+
+
+def read_speed(
+    path: str | PathLike[str],
+    *,
+    grid: NavGrid | None = None,
+    level: int = 0,
+    agent: str | Agent | None = None,
+) -> NavGrid:
+    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
+    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 
 
 def read_mask(
@@ -294,10 +313,6 @@ def read_mask(
     done: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(done)
     return done
-
-
-read_keepout = partial(read_mask, has_limits=False)
-read_speed = partial(read_mask, has_limits=True)
 
 
 def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:

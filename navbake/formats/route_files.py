@@ -371,11 +371,15 @@ def read_rmf(path: str | PathLike[str]) -> RouteGraph:
             entry |= {key: value for key, value in known.items() if value}
             entry |= optional_object(lane, "navbake", at["lanes"][k])
             rows.add_lane((level, start), (level, end), entry, at["lanes"][k])
-    numbers = {str(own): key for key, (own, _) in rows.nodes.items()}
+    # of nodes with one number, the first has it
+    numbered = [(own, key) for key, (own, _) in rows.nodes.items() if isinstance(own, int | float)]
+    keys = dict(reversed(numbered))
     for k, (start, end, lane) in enumerate(_triples(about, "lanes", place["navbake"])):
         here = place["navbake"]["lanes"][k]
-        one, other = (numbers.get(str(end), MISSING) for end in (start, end))
-        rows.add_lane(one, other, optional_object(lane, "navbake", here), here)
+        for number in (start, end):
+            if not isinstance(number, int | float) or number not in keys:
+                here.refuse("the number of a node", number)
+        rows.add_lane(keys[start], keys[end], optional_object(lane, "navbake", here), here)
     # lifts join their levels
     nodes = [(key, node) for key, (_, node) in rows.nodes.items()] if not about else []
     for (key, node), (other_key, other) in itertools.permutations(nodes, 2):

@@ -328,8 +328,8 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
         if room.level == 0
     }
     most = int(level.room_index.max())
-    limit = f"a map of OmniGibson numbers rooms and their categories up to {MAX_ROOMS}"
     if most > MAX_ROOMS:
+        limit = f"a map of OmniGibson numbers rooms up to {MAX_ROOMS}"
         raise FormatError(f"{limit}, level 0 has {most}")
     files: Files = {}
     if categories is None:
@@ -347,7 +347,8 @@ def _encode_rooms(grid: NavGrid, folder: Path, half: int, categories: Path | Non
     for number, name in names.items():
         kinds[number] = known.index(name) + 1
     if kinds.max() > MAX_ROOMS:
-        raise FormatError(f"{limit}, there are more")
+        limit = f"a map of OmniGibson numbers categories up to {MAX_ROOMS}"
+        raise FormatError(f"{limit}, the last of level 0 has the number {kinds.max()}")
     index = _sample(level.room_index, level.lattice, half)
     files[folder / ROOMS] = encode_image(index.astype(np.uint8), "PNG")
     files[folder / KINDS] = encode_image(kinds[index].astype(np.uint8), "PNG")

@@ -51,14 +51,21 @@ def block(
     given: dict[str, Any] = {
         "cells": cells, "disc": disc, "box": box, "level": level, "height": height, "margin": margin
     }  # fmt: skip
-    made = Block(grid, _find_layers(grid, given), given)
+    made = Block(grid, _find_layers(grid, **given), given)
     made.copies += [block(fitted, **given) for fitted in grid.fitted or ()]
     return made
 
 
-def _find_layers(grid: NavGrid, given: dict[str, Any]) -> list[Layers]:
-    """The cells of each layer of a block's, by level, by the arguments of `block`."""
-    cells, disc, box, level, height, margin = given.values()
+def _find_layers(
+    grid: NavGrid,
+    cells: Cell | Cells | None,
+    disc: tuple[ArrayLike, float] | None,
+    box: tuple[ArrayLike, ArrayLike] | None,
+    level: int | None,
+    height: float | None,
+    margin: float | None,
+) -> list[Layers]:
+    """The cells of each layer of a block's, by level."""
     if sum(thing is not None for thing in (cells, disc, box)) != 1:
         raise QueryError("expected one of cells, disc and box to block")
     check_level(level, len(grid.levels))

@@ -81,8 +81,10 @@ class Search:
         self.free_diagonally, anywhere, by_squares = self._masks
         solid = [v.solid.ravel() != 0 for v in clean.levels] if self._room else [NO_CELLS]
         before = np.append(np.int32(0), np.cumsum(np.concatenate(solid), dtype=np.int32))
-        agent_disc = grid.inflated_radius, len(grid.levels) > 1
-        self.off_center = arrays.OffCenter(anywhere, by_squares, before, *agent_disc)
+        is_closed = len(grid.levels) > 1
+        self.off_center = arrays.OffCenter(
+            anywhere, by_squares, before, grid.inflated_radius, is_closed
+        )
         if (least := flat.weight[flat.free].min(initial=0.0)) < 0:
             raise QueryError(f"expected weights >= 0, got {least:g}: no path is the cheapest then")
         # the buckets fit the weights of all cells, blocked ones included

@@ -115,8 +115,9 @@ def block_by_others(
         here = extreme.reduce(tiles, axis=(2, 4))
         here = np.where(np.isnan(here), beyond, here).astype(np.float64)
         ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
-    counts = counts_higher, ledges == "avoid"
-    kernels.block_by_floors(storeys, tuple(ranges), offsets, *counts, blocked)
+    kernels.block_by_floors(
+        storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
+    )
 
 
 def disc(

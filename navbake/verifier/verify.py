@@ -177,8 +177,9 @@ def verify_scene(
         except FormatError as error:
             notes.append(f"no paths were swept: {error}")
     findings.sort(key=lambda found: (found.level, found.cell or (-1, -1), found.kind))
-    made = levels, swept, findings, notes
-    report = VerifyReport(content.scene_id, num_cells, seed, tolerance, cylinder, *made)
+    report = VerifyReport(
+        content.scene_id, num_cells, seed, tolerance, cylinder, levels, swept, findings, notes
+    )
     surfaces = {item.geom for item in obstacles.items if not item.same_in_mujoco}
     if surfaces:
         names = sorted(obstacles.names[geom] for geom in surfaces)

@@ -70,12 +70,17 @@ def describe(grid: NavGrid) -> Json:
                 "num_rooms": int(np.count_nonzero(np.unique(level.room_index))),
             }
         )
-    cell_size = grid.levels[0].lattice.cell_size
-    cells = np.sum([np.bincount(v.area_index.ravel(), minlength=256) for v in grid.levels], axis=0)
+    sizes_of_areas = np.sum(
+        [
+            np.bincount(level.area_index.ravel(), minlength=256) * level.lattice.cell_size**2
+            for level in grid.levels
+        ],
+        axis=0,
+    )
     return {
         "type": type(grid).__name__,
         "scene_id": grid.scene_id,
-        "cell_size": cell_size,
+        "cell_size": grid.levels[0].lattice.cell_size,
         "agent": {name: stated[key] for key, name in AGENT.items() if key in stated},
         "made_by": {name: stated[key] for key, name in MADE_BY.items() if key in grid.navbake},
         "levels": levels,
@@ -83,7 +88,7 @@ def describe(grid: NavGrid) -> Json:
         "num_steps": len(grid.step_array),
         "links": [link.to_json() for link in grid.links],
         "areas": [
-            {**area.to_json(), "m2": _rounded(cells[number] * cell_size**2)}
+            {**area.to_json(), "m2": _rounded(sizes_of_areas[number])}
             for number, area in enumerate(grid.areas, start=1)
         ],
         "agents": {name: agent.to_json() for name, agent in grid.agents.items()},

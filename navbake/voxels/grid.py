@@ -207,7 +207,7 @@ def place_grid(
     if position is not None:
         center = check_three(position, "the centre to be x, y, z [m]")
     elif bounds is None or not np.isfinite(bounds).all():
-        why = "geoms have a pose that is not finite"
+        why = "the scene has geoms with a pose that is not finite"
         why = "only infinite planes count in the scene" if bounds is None else why
         raise ConfigError(f"{why}, so its box has no end: give a centre, and counts or a size")
     else:

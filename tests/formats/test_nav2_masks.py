@@ -110,7 +110,7 @@ def test_the_least_speed_counts(tmp_path):
         ("nav2-speed", {}, "a mask needs zones"),
         ("nav2-speed", {"zone": ["1=5"], "absolute": True}, "for masks of the grid's areas"),
         ("nav2-keepout", {"zone": ["1"], "agent": "robot"}, "for masks of the grid's areas"),
-        ("nav2-keepout", {"zone": ["attic"]}, "called 'attic': it has .+, "),
+        ("nav2-keepout", {"zone": ["attic"]}, "called 'attic': the grid has .+, "),
         ("nav2-speed", {"zone": ["kitchen"]}, "NAME=PERCENT, 1 to 100, as zone, got 'kitchen'"),
         ("nav2-speed", {"zone": ["kitchen=0"]}, "got 'kitchen=0'"),
         ("nav2-speed", {"zone": ["kitchen=101"]}, "got 'kitchen=101'"),

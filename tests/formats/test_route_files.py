@@ -232,11 +232,16 @@ def changed(graph, **changes):
         ("a.json", '{"layouts": [{"nodes": [{"nodeId": "a"}]}]}', "nodePosition"),
         ("a.yaml", "levels: {L1: {vertices: [3]}}", r"vertices\[0\]"),
         ("a.yaml", "levels: {L1: {lanes: [[0, 1]]}}", "expected the id of a node"),
+        ("a.yaml", "levels: {}\nnavbake: {lanes: [[99, 0]]}", "the number of a node, got 99 at"),
+        ("a.yaml", "levels: {}\nnavbake: {lanes: [[[1], 0]]}", "the number of a node, got a list"),
+        ("a.yaml", 'levels: {L1: {vertices: [[0, 0, {navbake: {number: 1}}]]}}\n'
+         'navbake: {lanes: [["1", 1]]}', "the number of a node, got '1'"),
         ("a.yaml", "a: b: c", "expected a navigation graph"),
         ("a.graphml", "<x", "expected GraphML"),
         ("a.graphml", "<graphml><graph edgedefault='directed'><node id='a'/></graph></graphml>",
          "a finite number"),
         ("a.txt", "", r"expected a name that ends as a format that is read does, \.geojson"),
+        ("a.pgm", "", r"got \S+a\.pgm$"),
     ],
 )  # fmt: skip
 def test_broken_files_are_refused_in_a_line(tmp_path, name, text, culprit):
@@ -244,6 +249,25 @@ def test_broken_files_are_refused_in_a_line(tmp_path, name, text, culprit):
     with pytest.raises(FormatError, match=culprit) as caught:
         read_routes(tmp_path / name)
     assert "\n" not in str(caught.value)
+
+
+def test_of_nodes_with_one_number_lanes_between_levels_lead_to_the_first(tmp_path):
+    vertices = [[x, 0, {"name": name, "navbake": {"number": 1}}] for x, name in enumerate("ab")]
+    top = [[0, 0, {"name": "c", "navbake": {"number": 2}}]]
+    levels = {"L1": {"vertices": vertices}, "L2": {"vertices": top}}
+    own = {"lanes": [[1, 2, {"name": "d"}]]}
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump({"levels": levels, "navbake": own}))
+    graph = read_routes(tmp_path / "a.yaml")
+    ends = [graph.nodes[end].name for end in (graph.lanes[0].start, graph.lanes[0].end)]
+    assert ends == ["a", "c"]
+
+
+def test_graphml_keeps_tabs_and_newlines(tmp_path):
+    graph = changed(SMALL, name="hall\tof\nmirrors", room="0\t1")
+    write_routes(graph, tmp_path / "a.graphml")
+    assert read_routes(tmp_path / "a.graphml") == graph
+    write_routes(changed(SMALL, name="a\x01\r"), tmp_path / "a.graphml")
+    assert read_routes(tmp_path / "a.graphml").nodes[0].name == "a\ufffd\ufffd"
 
 
 def test_wrong_nodes_are_refused(tmp_path):

@@ -16,12 +16,12 @@ from project_paths import GOLDEN
 HOUSE_FILE, APARTMENT_FILE = GOLDEN / "house.grid.json.gz", GOLDEN / "apartment.grid.json.gz"
 
 
-def make_level(free, floor, ground=0.0, rooms=None, metadata=None, unit=1.0):
+def make_level(free, floor, ground=0.0, rooms=None, metadata=None, unit=1.0, cell_size=0.5):
     free = np.array(free, dtype=bool)
     return SceneGrid2D(
         width=free.shape[1],
         height=free.shape[0],
-        cell_size=0.5,
+        cell_size=cell_size,
         min_yup=(0.0, ground, 0.0),
         unit=unit,
         weights=np.where(free, 1.0, np.inf),
@@ -140,6 +140,18 @@ def test_lengths_are_in_metres_whatever_the_unit():
     level = describe(make_level([[1, 1]], [[100.0, 110.0]], ground=100.0, unit=0.01))["levels"][0]
     assert (level["ground"], level["floor_min"], level["floor_max"]) == (1.0, 1.0, 1.1)
     assert level["free_area"] == pytest.approx(2 * 0.005**2)
+
+
+def test_areas_have_the_size_of_each_levels_own_cells():
+    stated = {"navbake": {"areas": [{"name": "lab", "cost": 2.0}]}}
+    levels = [
+        make_level([[1, 1]], [[0.0, 0.0]], metadata=stated, cell_size=size) for size in (0.5, 0.1)
+    ]
+    for level in levels:
+        level.attributes["area"] = np.array([[1, 1]], dtype=np.uint8)
+    house = MultiLevelGrid(grids=levels, cell_size=0.5, metadata=HOUSE | stated)
+    (area,) = describe(house)["areas"]
+    assert area["m2"] == pytest.approx(2 * 0.5**2 + 2 * 0.1**2)
 
 
 @pytest.fixture(scope="module")

@@ -93,14 +93,18 @@ def geoms(
     options.say_if_sample(config)
     scene = load_scene(settings.scene, settings.agent, settings.floors)
     print_warnings(scene.warnings)
-    found = [vars(geom) for geom in scene.geoms]
     if as_json:
+        keys = ("id", "name", "body", "type", "counted", "shape", "reason")
+        found = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
         print_json({"scene_id": scene.id, "geoms": found, "warnings": list(scene.warnings)})
         return
     num_counted = sum(geom.counted for geom in scene.geoms)
-    rows = [(geom | {"counted": "yes" if geom["counted"] else "no"}).values() for geom in found]
+    rows = [
+        (g.id, g.name, g.body, g.type, "yes" if g.counted else "no", g.shape, g.reason)
+        for g in scene.geoms
+    ]
     headings = ("id", "geom", "body", "type", "counted", "as", "why")
-    printing.print_tables(make_table(headings, map(tuple, rows), numbers=("id",)))
+    printing.print_tables(make_table(headings, rows, numbers=("id",)))
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 
