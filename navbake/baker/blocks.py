@@ -171,7 +171,7 @@ class BlockTable:
         self._counts = np.zeros(num_blocks, dtype=np.int64)
 
     def fill(self, kernel: Callable[..., int], blocks: Int, *args: Any) -> Int:
-        """Replace the rows of some blocks, ascending; returns the number of each: `list_rows`."""
+        """List the rows of some blocks again, as `list_rows`; returns how many each block has."""
         counts, columns = list_rows(kernel, blocks, self._empty, *args)
         last = np.cumsum(self._counts)[blocks]
         runs, start = (last - self._counts[blocks], last), np.append(0, np.cumsum(counts))

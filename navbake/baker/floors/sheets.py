@@ -124,9 +124,11 @@ class Sheets:
         return stale
 
     def update(self, stale: Bool, near: Bool, key: Int32 = NO_KEY) -> None:
-        """Find the sheets again after surfaces in stale blocks changed; `key` is of `label_blocks`.
+        """Find the sheets again after surfaces in `stale` blocks changed.
 
-        Blocks are near where columns were cast again, see `last_near`.
+        Args:
+            near: the blocks near columns that were cast again, see `last_near`.
+            key: see `label_blocks`.
         """
         surfaces, labels = self.surfaces, self.labels
         self.now += 1

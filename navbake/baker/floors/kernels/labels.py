@@ -1,8 +1,8 @@
 """Connected parts of surfaces, block by block, the pairs of parts that meet, and their sizes.
 
 Union-find inside of each block, as in `navbake.baker.kernels.connect`; the caller unites parts that
-meet over a border. Rows, see `navbake.baker.blocks.list_rows`, are three numbers and their count;
-the same three may come in several rows.
+meet over a border. Rows of `list_pairs` and `tally`, see `navbake.baker.blocks.list_rows`, are
+three numbers and their count; the same three may come in several rows.
 """
 
 import math
