@@ -99,7 +99,7 @@ def find_reasons(grid: GridBase, number: int, reach: float) -> Bool:
             near = (other.floor > known.min() - body) & (other.floor < known.max() + body)
             at = other.lattice.positions(*np.nonzero(near))
             rows, cols = level.lattice.rows_cols(at)
-            inside = (rows >= 0) & (cols >= 0) & (rows < level.height) & (cols < level.width)
+            inside = level.lattice.holds(rows, cols)
             blocks[rows[inside], cols[inside]] = True
     found: Bool = maximum_filter(blocks, size, mode="constant", cval=True)
     high = maximum_filter(np.where(np.isnan(floor), -np.inf, floor), size)

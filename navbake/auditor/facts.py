@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import label
@@ -126,25 +126,20 @@ def number_islands(
     return [numbers[group][part] for part in parts]
 
 
-class Inflation(NamedTuple):
-    """One entry of a grid's metadata under `inflation` [m]."""
+def read_inflations(grid: GridBase) -> tuple[list[Json], str | None]:
+    """What a grid was inflated for; and what is wrong with the first entry that can't be read.
 
-    mode: str
-    radius: float
-    clearance: float
-
-
-def read_inflations(grid: GridBase) -> tuple[list[Inflation], str | None]:
-    """What a grid was inflated for; and what is wrong with the first entry that can't be read."""
+    Entries have a ``mode``, ``radius`` and ``clearance`` [m].
+    """
     stated = grid.metadata.get("inflation", [])
     if not isinstance(stated, list):
         return [], f"`inflation` is {stated!r}, expected a list of what was done"
-    done, broken = list[Inflation](), None
+    done, broken = list[Json](), None
     for number, entry in enumerate(stated):
         known = entry if isinstance(entry, dict) and entry.get("mode") in MODES else {}
-        lengths = known.get("radius"), known.get("clearance", 0)
-        if all(is_within(length, 0, MOST_INFLATED) for length in lengths):
-            done.append(Inflation(known["mode"], *map(float, lengths)))
+        lengths = {"radius": known.get("radius"), "clearance": known.get("clearance", 0)}
+        if all(is_within(length, 0, MOST_INFLATED) for length in lengths.values()):
+            done.append({"mode": known["mode"], **lengths})
         elif broken is None:
             broken = f"`inflation[{number}]` is {entry!r}, expected its radius [m] and mode"
     return done, broken
@@ -220,7 +215,7 @@ class Facts:
     def reach(self) -> float | None:
         """How far from a cell's centre may be what an inflation closed it for [m]."""
         done, _ = read_inflations(self.grid)
-        return max((one.radius + one.clearance for one in done), default=None)
+        return max((float(one["radius"] + one["clearance"]) for one in done), default=None)
 
     def cells_of(self, doors: list[tuple[Door, str]]) -> list[Bool]:
         """The cells of each level that doors block in some states."""

@@ -38,26 +38,26 @@ def audit_routes(
         graph = read_routes(graph)
     facts, radius = Facts(grid), graph.radius if radius is None else radius
     checks = {
-        "nodes": _nodes(graph, facts),
-        "lanes": _lanes(graph, facts, radius),
-        "parts": _parts(graph),
-        "dead ends": _dead_ends(graph),
-        "islands": _islands(graph, facts),
+        "nodes": check_nodes(graph, facts),
+        "lanes": check_lanes(graph, facts, radius),
+        "parts": check_parts(graph),
+        "dead ends": check_dead_ends(graph),
+        "islands": check_islands(graph, facts),
     }
     remarks = [Remark(name, *entry) for name, found in checks.items() for entry in found]
     remarks.sort(key=lambda remark: remark.severity != ERROR)
     return AuditReport(graph.scene_id, remarks, list(checks))
 
 
-def _nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
+def check_nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
     for node in graph.nodes:
         what = None
         if node.level >= len(facts.levels):
             what = f"is on level {node.level}, which the grid hasn't"
         else:
-            row, col = facts.levels[node.level].lattice.rows_cols(np.array(node.position[:2]))
-            height, width = facts.levels[node.level].shape
-            if not (0 <= row < height and 0 <= col < width):
+            lattice = facts.levels[node.level].lattice
+            row, col = lattice.rows_cols(node.position)
+            if not lattice.holds(row, col):
                 what = "lies outside of the grid"
             elif not facts.passable[node.level][row, col]:
                 what = "stands where no cell is free"
@@ -65,7 +65,7 @@ def _nodes(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
             yield ERROR, node.level, node.position, f"node {node.name!r} {what}"
 
 
-def _lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Found]:
+def check_lanes(graph: RouteGraph, facts: Facts, radius: float) -> Iterator[Found]:
     for lane in graph.lanes:
         one, other = graph.nodes[lane.start], graph.nodes[lane.end]
         if lane.kind != FLOOR or one.level != other.level or one.level >= len(facts.levels):
@@ -108,7 +108,7 @@ def _is_over(facts: Facts, number: int, places: Float, z: Float) -> Bool:
     found = np.zeros(len(places), dtype=np.bool_)
     for other, level in enumerate(facts.levels):
         row, col = level.lattice.rows_cols(places)
-        inside = (row >= 0) & (row < level.height) & (col >= 0) & (col < level.width)
+        inside = level.lattice.holds(row, col)
         if other == number or not inside.any():
             continue
         row, col = row[inside], col[inside]
@@ -139,7 +139,7 @@ def distances(ends: Float, centers: Float, half: float) -> Float:
     return np.where(meets, 0.0, np.min(beyond, axis=0))
 
 
-def _parts(graph: RouteGraph) -> Iterator[Found]:
+def check_parts(graph: RouteGraph) -> Iterator[Found]:
     if not graph.nodes:
         yield ERROR, None, None, "the graph has no nodes"
         return
@@ -160,7 +160,7 @@ def _parts(graph: RouteGraph) -> Iterator[Found]:
         yield REMARK, end.level, end.position, text
 
 
-def _dead_ends(graph: RouteGraph) -> Iterator[Found]:
+def check_dead_ends(graph: RouteGraph) -> Iterator[Found]:
     ends: list[set[int]] = [set() for _ in graph.nodes]
     for lane in graph.lanes:
         ends[lane.start].add(lane.end)
@@ -174,7 +174,7 @@ def _dead_ends(graph: RouteGraph) -> Iterator[Found]:
         yield REMARK, found[0].level, found[0].position, text
 
 
-def _islands(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
+def check_islands(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
     """Islands of the grid, as it is, that are large and have no node."""
     areas: dict[int, float] = {}
     for level, islands in zip(facts.levels, facts.islands, strict=True):
@@ -183,10 +183,10 @@ def _islands(graph: RouteGraph, facts: Facts) -> Iterator[Found]:
     reached = set()
     for node in graph.nodes:
         if node.level < len(facts.levels):
-            row, col = facts.levels[node.level].lattice.rows_cols(np.array(node.position[:2]))
-            islands = facts.islands[node.level]
-            if 0 <= row < islands.shape[0] and 0 <= col < islands.shape[1]:
-                reached.add(int(islands[row, col]))
+            lattice = facts.levels[node.level].lattice
+            row, col = lattice.rows_cols(node.position)
+            if lattice.holds(row, col):
+                reached.add(int(facts.islands[node.level][row, col]))
     for number, area in areas.items():
         if number and area >= LEAST_AREA and number not in reached:
             on = next(k for k, islands in enumerate(facts.islands) if (islands == number).any())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,6 +115,10 @@ class Lattice(NamedTuple):
         x = self.x_min + (np.asarray(cols) + 0.5) * self.cell_size
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
         return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+    def holds(self, rows: Any, cols: Any) -> Any:
+        """Whether cells lie on the lattice, by their rows and columns; bool, of their shape."""
+        return (rows >= 0) & (cols >= 0) & (rows < self.height) & (cols < self.width)
 
     def window(self, bounds: Float, reach: float = 0.0) -> tuple[slice, slice] | None:
         """Find the rows and columns of the cells near a box, one more on each side.

@@ -17,10 +17,10 @@ from navbake.config.settings import BakeConfig, FloorSettings
 from navbake.navgrid.grid import GridBase
 from navbake.types import Bool, Int, Vector3
 from navbake.verifier import report
-from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, Obstacle
-from navbake.verifier.probes import AROUND, DISPUTED, FACES_UP, REACH, RIM, TOUCHES, Lines, Probes
+from navbake.verifier.obstacles import ENCLOSING, UNCLEAR, PlacedPiece
+from navbake.verifier.probes import AROUND, DISPUTED, FACES_UP, REACH, RIM, TOUCHES, Probes
 from navbake.verifier.report import Finding, LevelCounts
-from navbake.verifier.sample import Agent, LevelSample, Part, shift_between
+from navbake.verifier.sample import AgentSizes, LevelSample, Part, shift_between
 
 MEASURED = 100  # findings of a kind whose depth or gap is measured
 OFF = 1e-4  # metres that a floor may be off a surface, and
@@ -58,9 +58,9 @@ class FloorCheck:
     """
 
     def __init__(
-        self, grid: GridBase, lines: Lines, agent: Agent, config: BakeConfig | None
+        self, grid: GridBase, probes: Probes, body: AgentSizes, config: BakeConfig | None
     ) -> None:
-        self._agent, self._lines = agent, lines
+        self._body, self._probes = body, probes
         self._settings = FloorSettings() if config is None else config.floors
         self._lattice = grid.levels[0].lattice
         shifts = [shift_between(self._lattice, level.lattice) for level in grid.levels]
@@ -71,9 +71,9 @@ class FloorCheck:
         self._edge = self._stride * self._lattice.cell_size
         self._seen, self._lost = set[Node](), set[Node]()
         self.num_left, self.area_left = 0, 0.0
-        self._line_at = lru_cache(200_000)(lambda row, col: lines.at(*self._center(row, col)))
+        self._line_at = lru_cache(200_000)(lambda row, col: probes.line(*self._center(row, col)))
         self._standable_at = lru_cache(200_000)(
-            lambda row, col: self._line_at(row, col).standable(agent.height, agent.min_up)
+            lambda row, col: self._line_at(row, col).standable(body.height, body.min_up)
         )
 
     def run(self, sample: LevelSample, counts: LevelCounts) -> list[Finding]:
@@ -88,11 +88,11 @@ class FloorCheck:
         unseen = sample.level.attributes.get("unseen", np.zeros(sample.level.shape))
         for k, has_none in enumerate(np.isnan(sample.floor).tolist()):
             x, y, z = place = sample.place(k)
-            line, off = self._lines.at(x, y), rounding(x, y, z)
-            standable = line.standable(self._agent.height, self._agent.min_up)
+            line, off = self._probes.line(x, y), rounding(x, y, z)
+            standable = line.standable(self._body.height, self._body.min_up)
             # at the edge of a crack, floors that slope have any height
-            is_gap = all(abs(s.z - z) > self._agent.step for s in standable)
-            min_up = self._agent.min_up if is_gap else np.inf
+            is_gap = all(abs(s.z - z) > self._body.step for s in standable)
+            min_up = self._body.min_up if is_gap else np.inf
             counts.floors += not has_none
             has_none |= bool(unseen[sample.rows[k], sample.cols[k]])
             if has_none or line.faces_up(z - off, z + off):
@@ -101,7 +101,7 @@ class FloorCheck:
                     if not self._is_known(row, col, s.z):
                         unknown.append((row, col, s.z))
                         findings += self._look_from(row, col, (x, y, s.z), sample, k)
-            elif self._lines.faces_up_beside(place, off, self._settings.crack, min_up=min_up):
+            elif self._probes.faces_up_beside(place, off, self._settings.crack, min_up=min_up):
                 counts.in_cracks += 1
             else:
                 counts.floors_off += 1
@@ -123,7 +123,15 @@ class FloorCheck:
         None where it was found before, or is narrower than furniture, unless it is a step from a
         free cell: places are looked at every `STRIDE`.
         """
-        is_step = self._is_a_step_from_free(row, col, place[2]) and self._is_sure(*place)
+        step = self._body.step - OFF
+        is_step = any(
+            is_free
+            and abs(floor - place[2]) <= step
+            and any(abs(s.z - floor) <= rounding(floor) for s in self._standable_at(r, c))
+            for r, c in ((row + dr, col + dc) for dr, dc in SIDES)
+            for floor, is_free in self._levels_at(r, c)
+        )
+        is_step = is_step and self._is_sure(*place)
         if not is_step:
             row, col = (v - v % self._stride for v in (row, col))
         start = self._near(row, col, place[2])
@@ -163,7 +171,7 @@ class FloorCheck:
             self.num_left, self.area_left = self.num_left + 1, self.area_left + area
             return []
         self._lost |= own
-        geom = self._lines.obstacles.name(first.number)
+        geom = self._probes.obstacles.name(first.number)
         text = f"on {geom!r}, {area:.2f} m² or more are on no level, and {how}"
         found = sample.finding(report.PLACE_LOST, k, text, geom, round(area, 6))
         return [replace(found, position=place)]
@@ -211,7 +219,7 @@ class FloorCheck:
 
     def _end_at(self, row: int, col: int, dr: int, dc: int, z: float) -> Node | None:
         """The place that a sheet drops to, of number -1 if there is none; None at a wall."""
-        low, high = z + self._agent.step, z + max(self._agent.height, MIN_WALL)
+        low, high = z + self._body.step, z + max(self._body.height, MIN_WALL)
         for _ in range(self._stride):
             row, col = row + dr, col + dc
             if any(begin < low and end > high for begin, end in self._line_at(row, col).solid):
@@ -222,7 +230,7 @@ class FloorCheck:
         """The surface of a column that is a step at most from a height; None for none."""
         gaps = [abs(surface.z - z) for surface in self._standable_at(row, col)]
         best = min(gaps, default=np.inf)
-        return gaps.index(best) if best <= self._agent.step - OFF else None
+        return gaps.index(best) if best <= self._body.step - OFF else None
 
     def _is_known(self, row: int, col: int, z: float) -> bool:
         """Whether any level has a floor at a height in a column [m]."""
@@ -245,20 +253,11 @@ class FloorCheck:
     def _is_sure(self, x: float, y: float, z: float) -> bool:
         """Whether a place is there beside its centre, too, and is no rim or touching limit."""
         for a, b in AROUND[1::4]:
-            found = self._lines.at(x + RIM * a, y + RIM * b)
-            places = found.standable(self._agent.height + OFF, self._agent.min_up + 1e-5)
+            found = self._probes.line(x + RIM * a, y + RIM * b)
+            places = found.standable(self._body.height + OFF, self._body.min_up + 1e-5)
             if not any(abs(s.z - z) <= OFF for s in places):
                 return False
         return True
-
-    def _is_a_step_from_free(self, row: int, col: int, z: float) -> bool:
-        return any(
-            is_free
-            and abs(floor - z) <= self._agent.step - OFF
-            and any(abs(s.z - floor) <= rounding(floor) for s in self._standable_at(r, c))
-            for r, c in ((row + dr, col + dc) for dr, dc in SIDES)
-            for floor, is_free in self._levels_at(r, c)
-        )
 
 
 class OccupancyCheck:
@@ -271,9 +270,9 @@ class OccupancyCheck:
     """
 
     def __init__(
-        self, probes: Probes, lines: Lines, agent: Agent, tolerance: float, reach: float = 0.0
+        self, probes: Probes, body: AgentSizes, tolerance: float, reach: float = 0.0
     ) -> None:
-        self._probes, self._lines, self._agent = probes, lines, agent
+        self._probes, self._body = probes, body
         self._obstacles, self._tolerance, self._reach = probes.obstacles, tolerance, reach
         self._found: Counter[str] = Counter()
         self.num_groundless = 0
@@ -289,13 +288,13 @@ class OccupancyCheck:
         text = "is free, though it has no floor"
         bare = np.flatnonzero(sample.free & ~asked).tolist()
         findings = [sample.finding(report.NO_FLOOR, cell, text) for cell in bare]
-        is_apart, step = asked & (by < 0), self._agent.step + self._tolerance
-        text = f"is free, but no floor is within {self._agent.step:g} m of its level's ground"
+        is_apart, step = asked & (by < 0), self._body.step + self._tolerance
+        text = f"is free, but no floor is within {self._body.step:g} m of its level's ground"
         for cell in np.flatnonzero(is_apart & (not sample.states_floors)).tolist():
             # a floor is a surface that faces up, also beside a crack or a rim
             x, y, z = at = sample.place(cell)
-            on_floor = self._lines.at(x, y).faces_up(z - step, z + step)
-            if not on_floor and not self._lines.faces_up_beside(at, step):
+            on_floor = self._probes.line(x, y).faces_up(z - step, z + step)
+            if not on_floor and not self._probes.faces_up_beside(at, step):
                 is_apart[cell] = False
                 findings.append(sample.finding(report.NO_FLOOR, cell, text))
         counts.disputed += int((is_apart & disputed).sum())
@@ -324,9 +323,9 @@ class OccupancyCheck:
         apart &= self._inside(sample, apart, volume[0]) < 0
         for cell in np.flatnonzero(apart & (not sample.states_floors)).tolist():
             # where the scene has no place to stand within a step of the ground, it may be blocked
-            line, agent, z = self._lines.at(*sample.xy[cell]), self._agent, sample.floor[cell]
-            places = line.standable(agent.height, agent.min_up)
-            apart[cell] = any(abs(s.z - z) <= agent.step for s in places)
+            line, body, z = self._probes.line(*sample.xy[cell]), self._body, sample.floor[cell]
+            places = line.standable(body.height, body.min_up)
+            apart[cell] = any(abs(s.z - z) <= body.step for s in places)
             self.num_groundless += not apart[cell]
         unclear = np.zeros_like(apart)
         for _, cell, leaves, enters in self._crossings(sample, apart, volume[0], (UNCLEAR,)):
@@ -397,10 +396,12 @@ class OccupancyCheck:
         for number, item in enumerate(self._obstacles.items):
             for cell in _near(sample, asked, item, point).tolist() if item.kind in kinds else ():
                 x, y = sample.xy[cell].tolist()
-                yield number, cell, *self._lines.crossings(number, (x, y, float(middle[cell])))
+                yield number, cell, *self._probes.crossings(number, (x, y, float(middle[cell])))
 
 
-def _near(sample: LevelSample, asked: Bool, item: Obstacle, part: Part, beyond: float = 0.0) -> Int:
+def _near(
+    sample: LevelSample, asked: Bool, item: PlacedPiece, part: Part, beyond: float = 0.0
+) -> Int:
     """The asked cells over which a part, larger by `beyond` [m], meets an obstacle's box."""
     lattice, reach = sample.level.lattice, part.half + beyond
     # rows ascend in a sample; those that may meet it

@@ -54,8 +54,8 @@ SOLIDS: dict[int, tuple[Callable[[Float], Any], Callable[[Float, Float], Any]]] 
 """FCL's shape of a solid by its size; how far it reaches along a unit vector of its frame [m]."""
 
 
-class Obstacle(NamedTuple):
-    """One convex solid, plane, height field, or part of a mesh."""
+class PlacedPiece(NamedTuple):
+    """One convex solid, plane, height field, or part of a mesh, where it stands."""
 
     geom: int
     kind: str
@@ -90,7 +90,7 @@ class Obstacles:
 
     def __init__(self, scene: Scene, data: Any, left_out: Collection[int] = ()) -> None:
         self._scene, self._spec = scene, mujoco.MjSpec()
-        self.items: list[Obstacle] = []
+        self.items: list[PlacedPiece] = []
         self._heights: list[Float] = []  # of height fields
         self._meshes: dict[tuple[int, str], list[_Piece]] = {}
         self._halves: dict[tuple[int, bytes], list[str]] = {}
@@ -190,27 +190,21 @@ class Obstacles:
             reach, size = SOLIDS[piece.geom["type"]][1], piece.geom["size"]
             half = np.array([reach(size, axis) for axis in mat])
             low, high = pos - half, pos + half
-        if piece.triangles is not None:
+        if piece.triangles is not None and piece.points is not None:
+            # meshes of what faces up of it, and of what faces down
+            key = id(piece.shape), mat[2].tobytes()
+            if key not in self._halves:
+                a, b, c = (piece.points[piece.triangles[:, k]] for k in range(3))
+                normal = np.cross(b - a, c - a)
+                rise, least = normal @ mat[2], UPRIGHT * np.linalg.norm(normal, axis=1)
+                halves = [piece.triangles[rise > least], piece.triangles[rise < -least]]
+                meshes = [_used(piece.points, half) for half in halves if len(half)]
+                self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
             common = place | {"type": GEOM.mjGEOM_MESH, "contype": 0, "conaffinity": 0}  # no hulls
-            halves = self._split_facing(piece, mat[2])
-            self._facing[len(self.items)] = [common | {"meshname": half} for half in halves]
+            named = self._halves[key]
+            self._facing[len(self.items)] = [common | {"meshname": half} for half in named]
         hull = points if piece.kind == CONVEX else None
-        self.items.append(Obstacle(geom, piece.kind, placed, low, high, hull))
-
-    def _split_facing(self, piece: _Piece, up: Float) -> list[str]:
-        """Make meshes of what faces up of a surface, and of what faces down; returns their names.
-
-        `up` is the world's vertical in the surface's frame.
-        """
-        key = id(piece.shape), up.tobytes()
-        if key not in self._halves and piece.points is not None and piece.triangles is not None:
-            a, b, c = (piece.points[piece.triangles[:, k]] for k in range(3))
-            normal = np.cross(b - a, c - a)
-            rise, least = normal @ up, UPRIGHT * np.linalg.norm(normal, axis=1)
-            halves = [piece.triangles[rise > least], piece.triangles[rise < -least]]
-            meshes = [_used(piece.points, half) for half in halves if len(half)]
-            self._halves[key] = [self._name_mesh(*mesh) for mesh in meshes]
-        return self._halves[key]
+        self.items.append(PlacedPiece(geom, piece.kind, placed, low, high, hull))
 
     def _mesh(self, vertices: Float, faces: Int, on_hull: Float, mode: str) -> list[_Piece]:
         if mode == "hull":
@@ -237,9 +231,23 @@ class Obstacles:
         name = f"field {len(self._heights)}"
         self._heights.append(heights)
         self._spec.add_hfield(name=name, nrow=rows, ncol=cols, size=size, userdata=heights.ravel())
-        points, faces = _field_surface(heights.astype(np.float64), size)
         geom: Json = {"type": GEOM.mjGEOM_HFIELD, "hfieldname": name}
-        return _Piece(HEIGHT_FIELD, _surface(points, faces), geom, points)
+        # its closed surface; squares are halved as MuJoCo's documentation says
+        x, y = np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows)
+        x, y = np.meshgrid(x, y)
+        top, bottom = heights.astype(np.float64) * size[2], np.full_like(x, -size[3])
+        points = np.concatenate([np.stack([x, y, z], axis=-1) for z in (top, bottom)])
+        points = points.reshape(-1, 3)
+        index, under = np.arange(rows * cols).reshape(rows, cols), rows * cols
+        squares = np.stack(
+            [index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1
+        ).reshape(-1, 4)
+        rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
+        p, q = rim[:-1], rim[1:]
+        sides = np.stack([p + under, q + under, q, p], axis=-1)
+        quads = np.concatenate([squares, squares[:, ::-1] + under, sides])
+        surface = _surface(points, trimesh.geometry.triangulate_quads(quads))
+        return _Piece(HEIGHT_FIELD, surface, geom, points)
 
     def _name_mesh(self, points: Float, triangles: Int) -> str:
         """Add a mesh to MuJoCo's model, and return its name."""
@@ -299,21 +307,6 @@ def _mesh_arrays(model: Any, number: int) -> tuple[Float, Int, Float]:
     # numbers of vertices and faces, edge addresses, then the vertices' ids
     count = int(model.mesh_graph[address])
     return vertices, faces, vertices[model.mesh_graph[address + 2 + count :][:count]]
-
-
-def _field_surface(heights: Float, size: Float) -> tuple[Float, Int]:
-    """The closed surface of a height field, its squares halved as MuJoCo's documentation says."""
-    rows, cols = heights.shape
-    x, y = np.meshgrid(np.linspace(-size[0], size[0], cols), np.linspace(-size[1], size[1], rows))
-    layers = [np.stack([x, y, z], axis=-1) for z in (heights * size[2], np.full_like(x, -size[3]))]
-    index = np.arange(rows * cols).reshape(rows, cols)
-    around = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    top = np.stack(around, axis=-1).reshape(-1, 4)
-    rim = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
-    p, q, under = rim[:-1], rim[1:], rows * cols
-    sides = np.stack([p + under, q + under, q, p], axis=-1)
-    faces = trimesh.geometry.triangulate_quads(np.concatenate([top, top[:, ::-1] + under, sides]))
-    return np.concatenate(layers).reshape(-1, 3), faces
 
 
 def split_parts(vertices: Float, faces: Int) -> list[tuple[str, Int]]:

@@ -72,14 +72,34 @@ class Line(NamedTuple):
         return found
 
 
-class Lines:
-    """Casts vertical lines."""
+class Column(NamedTuple):
+    """An upright prism: a box or a cylinder, which may be turned round the vertical [m, rad]."""
+
+    half_x: float  # of a cylinder both are its radius
+    half_y: float
+    half_z: float
+    is_round: bool
+    yaw: float = 0.0
+
+
+def _make(column: Column) -> tuple[Any, Float]:
+    """A column as FCL's object, and its frame."""
+    x, y, z, is_round, yaw = column
+    c, s = np.cos(yaw), np.sin(yaw)
+    mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
+    return fcl.CollisionObject(shape, fcl.Transform(mat, np.zeros(3))), mat
+
+
+class Probes:
+    """Casts vertical lines among obstacles, and puts one column after the other there."""
 
     def __init__(self, obstacles: Obstacles) -> None:
-        self.obstacles, self._kind = obstacles, obstacles.model.geom_type.tolist()
+        self.obstacles, self._column = obstacles, Column(0.0, 0.0, 0.0, False)
+        self._made, self._kind = lru_cache(4096)(_make), obstacles.model.geom_type.tolist()
         self._normal, self._point = np.zeros(3), np.zeros(3)
 
-    def at(self, x: float, y: float) -> Line:
+    def line(self, x: float, y: float) -> Line:
         """All that the vertical line at x, y meets [m]."""
         surfaces: list[Surface] = []
         solid: list[tuple[float, float]] = []
@@ -117,7 +137,7 @@ class Lines:
         if not self.obstacles.meeting(at - beyond, at + beyond):
             return False
         for distance, (a, b) in product((RIM, reach / 4, reach / 2, reach), AROUND):
-            for surface in self.at(x + distance * a, y + distance * b).surfaces:
+            for surface in self.line(x + distance * a, y + distance * b).surfaces:
                 if surface.up < FACES_UP:
                     continue
                 slope = np.sqrt(max(1 / surface.up**2 - 1, 0.0)) if surface.up >= min_up else 0.0
@@ -173,33 +193,6 @@ class Lines:
             distance = mujoco.mju_rayGeom(*place, *ray, kind, self._normal)
         return None if distance < 0 else (z + way * distance, float(self._normal[2]))
 
-
-class Column(NamedTuple):
-    """An upright prism: a box or a cylinder, which may be turned round the vertical [m, rad]."""
-
-    half_x: float  # of a cylinder both are its radius
-    half_y: float
-    half_z: float
-    is_round: bool
-    yaw: float = 0.0
-
-
-def _make(column: Column) -> tuple[Any, Float]:
-    """A column as FCL's object, and its frame."""
-    x, y, z, is_round, yaw = column
-    c, s = np.cos(yaw), np.sin(yaw)
-    mat = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    shape = fcl.Cylinder(x, 2 * z) if is_round else fcl.Box(2 * x, 2 * y, 2 * z)
-    return fcl.CollisionObject(shape, fcl.Transform(mat, np.zeros(3))), mat
-
-
-class Probes:
-    """Puts one column after the other among obstacles."""
-
-    def __init__(self, obstacles: Obstacles) -> None:
-        self.obstacles, self._column = obstacles, Column(0.0, 0.0, 0.0, False)
-        self._made = lru_cache(4096)(_make)
-
     def touches(self, number: int, column: Column, center: Float, margin: float = 0.0) -> int:
         """APART, TOUCHES or DISPUTED: how a column at a centre, (3,) [m], stands to an obstacle.
 
@@ -242,20 +235,17 @@ class Probes:
         mat = obstacles.mat[number].reshape(3, 3)
         ways = [ends[1] - ends[0], np.subtract(*result.nearest_points[::-1])]
         ways += [middle, middle * [1.0, 1.0, 0.0], *np.eye(3), *-np.eye(3), *self._mat.T]
+        half_x, half_y, half_z, is_round, _ = self._column
         for way in (*ways, *mat.T, *-mat.T):
             length = float(np.linalg.norm(way))
             if 1e-12 < length < np.inf:
                 unit = way / length
-                if -obstacles.support(number, -unit) - self._support(unit) > SEPARATED:
+                x, y, z = np.abs(self._mat.T @ unit)
+                across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
+                end = float(self._center @ unit + across + half_z * z)  # of the column
+                if -obstacles.support(number, -unit) - end > SEPARATED:
                     return True
         return False
-
-    def _support(self, way: Float) -> float:
-        """How far the column reaches along a unit vector [m]."""
-        half_x, half_y, half_z, is_round, _ = self._column
-        x, y, z = np.abs(self._mat.T @ way)
-        across = half_x * np.hypot(x, y) if is_round else half_x * x + half_y * y
-        return float(self._center @ way + across + half_z * z)
 
     def depth(self, column: Column, center: Float, number: int) -> float:
         """By how much a column must shrink to leave an obstacle [m], up to half its least size."""

@@ -20,7 +20,7 @@ SLACK = 1e-5  # that rounding may add to a step [m]
 TINY = 1e-10  # share of a radius by which a square only touches a disc; less than inflation takes
 
 
-class Agent(NamedTuple):
+class AgentSizes(NamedTuple):
     """For whom the grid is: height, radius and step as baked [m]."""
 
     height: float
@@ -29,7 +29,7 @@ class Agent(NamedTuple):
     min_up: float  # least z of a floor's unit normal
 
     @classmethod
-    def of(cls, grid: GridBase) -> Agent:
+    def of(cls, grid: GridBase) -> AgentSizes:
         """The agent that a grid states, with the format's defaults for what it doesn't state."""
         wrong, slope = list(find_wrong_sizes(grid).values()), grid.navbake.get("maxSlope", 45.0)
         if not is_within(slope, 0, 90):
@@ -42,26 +42,24 @@ class Agent(NamedTuple):
         return cls(grid.agent_height, grid.agent_radius, grid.max_step, min_up)
 
 
-class Inflated(NamedTuple):
-    """A grid as it is verified, and what was done to it for a larger agent."""
-
-    grid: Any
-    radius: float | None  # of the cylinder on free cells [m]; None for the baked footprint
-    reach: float  # how far from a closed cell's centre the reason may be [m]
-    by_centres: bool = False  # whether that is any occupied cell, as in the mode ``minos``
-
-
-def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
+def inflate_for(
+    grid: Any, radius: float | None, notes: list[str]
+) -> tuple[Any, float | None, float, bool]:
     """Inflate a grid for a radius [m]; it stays as it is if None. May add notes.
 
     One that was inflated for a larger radius, or in the mode ``minos``, is a QueryError.
+
+    Returns:
+        the grid; the radius of the cylinder on free cells [m], None for the baked footprint; how
+        far from a closed cell's centre the reason may be [m]; and whether that is any occupied
+        cell, as in the mode ``minos``.
     """
     done, broken = read_inflations(grid)
     if broken is not None:
         note = "the metadata's `inflation` isn't as navbake writes it"
         notes.append(f"{note}: what it closed has to touch something by itself")
-    largest = max((one.radius for one in done), default=0.0)
-    if any(one.mode == "minos" for one in done):
+    largest = max((float(one["radius"]) for one in done), default=0.0)
+    if any(one["mode"] == "minos" for one in done):
         if radius is not None:
             raise QueryError(
                 "the grid was inflated in the mode minos, whose cells promise nothing for a "
@@ -69,16 +67,15 @@ def inflate_for(grid: Any, radius: float | None, notes: list[str]) -> Inflated:
             )
         note = "inflated in the mode minos, which measures from the centres of cells"
         notes.append(f"{note}: free cells are judged by the baked footprint")
-        return Inflated(grid, None, largest, by_centres=True)
+        return grid, None, largest, True
     if radius is None:
-        return Inflated(grid, largest if done else None, largest)
+        return grid, largest if done else None, largest, False
     if radius < largest:
         raise QueryError(
             f"the grid was inflated for {largest:g} m, which can't be undone for {radius:g} m: "
             f"expected a radius of at least {largest:g} m, or the grid as it was before"
         )
-    inflated = grid if done and radius == largest else grid.inflate(radius)
-    return Inflated(inflated, radius, radius)
+    return grid if done and radius == largest else grid.inflate(radius), radius, radius, False
 
 
 @dataclass(frozen=True)
@@ -144,7 +141,7 @@ def shift_between(one: Lattice, two: Lattice) -> tuple[int, int]:
     return round(down / one.cell_size), round(right / one.cell_size)
 
 
-class Surroundings:
+class Neighbourhood:
     """The floors of all levels; cells are closed by what is occupied (`by_centres`) or solid."""
 
     def __init__(self, grid: GridBase, step: float, *, by_centres: bool = False) -> None:
@@ -198,7 +195,7 @@ class Surroundings:
         two = self._lattices[other]
         down, right = shift_between(self._lattices[number], two)
         r, c = rows + down, cols + right
-        inside = (r >= 0) & (c >= 0) & (r < two.height) & (c < two.width)
+        inside = two.holds(r, c)
         r, c = np.where(inside, r, 0), np.where(inside, c, 0)
         floor = np.where(inside, self._floors[other][r, c], np.nan)
         return floor, inside & self._occupied[other][r, c], inside
@@ -220,7 +217,7 @@ class Part(NamedTuple):
 
 
 def volume_over(
-    sample: LevelSample, agent: Agent, around: Surroundings, radius: float | None = None
+    sample: LevelSample, body: AgentSizes, around: Neighbourhood, radius: float | None = None
 ) -> list[Part]:
     """The volume over each cell: its square as baked, joined with a disc.
 
@@ -228,13 +225,13 @@ def volume_over(
     all floors under it leave free.
     """
     half, floor = sample.level.lattice.cell_size / 2, sample.floor
-    square = Part(half, False, floor + agent.step, floor + agent.height)
+    square = Part(half, False, floor + body.step, floor + body.height)
     if radius is None:
-        disc = square._replace(half=agent.radius, is_round=True)
-        is_inside = agent.radius >= half * np.sqrt(2.0)
-        return ([] if is_inside else [square]) + ([disc] if agent.radius > half else [])
+        disc = square._replace(half=body.radius, is_round=True)
+        is_inside = body.radius >= half * np.sqrt(2.0)
+        return ([] if is_inside else [square]) + ([disc] if body.radius > half else [])
     if radius <= half:
         return [square]
     cells = sample.rows, sample.cols
     low, high = around.floors_under(sample.number, *cells, floor, radius)
-    return [square, Part(radius, True, high + agent.step, low + agent.height)]
+    return [square, Part(radius, True, high + body.step, low + body.height)]

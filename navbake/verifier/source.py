@@ -36,14 +36,6 @@ class NoSceneError(QueryError):
     """The grid names no scene, or the scene that it names isn't where it is looked for."""
 
 
-class Source(NamedTuple):
-    """The scene that a grid is compared with."""
-
-    scene: Scene
-    config: BakeConfig | None  # the settings of the bake; None where the grid was baked with others
-    notes: list[str]  # what the user should know of them
-
-
 def find_source(
     grid: GridBase,
     given: SceneSource | None,
@@ -51,11 +43,15 @@ def find_source(
     *,
     force: bool,
     data: Any = None,
-) -> Source:
+) -> tuple[Scene, BakeConfig | None, list[str]]:
     """Load the scene of a grid: the one that is given, or the one that the grid names.
 
     A scene file, and a scene in memory, gets the settings that the grid states. `data` is the pose
     of a scene in memory; as the settings say if None.
+
+    Returns:
+        The scene; the settings of the bake, None where the grid was baked with others; and what the
+        user should know of them.
 
     Raises:
         QueryError: no scene is given or found; or it isn't the grid's, unless `force` is set.
@@ -99,7 +95,7 @@ def find_source(
     are_known |= bool(stated) and (in_memory or is_file)
     if grid.navbake and not are_known:
         notes.append("the settings are others than those of the bake (their digests differ)")
-    return Source(scene, config if grid.navbake and are_known else None, notes)
+    return scene, config if grid.navbake and are_known else None, notes
 
 
 def _find_file(grid: GridBase, stated: object, grid_path: Path | None) -> Path:

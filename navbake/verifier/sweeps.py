@@ -19,9 +19,9 @@ from navbake.navgrid.links import Link
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Float, Int
 from navbake.verifier.cells import rounding
-from navbake.verifier.probes import TOUCHES, Column, Lines, Probes
+from navbake.verifier.probes import TOUCHES, Column, Probes
 from navbake.verifier.report import LINK_TOUCHES, NO_LANDING, PATH_TOUCHES, Finding, SweepCounts
-from navbake.verifier.sample import SLACK, Agent, Surroundings
+from navbake.verifier.sample import SLACK, AgentSizes, Neighbourhood
 
 MOST_TRIES = 20  # a path, to find two places that are apart
 CORNER = 1e-6  # a line is no longer than this in a cell whose corner it runs through [m]
@@ -30,7 +30,7 @@ CROSSED = ("drop", "jump")  # kinds of links whose way runs straight from stop t
 STEP = 0.02  # between the positions of a car that are looked at [m]
 
 
-class Piece(NamedTuple):
+class Stretch(NamedTuple):
     """A straight part of a path on one floor, from above."""
 
     a: Float
@@ -49,11 +49,11 @@ class Sweep:
     """
 
     def __init__(
-        self, grid: NavGrid, probes: Probes, agent: Agent, radius: float, tolerance: float
+        self, grid: NavGrid, probes: Probes, body: AgentSizes, radius: float, tolerance: float
     ) -> None:
-        self._grid, self._probes, self._agent = grid, probes, agent
+        self._grid, self._probes, self._body = grid, probes, body
         self._radius, self._tolerance = radius, tolerance
-        self._around = Surroundings(grid, agent.step)
+        self._around = Neighbourhood(grid, body.step)
 
     def run(self, number: int, seed: int) -> tuple[SweepCounts, list[Finding]]:
         """Plan so many paths between random places, and sweep along each."""
@@ -77,7 +77,7 @@ class Sweep:
 
     def _along(self, positions: Float, levels: Int) -> tuple[list[Finding], bool]:
         """The first touch along a path, and whether it meets anything within a step of its ends."""
-        beside, step, height = False, self._agent.step, self._agent.height
+        beside, step, height = False, self._body.step, self._body.height
         for piece in self._pieces(positions, levels):
             sure = piece.high + step, piece.low + height
             whole = piece.floor + step, piece.floor + height
@@ -93,9 +93,9 @@ class Sweep:
             beside = beside or (sure != whole and self._touch(piece, whole) is not None)
         return [], beside
 
-    def _pieces(self, positions: Float, levels: Int) -> list[Piece]:
+    def _pieces(self, positions: Float, levels: Int) -> list[Stretch]:
         """A path cut where it goes from cell to cell, pieces of one floor put together."""
-        pieces: list[Piece] = []
+        pieces: list[Stretch] = []
         lattices = [level.lattice for level in self._grid.levels]
         for k, (a, b) in enumerate(pairwise(positions)):
             if np.hypot(*(b - a)[:2]) < CORNER:
@@ -122,10 +122,10 @@ class Sweep:
                 if last and last.level == on[which] and np.allclose(last[2:5], heights, 0, LEVEL):
                     pieces[-1] = last._replace(b=points[n + 1])
                 else:
-                    pieces.append(Piece(points[n], points[n + 1], *heights, on[which]))
+                    pieces.append(Stretch(points[n], points[n + 1], *heights, on[which]))
         return pieces
 
-    def _touch(self, piece: Piece, band: tuple[float, float]) -> tuple[int, float] | None:
+    def _touch(self, piece: Stretch, band: tuple[float, float]) -> tuple[int, float] | None:
         """The first obstacle that the cylinder touches on a piece, and how deep [m]."""
         half_z = (band[1] - band[0]) / 2 - self._tolerance
         radius, z = self._radius - self._tolerance, (band[0] + band[1]) / 2
@@ -157,7 +157,7 @@ def _cuts(lattice: Lattice, a: Float, b: Float) -> Float:
 
 
 def check_links(
-    grid: GridBase, scene: Scene, probes: Probes, lines: Lines, agent: Agent, tolerance: float
+    grid: GridBase, scene: Scene, probes: Probes, body: AgentSizes, tolerance: float
 ) -> tuple[list[Finding], list[str]]:
     """Check the links of a grid: drops and jumps for the agent, lifts that the bake found.
 
@@ -170,33 +170,26 @@ def check_links(
         links = grid.links
     except FormatError:  # what an audit reports
         return [], []
-    findings, notes = list[Finding](), list[str]()
+    findings, notes, model = list[Finding](), list[str](), scene.model
+    names = [body_name(model, body) for body in range(model.nbody)] if links else []
     for link in links:
         if link.kind in CROSSED and len(link.stops) == 2:
-            findings += _check_crossing(link, grid, probes, lines, agent, tolerance)
+            findings += _check_crossing(link, grid, probes, body, tolerance)
         elif link.kind == "lift" and link.auto:
-            body = _find_car(link, scene)
-            if body is None:
-                notes.append(f"lift {link.name!r} was not checked: no body of its name slides")
+            # the car is the body of its name, or the one that the bake numbered
+            for name in (link.name, link.name.rpartition("#")[0]):
+                car = names.index(name) if name in names else 0
+                joint = int(model.body_jntadr[car])
+                if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+                    findings += _check_shaft(link, car, grid, scene, probes, tolerance)
+                    break
             else:
-                findings += _check_shaft(link, body, grid, scene, probes, tolerance)
+                notes.append(f"lift {link.name!r} was not checked: no body of its name slides")
     return findings, notes
 
 
-def _find_car(link: Link, scene: Scene) -> int | None:
-    """The body of a lift's car: that of its name, or of the one that the bake numbered."""
-    model = scene.model
-    names = [body_name(model, body) for body in range(model.nbody)]
-    for name in (link.name, link.name.rpartition("#")[0]):
-        body = names.index(name) if name in names else 0
-        joint = int(model.body_jntadr[body])
-        if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            return body
-    return None
-
-
 def _check_crossing(
-    link: Link, grid: GridBase, probes: Probes, lines: Lines, agent: Agent, tolerance: float
+    link: Link, grid: GridBase, probes: Probes, body: AgentSizes, tolerance: float
 ) -> Iterator[Finding]:
     levels = [grid.levels[stop.level] for stop in link.stops]
     cells = [divmod(s.cell, v.width) for s, v in zip(link.stops, levels, strict=True)]
@@ -208,10 +201,10 @@ def _check_crossing(
     walks = []
     for level, places in zip(levels, (line, line[::-1]), strict=True):
         rows, cols = level.lattice.rows_cols(places)
-        inside = (rows >= 0) & (rows < level.height) & (cols >= 0) & (cols < level.width)
+        inside = level.lattice.holds(rows, cols)
         rows, cols = rows[inside], cols[inside]
         floor = level.floor_of(rows, cols)
-        step = np.abs(np.diff(floor, prepend=floor[:1])) > agent.step + SLACK
+        step = np.abs(np.diff(floor, prepend=floor[:1])) > body.step + SLACK
         stops = ~level.free[rows, cols] | np.isnan(floor) | step
         last = int(np.argmax(np.append(stops, True))) - 1
         walks.append((last, float(floor[max(last, 0)])))
@@ -224,11 +217,11 @@ def _check_crossing(
     lows[[0, -1]] = start, z  # over the ends, from their floors on
     half = cell_size / 2
     for (x, y), low in zip(crossed.tolist(), lows.tolist(), strict=True):
-        band = low + agent.step + tolerance, top + agent.height - tolerance
+        band = low + body.step + tolerance, top + body.height - tolerance
         center, half_z = np.array([x, y, sum(band) / 2]), (band[1] - band[0]) / 2
         columns = [Column(half, half, half_z, False)]
-        columns += [Column(agent.radius, agent.radius, half_z, True)] if agent.radius > half else []
-        reach = np.array([max(half, agent.radius)] * 2 + [half_z])
+        columns += [Column(body.radius, body.radius, half_z, True)] if body.radius > half else []
+        reach = np.array([max(half, body.radius)] * 2 + [half_z])
         for number in probes.obstacles.meeting(center - reach, center + reach):
             if any(probes.touches(number, c, center, -tolerance) == TOUCHES for c in columns):
                 name = probes.obstacles.name(number)
@@ -237,8 +230,8 @@ def _check_crossing(
                 return
     x, y = crossed[-1].tolist()
     off = rounding(x, y, z)
-    found = lines.at(x, y).faces_up(z - off, z + off)
-    if not (found or lines.faces_up_beside((x, y, z), off)):
+    found = probes.line(x, y).faces_up(z - off, z + off)
+    if not (found or probes.faces_up_beside((x, y, z), off)):
         text = f"{link.kind} {link.name!r} lands at {z:.3f} m, where no surface is"
         yield _finding(NO_LANDING, link, grid, (x, y, z), text, None)
 

@@ -17,11 +17,11 @@ from navbake.formats.navgrid import read_navgrid
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
 from navbake.verifier.obstacles import UNCLEAR, Obstacles
-from navbake.verifier.probes import Lines, Probes
+from navbake.verifier.probes import Probes
 from navbake.verifier.report import Finding, LevelCounts, VerifyReport
 from navbake.verifier.sample import (
-    Agent,
-    Surroundings,
+    AgentSizes,
+    Neighbourhood,
     inflate_for,
     states_floors,
     take_sample,
@@ -91,10 +91,10 @@ def verify(
             raise QueryError(f"expected {expected}, got {value!r}")
     path = None if isinstance(grid, GridBase) else Path(grid)
     content: Any = grid if path is None else read_navgrid(path)
-    source = find_source(content, scene, path, force=force, data=data)
+    found, config, notes = find_source(content, scene, path, force=force, data=data)
     options: Any = {"sample": sample, "seed": seed, "radius": radius, "paths": paths}
-    options |= {"tolerance": tolerance, "notes": source.notes}
-    return verify_scene(content, source.scene, source.config, **options)
+    options |= {"tolerance": tolerance, "notes": notes}
+    return verify_scene(content, found, config, **options)
 
 
 def verify_scene(
@@ -114,8 +114,8 @@ def verify_scene(
     Notes come first in the report. Raises as `verify`.
     """
     content: Any = grid.without_blocks()
-    agent, doors, notes = Agent.of(content), pose_doors(scene, content), list(notes)
-    most = min(content.levels[0].lattice.cell_size, agent.height - agent.step) / 4
+    body, doors, notes = AgentSizes.of(content), pose_doors(scene, content), list(notes)
+    most = min(content.levels[0].lattice.cell_size, body.height - body.step) / 4
     if tolerance > most:
         raise QueryError(
             f"expected a tolerance of at most {most:g} m, got {tolerance:g}: volumes are made "
@@ -130,13 +130,13 @@ def verify_scene(
         notes.append("what was blocked at run time is left out")
     num_cells, levels = sum(level.width * level.height for level in content.levels), []
     obstacles, findings = Obstacles(scene, doors.data, doors.removed), list[Finding]()
-    probes, lines = Probes(obstacles), Lines(obstacles)
-    check = OccupancyCheck(probes, lines, agent, tolerance, reach)
-    around = Surroundings(content, agent.step, by_centres=by_centres)
+    probes = Probes(obstacles)
+    check = OccupancyCheck(probes, body, tolerance, reach)
+    around = Neighbourhood(content, body.step, by_centres=by_centres)
     floors = None
     if all(with_floors):
         fixed = Obstacles(scene, doors.data, doors.geoms) if doors.geoms else obstacles
-        floors = FloorCheck(content, Lines(fixed), agent, config)
+        floors = FloorCheck(content, Probes(fixed), body, config)
     samples = take_sample(content, sample, seed, with_floors)
     for own, name in zip(samples, content.level_names, strict=True):
         levels.append(counts := LevelCounts(name, cells=len(own.rows)))
@@ -144,10 +144,10 @@ def verify_scene(
         excused = (reach > 0) & ~own.free & ~own.occupied & ~np.isnan(own.floor)
         closed = own.rows[excused], own.cols[excused], own.floor[excused]
         excused[excused] = around.has_reason(own.number, *closed, reach)
-        findings += check.check_free(own, counts, volume_over(own, agent, around, cylinder))
-        findings += check.check_blocked(own, counts, volume_over(own, agent, around), excused)
+        findings += check.check_free(own, counts, volume_over(own, body, around, cylinder))
+        findings += check.check_blocked(own, counts, volume_over(own, body, around), excused)
         findings += [] if floors is None else floors.run(own, counts)
-    of_links, unchecked = check_links(grid, scene, probes, lines, agent, tolerance)
+    of_links, unchecked = check_links(grid, scene, probes, body, tolerance)
     findings += of_links
     notes += unchecked
     if floors is None:
@@ -164,13 +164,13 @@ def verify_scene(
     if check.num_groundless:
         why = "the scene has no place to stand there within a step of their level's ground"
         notes.append(f"{check.num_groundless} blocked cells touch nothing, but {why}")
-    swept, width = None, agent.radius if cylinder is None else cylinder
+    swept, width = None, body.radius if cylinder is None else cylinder
     if paths and width <= tolerance:
         notes.append("no paths were swept: the agent's radius isn't above the tolerance")
     elif paths:
         inflated = content if cylinder is not None else content.inflate(width)
         try:
-            swept, touching = Sweep(inflated, probes, agent, width, tolerance).run(paths, seed)
+            swept, touching = Sweep(inflated, probes, body, width, tolerance).run(paths, seed)
             findings += touching
             if swept.paths < paths:
                 notes.append(f"only {swept.paths} paths were found between random places")

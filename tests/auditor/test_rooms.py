@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grid_maps import level_from
-from navbake.auditor.levels import find_middles
+from navbake.auditor.audit import find_middles
 
 MAP = """
 ..2..

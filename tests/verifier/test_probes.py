@@ -9,7 +9,7 @@ import pytest
 from navbake.baker.scene.scene import load_scene
 from navbake.config.settings import parse_config
 from navbake.verifier.obstacles import CAVITY, SHEET, SOLID, Obstacles, split_parts
-from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Lines, Probes
+from navbake.verifier.probes import APART, DISPUTED, TOUCHES, Column, Probes
 from oracles.prisms import FREE, OCCUPIED, Prisms, body_meets_prisms
 from oracles.scene import Thing, part_of, scene_xml
 
@@ -80,13 +80,13 @@ def test_depth_is_how_far_a_column_has_to_shrink(tmp_path):
 def test_lines_cross_what_exact_geometry_crosses(tmp_path):
     rng = np.random.default_rng(5)
     things = [thing for kind in SIZES for thing in random_things(rng, kind, 5)]
-    lines = Lines(obstacles_of(tmp_path, scene_xml(things)))
+    probes = Probes(obstacles_of(tmp_path, scene_xml(things)))
     for x, y in rng.uniform(-1, 1, (200, 2)):
         ends = []
         for thing in things:
             line = part_of(thing).cross(np.array([x]), np.array([y]))
             ends += [] if np.isnan(line.low[0]) else [line.low[0], line.high[0]]
-        found = [surface.z for surface in lines.at(x, y).surfaces]
+        found = [surface.z for surface in probes.line(x, y).surfaces]
         np.testing.assert_allclose(found, sorted(ends), atol=1e-6)
 
 
@@ -98,13 +98,12 @@ def test_transparent_geoms_planes_and_hulls_count_as_in_the_bake(tmp_path):
     <geom name="glass" type="box" size="0.5 0.5 0.1" pos="3 0 1" rgba="1 1 1 0"/>
     <geom name="hull" type="mesh" mesh="m" pos="6 0 1"/></worldbody></mujoco>"""
     obstacles = obstacles_of(tmp_path, xml)
-    lines = Lines(obstacles)
-    names = [obstacles.name(s.number) for s in lines.at(3.0, 0.0).surfaces]
-    assert names == ["ground", "glass", "glass"]
-    low, upper = (s.z for s in lines.at(6.2, 0.2).surfaces[1:])
-    assert (low, upper) == (pytest.approx(1.0, abs=1e-5), pytest.approx(1.6, abs=1e-5))
-    assert lines.at(6.2, 0.2).is_inside(1.3) and not lines.at(6.2, 0.2).is_inside(1.7)
     probes = Probes(obstacles)
+    names = [obstacles.name(s.number) for s in probes.line(3.0, 0.0).surfaces]
+    assert names == ["ground", "glass", "glass"]
+    low, upper = (s.z for s in probes.line(6.2, 0.2).surfaces[1:])
+    assert (low, upper) == (pytest.approx(1.0, abs=1e-5), pytest.approx(1.6, abs=1e-5))
+    assert probes.line(6.2, 0.2).is_inside(1.3) and not probes.line(6.2, 0.2).is_inside(1.7)
     for z, expected in ((0.39, TOUCHES), (0.41, APART)):
         column, at = Column(0.1, 0.1, 0.4, False), np.array([-3.0, 0.0, z])
         assert probes.touches(0, column, at) == expected

@@ -421,13 +421,13 @@ def make_exhibit(
         trajectories = read_trajectories(trajectories)
     runs = list_runs(content, episodes, trajectories)
     try:
-        source = find_source(content, scene, path, force=force, data=data)
+        shown, config, notes = find_source(content, scene, path, force=force, data=data)
     except NoSceneError as error:
         if scene is not None:
             raise
         return Exhibit(content, note=f"Without its scene: {error}", runs=runs)
-    notes = source.notes if content.navbake else []
-    return Exhibit(content, source.scene, source.config, note="; ".join(notes), runs=runs)
+    note = "; ".join(notes) if content.navbake else ""
+    return Exhibit(content, shown, config, note=note, runs=runs)
 
 
 def watch_grid(grid: str | PathLike[str], scene: str | PathLike[str] | None, **more: Any) -> Watch:
