@@ -22,15 +22,14 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from navbake.episodes.episode import Episode, EpisodeSet, named_agent, scene_of
+from navbake.episodes.episode import EDGES, Episode, EpisodeSet, named_agent, scene_of
 from navbake.episodes.formats import decode
 from navbake.episodes.goals import SNAP, find_stops, path_through
-from navbake.episodes.sampler import EDGES
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.agents import fit_grid
+from navbake.runtime.blocks import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap
 from navbake.types import Float, Json

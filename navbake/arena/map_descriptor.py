@@ -345,7 +345,7 @@ class ExploredMap:
     def _square_at(self, x: float, y: float) -> tuple[int, int]:
         if np.isfinite([x, y]).all():
             row, col = map(int, self.lattice.rows_cols([x, y]))
-            if 0 <= row < self.lattice.height and 0 <= col < self.lattice.width:
+            if self.lattice.holds(row, col):
                 return row, col
         x0, y0, x1, y1 = self.lattice.bounds
         arena = f"the arena, x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
@@ -380,7 +380,7 @@ class ExploredMap:
         if beyond and len(starts):
             last = (rows == rows[-1]) & (cols == cols[-1])
             starts = np.where(last, np.maximum(starts, length), starts)
-        inside = (rows >= 0) & (rows < counts[1]) & (cols >= 0) & (cols < counts[0])
+        inside = self.lattice.holds(rows, cols)
         return rows[inside], cols[inside], starts[inside]
 
 

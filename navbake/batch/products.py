@@ -15,10 +15,10 @@ import numpy as np
 
 from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
-from navbake.episodes.episode import EpisodeSet, Header
+from navbake.episodes.episode import EDGES, EpisodeSet, Header
 from navbake.episodes.files import write_episodes
 from navbake.episodes.formats import decode
-from navbake.episodes.sampler import EDGES, make_episodes, make_rules, make_task
+from navbake.episodes.sampler import make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
@@ -152,14 +152,9 @@ def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], fol
     )
     file = folder / f"episodes-{'-'.join(values)}.jsonl"
     write_episodes(EpisodeSet(drawn.header, episodes), file)
-    measured: dict[str, list[float | None]] = {
-        "distance": [episode.distance for episode in episodes],
-        "ratio": [episode.ratio for episode in episodes],
-        "levels": [abs(episode.levels[0] - episode.levels[-1]) for episode in episodes],
-    }
-    counts = {}
+    measured, counts = [episode.measures for episode in episodes], {}
     for measure, edges in CLASSES.items():
-        known = [value for value in measured[measure] if value is not None]
+        known = [v for values in measured if (v := values[measure]) is not None]
         counts[measure] = np.histogram(known, [*edges, np.inf])[0].tolist()
     return {"episodes": counts}
 

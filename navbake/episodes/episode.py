@@ -17,11 +17,19 @@ from navbake.errors import QueryError
 from navbake.known_names import find_near, suggest
 from navbake.navgrid import agents
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.agents import find_agent
+from navbake.runtime.blocks import find_agent
 from navbake.types import Vector3
 
 TASKS = ("point", "object", "room", "sequence", "explore")
 FORMAT, VERSION = "navbake-episodes", 1
+EDGES: dict[str, tuple[float, ...]] = {
+    "distance": (1.0, 3.0, 6.0, 10.0, 20.0, 40.0),
+    "ratio": (1.0, 1.1, 1.25, 1.5, 2.0),
+    "doors": (0.0, 1.0, 2.0, 3.0, 5.0),
+    "rooms": (1.0, 2.0, 3.0, 4.0, 6.0),
+    "levels": (0.0, 1.0, 2.0),
+}
+"""Measures of episodes, and the lower edges of their classes."""
 
 Length = Annotated[float, msgspec.Meta(ge=0)]
 """A length [m]."""
@@ -93,6 +101,17 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
     def ratio(self) -> float | None:
         """`distance` over `straight`, >= 1; None where one is unknown or nothing."""
         return self.distance / self.straight if self.distance and self.straight else None
+
+    @property
+    def measures(self) -> dict[str, float | None]:
+        """What strata and counts of episodes may be of, see `EDGES`."""
+        return {
+            "distance": self.distance,
+            "ratio": self.ratio,
+            "doors": len(self.doors or ()),
+            "rooms": len(self.rooms or ()),
+            "levels": abs(self.levels[0] - self.levels[-1]) if self.levels else 0,
+        }
 
 
 class Agent(Record, frozen=True, kw_only=True):

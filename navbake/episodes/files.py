@@ -18,7 +18,7 @@ from functools import partial
 import msgspec
 
 from navbake.episodes.episode import FORMAT, TASKS, VERSION, Episode, EpisodeSet, Header
-from navbake.episodes.formats import FOREIGN, Fields, Format, decode
+from navbake.episodes.formats import FOREIGN, Fields, SetFormat, decode
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import import_extra, path_name, read_bytes, unpack, write_bytes
@@ -123,12 +123,12 @@ def _rename(content: EpisodeSet, names: Mapping[str, str]) -> EpisodeSet:
     return EpisodeSet(content.header, tuple(renamed)) if names else content
 
 
-def _encode_lines(content: EpisodeSet, _: str) -> bytes:
+def encode_lines(content: EpisodeSet, _: str) -> bytes:
     lines = [msgspec.json.encode(part) for part in (content.header, *content.episodes)]
     return b"\n".join([*lines, b""])
 
 
-def _read_lines(text: bytes, name: str) -> Fields:
+def read_lines(text: bytes, name: str) -> Fields:
     lines = text.splitlines()
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
@@ -138,7 +138,7 @@ def _read_lines(text: bytes, name: str) -> Fields:
     return header, [decode(line, Episode, f"{name}, line {number}") for number, line in numbered]
 
 
-def _encode_parquet(content: EpisodeSet, _: str) -> bytes:
+def encode_parquet(content: EpisodeSet, _: str) -> bytes:
     pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
     episodes = content.episodes
     columns = {name: [getattr(e, name) for e in episodes] for name in (*TEXTS, *NUMBERS)}
@@ -151,7 +151,7 @@ def _encode_parquet(content: EpisodeSet, _: str) -> bytes:
     return file.getvalue()
 
 
-def _read_parquet(data: bytes, name: str) -> Fields:
+def read_parquet(data: bytes, name: str) -> Fields:
     pyarrow, parquet = (import_extra(name, "batch") for name in ("pyarrow", "pyarrow.parquet"))
     try:
         file = parquet.ParquetFile(io.BytesIO(data))
@@ -167,8 +167,8 @@ def _read_parquet(data: bytes, name: str) -> Fields:
 
 
 OWN = {
-    "jsonl": Format(".jsonl", TASKS, _encode_lines, _read_lines),
-    "parquet": Format(".parquet", TASKS, _encode_parquet, _read_parquet),
+    "jsonl": SetFormat(".jsonl", TASKS, encode_lines, read_lines),
+    "parquet": SetFormat(".parquet", TASKS, encode_parquet, read_parquet),
 }
 FORMATS = OWN | FOREIGN
 """Formats of sets by their names; other programs' after navbake's own."""

@@ -44,7 +44,7 @@ SPEC = {"robot": {"robot_name": "", "init_qpos": {}}, "img_resolution": [640, 48
 """Of an EpisodeSpec: what no navigation episode says."""
 
 
-class Format(NamedTuple):
+class SetFormat(NamedTuple):
     """A format of sets."""
 
     ending: str  #: Of its files' names.
@@ -358,10 +358,10 @@ def read_molmospaces(text: bytes, name: str) -> Fields:
 
 
 FOREIGN = {
-    "habitat-pointnav": Format(".json", ("point",), encode_habitat, read_habitat),
-    "habitat-objectnav": Format(".json", ("object",), encode_habitat, read_habitat),
-    "habitat-vln": Format(".json", ("point",), encode_habitat, read_habitat),
-    "molmospaces": Format(".json", ("object",), encode_molmospaces, read_molmospaces),
-    "minos": Format(".csv", ("point", "object", "room"), encode_minos, read_minos),
+    "habitat-pointnav": SetFormat(".json", ("point",), encode_habitat, read_habitat),
+    "habitat-objectnav": SetFormat(".json", ("object",), encode_habitat, read_habitat),
+    "habitat-vln": SetFormat(".json", ("point",), encode_habitat, read_habitat),
+    "molmospaces": SetFormat(".json", ("object",), encode_molmospaces, read_molmospaces),
+    "minos": SetFormat(".csv", ("point", "object", "room"), encode_minos, read_minos),
 }
 """Other programs' formats by their names."""

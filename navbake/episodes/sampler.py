@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from navbake.episodes.episode import (
+    EDGES,
     Agent,
     Episode,
     EpisodeSet,
@@ -32,7 +33,7 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid import agents as navgrid_agents
 from navbake.navgrid.grid import NavGrid
-from navbake.runtime.agents import fit_grid
+from navbake.runtime.blocks import fit_grid
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
 
@@ -43,14 +44,6 @@ Kind = TypeVar("Kind")
 spatial = lazy("scipy.spatial")  # saves scipy at start-up
 
 MAX_FAILURES = 200  # goals in a row without an episode, after which a scene's draw ends
-EDGES: dict[str, tuple[float, ...]] = {
-    "distance": (1.0, 3.0, 6.0, 10.0, 20.0, 40.0),
-    "ratio": (1.0, 1.1, 1.25, 1.5, 2.0),
-    "doors": (0.0, 1.0, 2.0, 3.0, 5.0),
-    "rooms": (1.0, 2.0, 3.0, 4.0, 6.0),
-    "levels": (0.0, 1.0, 2.0),
-}
-"""What strata may be of, and the lower edges of their classes."""
 
 
 class Rules(Record, frozen=True, kw_only=True):
@@ -146,7 +139,7 @@ def _convert(values: dict[str, Any], kind: type[Kind]) -> Kind:
         raise ConfigError(str(error)) from error
 
 
-class Robot(TypedDict, total=False):
+class AgentChoice(TypedDict, total=False):
     """For whom episodes are drawn; the grids' own agent unless given."""
 
     radius: float | None  #: Grids are inflated for it if need be [m].
@@ -164,7 +157,7 @@ def make_episodes(
     seed: int = 0,
     splits: Splits | None = None,
     files: Sequence[str | None] = (),
-    **robot: Unpack[Robot],
+    **robot: Unpack[AgentChoice],
 ) -> EpisodeSet:
     """Draw episodes on grids; all can be solved, and the same arguments give the same set.
 
@@ -179,14 +172,14 @@ def make_episodes(
         seed: of the draw, >= 0.
         splits: parts of the set.
         files: the grids' names, for the header.
-        robot: for whom, see `Robot`.
+        robot: for whom, see `AgentChoice`.
 
     Raises:
         QueryError: there is no episode, no such object or room, the agent is too high, or two
             grids are of one scene.
         ConfigError: there is no such task or sampler.
     """
-    if unknown := robot.keys() - Robot.__annotations__.keys():
+    if unknown := robot.keys() - AgentChoice.__annotations__.keys():
         raise TypeError(f"make_episodes() got an unexpected keyword argument {min(unknown)!r}")
     radius, height, speed, agent = (
         robot.get("radius"), robot.get("height"), robot.get("speed"), robot.get("agent")
@@ -249,7 +242,15 @@ class _Draw:
         self.goals = GoalFinder(self.finder, task)
         name = sha256(self.scene.encode()).digest()
         self.rng = np.random.default_rng([seed, int.from_bytes(name[:8], "big")])
-        self.rejected, self.radii = Counter[str](), _island_radii(self.finder)
+        self.rejected = Counter[str]()
+        # radius of the disc round each island's middle that holds it [m]
+        search = self.finder.search
+        cells = np.flatnonzero(search.flat.free)
+        number, points = search.islands.number[cells], search.flat.positions(cells)
+        size = np.maximum(np.bincount(number, minlength=search.islands.count + 1), 1)
+        middle = np.stack([np.bincount(number, v, len(size)) / size for v in points.T], axis=1)
+        self.radii = np.zeros(len(size))
+        np.maximum.at(self.radii, number, np.linalg.norm(points - middle[number], axis=1))
         self.edges = rules.edges or EDGES[rules.strata] if rules.strata else (0.0,)
 
     def run(self, count: int) -> list[Episode]:
@@ -338,7 +339,12 @@ class _Draw:
                 if rules.paths or rules.strata in ("doors", "rooms"):
                     along = path_through(self.finder, episode.start, stops.places)
                     episode = msgspec.structs.replace(episode, **along)
-                if self._fits_strata(episode):
+                # its class has to miss episodes; a ratio that isn't known counts as 1
+                value = episode.measures[rules.strata] if rules.strata else 0.0
+                value = value or float(rules.strata == "ratio")
+                number = int(np.searchsorted(self.edges, value, side="right")) - 1
+                if number >= 0 and self.missing[number]:
+                    self.missing[number] -= 1
                     found.append(episode)
                     break
                 self.rejected["stratum full"] += 1
@@ -365,28 +371,3 @@ class _Draw:
             "too steep": np.abs(apart[:, 2]) > steepest,
             "another level": rules.same_level & (levels[:, 0] != levels[:, 1]),
         }
-
-    def _fits_strata(self, episode: Episode) -> bool:
-        """Whether its class still misses episodes; then it is counted."""
-        value = {
-            None: 0.0, "distance": episode.distance or 0.0, "ratio": episode.ratio or 1.0,
-            "doors": len(episode.doors or ()), "rooms": len(episode.rooms or ()),
-            "levels": abs(episode.levels[0] - episode.levels[-1]),
-        }[self.rules.strata]  # fmt: skip
-        number = int(np.searchsorted(self.edges, value, side="right")) - 1
-        if number < 0 or not self.missing[number]:
-            return False
-        self.missing[number] -= 1
-        return True
-
-
-def _island_radii(finder: PathFinder) -> Float:
-    """Radius of the disc round each island's middle that holds it [m]; shape (count + 1,)."""
-    search = finder.search
-    cells = np.flatnonzero(search.flat.free)
-    number, points = search.islands.number[cells], search.flat.positions(cells)
-    size = np.maximum(np.bincount(number, minlength=search.islands.count + 1), 1)
-    middle = np.stack([np.bincount(number, v, len(size)) / size for v in points.T], axis=1)
-    radii = np.zeros(len(size))
-    np.maximum.at(radii, number, np.linalg.norm(points - middle[number], axis=1))
-    return radii

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.formats.source import Files, import_extra, write_bytes
 from navbake.lazy import lazy
-from navbake.navgrid.door_lines import find_ends
+from navbake.navgrid.door_states import find_ends
 from navbake.navgrid.doors import DOOR_REACH, Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import rounded

@@ -37,7 +37,7 @@ from navbake.navgrid.agents import MAX_AREAS, SPEED, Agent, Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
-from navbake.runtime.agents import find_agent
+from navbake.runtime.blocks import find_agent
 from navbake.types import Bool, Json
 
 LOG = logging.getLogger(__name__)

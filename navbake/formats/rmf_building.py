@@ -23,7 +23,7 @@ import numpy as np
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
 from navbake.lazy import lazy
-from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
+from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded

@@ -21,7 +21,7 @@ from navbake.files import encode_csv
 from navbake.formats.allowance import shown
 from navbake.formats.source import Files, import_extra, path_name, read_object
 from navbake.lazy import lazy
-from navbake.navgrid.door_lines import find_ends
+from navbake.navgrid.door_states import find_ends
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice, find_fault, rounded
 from navbake.types import Float, Int, Json
@@ -83,7 +83,7 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
     too; of a walkable area, round the free cells of a level. A cell's centre lies in a polygon if
     and only if the polygon has the cell. Cells that only touch at a corner are separate parts, so
     polygons are valid. A door is a line from jamb to jamb along its closed leaf (else in its
-    current state); see `navbake.navgrid.door_lines.find_ends`.
+    current state); see `navbake.navgrid.door_states.find_ends`.
 
     Returns for each level, lowest first, those of `kinds`: its rooms by index, its walkable area
     (none without free cells), and its doors. A door of two levels is on both. Raises a QueryError

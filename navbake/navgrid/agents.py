@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 
 from navbake.errors import FormatError
-from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table
+from navbake.navgrid.metadata import Name, NonNegative, Positive, entry_of, read_table
 from navbake.types import Json
 
 AGENTS, AREAS = "metadata.navbake.agents", "metadata.navbake.areas"
@@ -33,8 +33,7 @@ class Agent:
 
     def to_json(self) -> Json:
         """The agent's entry in the file's table, without its name."""
-        sizes = (("radius", self.radius), ("height", self.height), ("step", self.step))
-        return {key: value for key, value in (*sizes, ("speed", self.speed)) if value is not None}
+        return entry_of(self, "name")
 
 
 def parse_agents(stated: Any) -> dict[str, Agent]:
@@ -49,9 +48,10 @@ def parse_agents(stated: Any) -> dict[str, Agent]:
 class Area:
     """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
 
-    name: str  #: Unique in the grid.
-    cost: float = 1.0  #: By which the weights of its cells are multiplied; inf bars all agents.
-    speed: float | None = None  #: The highest in it [m/s]; None for the agent's.
+    name: Name  #: Unique in the grid.
+    #: By which the weights of its cells are multiplied; inf bars all agents.
+    cost: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    speed: Positive | None = None  #: The highest in it [m/s]; None for the agent's.
     agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
 
     def bars(self, agent: Agent | None) -> bool:
@@ -61,33 +61,23 @@ class Area:
 
     def to_json(self) -> Json:
         """The area's entry in the file's table."""
-        entry: Json = {"name": self.name, "cost": "inf" if math.isinf(self.cost) else self.cost}
-        if self.speed is not None:
-            entry["speed"] = self.speed
-        if self.agents is not None:
-            entry["agents"] = list(self.agents)
-        return entry
-
-
-class _AreaEntry(msgspec.Struct):
-    """An area in a file."""
-
-    name: Name
-    cost: NonNegative | Literal["inf"] = 1.0
-    speed: Positive | None = None
-    agents: tuple[str, ...] | None = None
+        return {**entry_of(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
 
 
 def parse_areas(stated: Any) -> tuple[Area, ...]:
     """Read and check ``metadata.navbake.areas``; None is no area."""
     areas: dict[str, Area] = {}
-    entries: list[_AreaEntry] = read_table(stated or [], list[_AreaEntry], AREAS)
+    if isinstance(stated, list):  # JSON has no infinite numbers
+        bars = [isinstance(entry, dict) and entry.get("cost") == "inf" for entry in stated]
+        pairs = zip(stated, bars, strict=True)
+        stated = [{**entry, "cost": math.inf} if no else entry for entry, no in pairs]
+    entries: list[Area] = read_table(stated or [], list[Area], AREAS)
     if len(entries) > MAX_AREAS:
         raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
-    for number, entry in enumerate(entries):
-        if entry.name in areas:
+    for number, area in enumerate(entries):
+        if area.name in areas:
             raise FormatError(
-                f"expected unique names, got {entry.name!r} twice at `{AREAS}[{number}].name`"
+                f"expected unique names, got {area.name!r} twice at `{AREAS}[{number}].name`"
             )
-        areas[entry.name] = Area(entry.name, float(entry.cost), entry.speed, entry.agents)
-    return tuple(areas.values())
+        areas[area.name] = area
+    return tuple(entries)

@@ -1,10 +1,11 @@
-"""Changes the states of a grid's doors and links without a new bake."""
+"""The doors of a grid as lines from jamb to jamb, and other states of its doors and links."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,13 +13,15 @@ from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
 from navbake.navgrid.doors import STATES, Door
-from navbake.navgrid.grid import GridBase
+from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
 from navbake.navgrid.user_data import NAMES, UserData, names_in
-from navbake.types import Bool, Json
+from navbake.types import Bool, Float, Json
 
 AnyGrid = TypeVar("AnyGrid", bound=GridBase)
+
+DECIMALS = 6  # of ends of lines: micrometres
 
 
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
@@ -56,7 +59,33 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
             cells = door.cells_in(door.state, len(occupied)), door.solid_in(door.state, len(solid))
             for ids, mask in zip([*cells[0], *cells[1]], [*occupied, *solid], strict=True):
                 mask[ids] = is_there
-    return _rebuild(grid, after, occupied, solid)
+    levels = []
+    for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
+        is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
+        is_solid = solid[number].reshape(level.shape)
+        blocks = level.block_state
+        if blocks is not None:
+            is_occupied |= blocks.held(OCCUPIED)
+            is_solid |= blocks.held(OCCUPIED)
+        weights = level.weights.copy()
+        # cells that no door changes keep their weight
+        weights[is_occupied & ~was_occupied] = np.inf
+        weights[~is_occupied & was_occupied] = 1.0
+        if blocks is not None:
+            weights[blocks.held(BLOCKED)] = np.inf
+        named = None
+        if grid.navbake.get("names", True):
+            named = with_door_names(UserData.of(level.user_data), after, number, len(occupied))
+        attributes = {"occupancy": is_occupied.astype(np.uint8)}
+        if "solid" in level.attributes:
+            attributes["solid"] = is_solid.astype(np.uint8)
+        levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
+    stated = zip(grid.navbake.get("doors", []), after, strict=True)
+    tables = [{**entry, "state": door.state} for entry, door in stated]
+    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": tables}}
+    rebuilt = grid.with_levels(levels, metadata)
+    add_layers(rebuilt, {name for level in levels for name in level.attributes})
+    return rebuilt
 
 
 def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
@@ -87,38 +116,6 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
     return changed
 
 
-def _rebuild(
-    grid: AnyGrid, doors: Sequence[Door], occupied: list[Bool], solid: list[Bool]
-) -> AnyGrid:
-    levels = []
-    for number, (level, mask) in enumerate(zip(grid.levels, occupied, strict=True)):
-        is_occupied, was_occupied = mask.reshape(level.shape), level.occupancy.astype(np.bool_)
-        is_solid = solid[number].reshape(level.shape)
-        state = level.block_state
-        if state is not None:
-            is_occupied |= state.held(OCCUPIED)
-            is_solid |= state.held(OCCUPIED)
-        weights = level.weights.copy()
-        # cells that no door changes keep their weight
-        weights[is_occupied & ~was_occupied] = np.inf
-        weights[~is_occupied & was_occupied] = 1.0
-        if state is not None:
-            weights[state.held(BLOCKED)] = np.inf
-        named = None
-        if grid.navbake.get("names", True):
-            named = with_door_names(UserData.of(level.user_data), doors, number, len(occupied))
-        attributes = {"occupancy": is_occupied.astype(np.uint8)}
-        if "solid" in level.attributes:
-            attributes["solid"] = is_solid.astype(np.uint8)
-        levels.append(level.with_layers(weights=weights, attributes=attributes, user_data=named))
-    stated = zip(grid.navbake.get("doors", []), doors, strict=True)
-    tables = [{**entry, "state": door.state} for entry, door in stated]
-    metadata = {**grid.metadata, "navbake": {**grid.navbake, "doors": tables}}
-    rebuilt = grid.with_levels(levels, metadata)
-    add_layers(rebuilt, {name for level in levels for name in level.attributes})
-    return rebuilt
-
-
 def with_door_names(
     user_data: UserData, doors: Sequence[Door], level: int, num_levels: int
 ) -> UserData:
@@ -144,27 +141,112 @@ def with_door_names(
     known = user_data.find(np.fromiter(names, dtype=np.int64, count=len(names)))
     changed: dict[int, Json] = {}
     for (cell, found), before in zip(names.items(), known, strict=True):
-        entry = _without_doors(before, ids)
-        changed[cell] = _with_doors(entry, found, standing.get(cell, set())) if found else entry
+        entry = before
+        if "doors" in before:  # without them, and without blockers, which may be doors
+            entry = {key: v for key, v in before.items() if key not in ("doors", "blockers")}
+            if isinstance(entry.get("objects"), list):
+                entry["objects"] = [n for n in names_in(entry, "objects") if n not in ids]
+            entry = {key: v for key, v in entry.items() if key != "objects" or v != []}
+        if found:
+            blocking = standing.get(cell, set())
+            objects = sorted({*names_in(entry, "objects"), *blocking})
+            named = {"doors": sorted(found), **({"objects": objects} if objects else {})}
+            entry = {**named, **{key: v for key, v in entry.items() if key not in named}}
+            # blockers are stated only where they aren't all that stands in the cell
+            if blocking and blocking != {name for key in NAMES for name in names_in(entry, key)}:
+                entry["blockers"] = sorted(blocking)
+        changed[cell] = entry
     return user_data.replaced(changed)
 
 
-def _without_doors(entry: Json, ids: set[str]) -> Json:
-    """A cell's user data without doors and blockers, which may be doors."""
-    if "doors" not in entry:
-        return entry
-    kept = {key: value for key, value in entry.items() if key not in ("doors", "blockers")}
-    if isinstance(kept.get("objects"), list):
-        kept["objects"] = [name for name in names_in(kept, "objects") if name not in ids]
-    return {key: value for key, value in kept.items() if key != "objects" or value != []}
+# ---------------------------------------------------------------- lines
 
 
-def _with_doors(entry: Json, names: set[str], standing: set[str]) -> Json:
-    """A cell's user data with its doors; `standing` ones are objects, too."""
-    objects = sorted({*names_in(entry, "objects"), *standing})
-    named = {"doors": sorted(names), **({"objects": objects} if objects else {})}
-    named |= {key: value for key, value in entry.items() if key not in named}
-    # blockers are stated only where they aren't all that stands in the cell
-    if standing and standing != {name for key in NAMES for name in names_in(named, key)}:
-        named["blockers"] = sorted(standing)
-    return named
+class DoorLine(NamedTuple):
+    """The line of a door's closed leaf on a level."""
+
+    id: str
+    state: str  # closed, open, modelled (neither) or removed
+    start: tuple[float, float]  # one end, world x, y [m]
+    end: tuple[float, float]  # the other end
+
+    @property
+    def width(self) -> float:
+        """Width of the doorway, to about a cell [m]."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """World x, y [m]."""
+        return (self.start[0] + self.end[0]) / 2, (self.start[1] + self.end[1]) / 2
+
+
+def find_door_lines(grid: NavGrid, number: int) -> tuple[DoorLine, ...]:
+    """The lines of a level's doors; see `find_ends`."""
+    ends = [(door, find_ends(grid, door, number)) for door in grid.doors]
+    return tuple(
+        DoorLine(door.id, door.like or door.state, *found) for door, found in ends if found
+    )
+
+
+def doorway_cells(grid: NavGrid, number: int, *, blocked: bool) -> Bool:
+    """The cells of a level that doors currently block, or else those that they can close."""
+    mask = np.zeros(grid.levels[number].shape, dtype=np.bool_)
+    for door in grid.doors:
+        state = "closed" if "closed" in door.cells and not blocked else door.state
+        mask.flat[door.cells_in(state, len(grid.levels))[number]] = True
+    return mask
+
+
+Ends = tuple[tuple[float, float], tuple[float, float]]
+"""Both ends of a line, world x, y [m]."""
+
+
+def find_ends(grid: NavGrid, door: Door, number: int) -> Ends | None:
+    """The ends of a door's leaf on a level when closed, else in its current state.
+
+    With a layer ``solid``, the cells of the leaf itself are known: the line runs along their
+    longer axis, from edge to edge. Else the door's blocked cells may be deeper than wide: the line
+    runs along the axis with obstacles at both ends, else the longer one, and is longer by the
+    agent's radius at each end. None if the door has no cells on the level.
+    """
+    level, num_levels = grid.levels[number], len(grid.levels)
+    cells, leaf = np.empty((2, 0), dtype=np.int64)
+    for state in ("closed", door.state, *door.states):
+        leaf = door.solid_in(state, num_levels)[number]
+        cells = leaf if len(leaf) else door.cells_in(state, num_levels)[number]
+        if len(cells):
+            break
+    else:
+        return None
+    size, at = level.lattice.cell_size, level.lattice.positions(*np.divmod(cells, level.width))
+    from_middle = at - at.mean(axis=0)
+    # the longer principal axis: the eigenvector of the largest eigenvalue
+    longer = _upwards(np.linalg.eigh(from_middle.T @ from_middle)[1][:, 1])
+    if np.ptp(from_middle @ longer) * np.abs(longer).min() < size / 2:
+        # it is along the row of cells, to their resolution
+        longer = np.round(longer) + 0.0
+    axis, more = longer, 0.0
+    if not len(leaf):
+        free = np.pad(level.free, 1)  # no cell outside the grid is free
+
+        def walls(axis: Float) -> int:
+            across = _upwards(np.array([-axis[1], axis[0]]))
+            along, aside = at @ axis, np.median(at @ across) * across
+            ends = np.array([[along.min() - size], [along.max() + size]]) * axis + aside
+            rows, cols = (v + 1 for v in level.lattice.rows_cols(ends))
+            rows, cols = rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)
+            return int(np.count_nonzero(~free[rows, cols]))
+
+        shorter = _upwards(np.array([-longer[1], longer[0]]))
+        # max returns the first, longer one of a tie
+        axis, more = max((longer, shorter), key=walls), grid.agent_radius
+    along, more = from_middle @ axis, more + size / 2 / np.abs(axis).max()  # to the outermost edges
+    ends = at.mean(axis=0) + np.array([[along.min() - more], [along.max() + more]]) * axis
+    first, last = (np.round(ends, DECIMALS) + 0.0).tolist()
+    return (first[0], first[1]), (last[0], last[1])
+
+
+def _upwards(axis: Float) -> Float:
+    """The axis, turned round unless it points up or, if level, to the right."""
+    return axis if tuple(axis) > (0.0, 0.0) else 0.0 - axis

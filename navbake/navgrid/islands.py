@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
 from typing import Any
 
@@ -172,6 +172,22 @@ def clearance(level: SceneGrid2D, window: Window | None = None) -> NDArray[np.fl
     cells = distance_transform_edt(np.pad(is_open, sides))
     cells = cells[top : top + free.shape[0], left : left + free.shape[1]]
     return np.where(free, (cells - 0.5) * level.lattice.cell_size, 0.0).astype(np.float32)
+
+
+def group_steps(grid: GridBase, steps: Int) -> Iterator[Int]:
+    """Group steps from one level to another whose cells on the first touch, as treads of a stair.
+
+    `steps` are rows of `step_array`, and so are the groups, by the numbers of the levels.
+    """
+    from scipy import ndimage  # scipy loads slowly
+
+    for pair in np.unique(steps[:, ::2], axis=0).tolist():
+        own = steps[(steps[:, ::2] == pair).all(axis=1)]
+        level = grid.levels[pair[0]]
+        marks, cells = np.zeros(level.shape, dtype=np.bool_), np.divmod(own[:, 1], level.width)
+        marks[cells] = True
+        group = ndimage.label(marks, np.ones((3, 3)))[0][cells]
+        yield from (own[group == number] for number in np.unique(group).tolist())
 
 
 def step_limit(grid: GridBase) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from navbake.errors import FormatError
 from navbake.navgrid.agents import SPEED, Agent
-from navbake.navgrid.metadata import Name, NonNegative, Positive, read_table, unflatten
+from navbake.navgrid.metadata import Name, NonNegative, Positive, entry_of, read_table, unflatten
 from navbake.types import Bool, Float, Int, Json, Vector3
 
 WHERE = "metadata.navbake.links"
@@ -92,17 +92,15 @@ class Link:
 
     def to_json(self) -> Json:
         """The link's entry in the file's table."""
-        entry: Json = {
+        return {
             "name": self.name,
             "kind": self.kind,
             "stops": [[stop.level, stop.cell] for stop in self.stops],
             "positions": [list(stop.position) for stop in self.stops],
-            "one_way": self.one_way,
+            **entry_of(self, "name", "kind", "stops", "state", "auto"),
+            "state": self.state,
+            **({"auto": True} if self.auto else {}),
         }
-        for key in ("width", "cost", "seconds", "agents", "car"):
-            if (value := getattr(self, key)) is not None:
-                entry[key] = list(value) if isinstance(value, tuple) else value
-        return {**entry, "state": self.state, **({"auto": True} if self.auto else {})}
 
 
 class Arcs(NamedTuple):

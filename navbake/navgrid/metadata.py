@@ -62,6 +62,17 @@ def read_table(stated: Any, kind: Any, where: str) -> Any:
         raise FormatError(f"{text[0].lower()}{text[1:]}") from error
 
 
+def entry_of(thing: Any, *left_out: str) -> Json:
+    """The fields of a dataclass as JSON, without those that are None."""
+    names = (name for name in thing.__dataclass_fields__ if name not in left_out)
+    fields = {name: getattr(thing, name) for name in names}
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in fields.items()
+        if value is not None
+    }
+
+
 def cut_metadata(metadata: Json, level: int) -> Json:
     """Cut a copy of a grid's metadata to one level, which becomes level 0 of a grid by itself.
 
@@ -85,7 +96,7 @@ def unflatten(links: Any) -> Any:
     return links
 
 
-def _cut_links(links: Any, level: int) -> list[Any]:
+def cut_links(links: Any, level: int) -> list[Any]:
     """The steps within one level, and the named links with two or more stops on it."""
     cut: list[Any] = []
     for entry in unflatten(links):
@@ -101,7 +112,7 @@ def _cut_links(links: Any, level: int) -> list[Any]:
     return cut
 
 
-def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
+def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
     elsewhere = {room["id"] for room in rooms if room["level"] != level}
     # copied before they are changed: the whole keeps its table
     return [
@@ -115,7 +126,7 @@ def _cut_rooms(rooms: list[Json], level: int) -> list[Json]:
     ]
 
 
-def _cut_doors(doors: list[Json], level: int) -> list[Json]:
+def cut_doors(doors: list[Json], level: int) -> list[Json]:
     cut = []
     for door in doors:
         # a door on two levels (beside a stair) is on both, with the cells of each
@@ -134,7 +145,7 @@ def _cut_doors(doors: list[Json], level: int) -> list[Json]:
 
 CUTS: dict[str, Callable[[Any, int], Any]] = {
     "levels": lambda levels, level: levels[level : level + 1],
-    "links": _cut_links,
-    "rooms": _cut_rooms,
-    "doors": _cut_doors,
+    "links": cut_links,
+    "rooms": cut_rooms,
+    "doors": cut_doors,
 }

@@ -14,18 +14,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from navbake.lazy import lazy
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.links import Link
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
-from navbake.runtime.agents import find_agent, fit_grid
-from navbake.runtime.cuts import find_leaf, group_steps
+from navbake.runtime.blocks import find_agent, fit_grid
+from navbake.runtime.flat_grid import find_leaf, find_stairs
 from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -54,16 +53,6 @@ def make_routes(grid: NavGrid, agent: str | Agent | None = None) -> RouteGraph:
     return _Builder(grid, find_agent(grid, agent)).build()
 
 
-class _Place(NamedTuple):
-    """A node before it has its name and position."""
-
-    cell: int
-    kind: str
-    name: str = ""
-    door: str | None = None
-    link: str | None = None
-
-
 class _Builder:
     """The nodes and lanes of a graph while they are found."""
 
@@ -87,17 +76,31 @@ class _Builder:
         ])  # fmt: skip
         self.areas = np.concatenate([level.area_index.ravel() for level in self.grid.levels])
         self.leaves = {cell: own.id for own in grid.doors for cell in find_leaf(own, flat).tolist()}
-        self.places: list[_Place] = []
+        self.links = [
+            link
+            for link in self.grid.links
+            if link.refuses(self.search.agent) is None and link.fits(self.radius)
+        ]
+        # stairs by their names and kinds, with both cells of a step, the lower first
+        self.stairs: list[tuple[str, str, list[int]]] = []
+        for number, (_, _, kind, steps) in enumerate(find_stairs(self.grid, flat)):
+            # the free step that is the farthest from what is beside it
+            ends = steps[self.inside[steps].all(axis=1)]
+            if len(ends):
+                room = np.round(self.clearance[ends].min(axis=1), DIGITS)
+                places = flat.positions(ends).mean(axis=1)
+                off = np.linalg.norm(places - places.mean(axis=0), axis=1)
+                step = ends[np.lexsort((off, -room))[0]].tolist()
+                self.stairs.append((f"{kind} {number}", kind, step))
+        self.cells: list[int] = []  # of the nodes
+        self.nodes: list[Node] = []
         self.points = np.empty((0, 3))
         self.lanes: list[Lane] = []
         self.distance = np.empty((0, 0))  # of the cheapest ways over lanes [m]
 
     def build(self) -> RouteGraph:
-        for place in (*self._stops(), *self._doors(), *self._rooms()):
-            self._add(place)
-        for place in self._junctions():
-            if self.inside[place.cell] and not self._is_near(place.cell):
-                self._add(place)
+        self._add_named_places()
+        self._add_junctions()
         self._cover()
         self._link()
         self._join_visible()
@@ -106,88 +109,56 @@ class _Builder:
 
     # ---------------------------------------------------------------- nodes
 
-    def _add(self, place: _Place) -> int:
+    def _add(
+        self, cell: int, kind: str, name: str = "", *, door: str | None = None, link: str = ""
+    ) -> int:
         """Add a node; returns the index of it, or of the one that its cell has already.
 
         Links that stop on one cell have a node each, because a node names one link.
         """
-        for number, other in enumerate(self.places):
-            is_of_other = place.link and other.link and place.link != other.link
-            if other.cell == place.cell and not is_of_other:
-                if other.kind in ("junction", "waypoint") and place.kind != "waypoint":
-                    self.places[number] = place
+        at = np.round(self.flat.positions(cell), DIGITS) + 0.0
+        room = self.search.rooms.id_of(int(self.search.rooms.number[cell]))
+        level, (x, y, z) = int(self.flat.level_of(cell)), at.tolist()
+        node = Node(name, (x, y, z), level, kind, room, door, link or None)
+        for number, other in enumerate(self.nodes):
+            is_of_other = link and other.link and link != other.link
+            if self.cells[number] == cell and not is_of_other:
+                if other.kind in ("junction", "waypoint") and kind != "waypoint":
+                    self.nodes[number] = node
                 return number
-        self.places.append(place)
-        at = np.round(self.flat.positions(place.cell), DIGITS) + 0.0
+        self.cells.append(cell)
+        self.nodes.append(node)
         self.points = np.concatenate([self.points, at[None]])
         self.distance = np.pad(self.distance, (0, 1), constant_values=math.inf)
         self.distance[-1, -1] = 0.0
-        return len(self.places) - 1
+        return len(self.nodes) - 1
 
-    def _level_of(self, node: int) -> int:
-        return int(self.flat.level_of(self.places[node].cell))
-
-    def _is_near(self, cell: int) -> bool:
-        """Whether a node is near a cell and sees it."""
-        level, at = int(self.flat.level_of(cell)), self.flat.positions(cell)
-        near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART)
-        return any(
-            self._level_of(k) == level and self._sees(self.places[k].cell, cell)
-            for k in near.tolist()
-        )
-
-    def _stops(self) -> Iterator[_Place]:
-        """The stops of links that the agent may use, and the middle steps of stairs."""
-        for link in self._links():
+    def _add_named_places(self) -> None:
+        """Add the stops of links and stairs, doors, and the widest place of each room."""
+        flat, rooms = self.flat, self.search.rooms
+        for link in self.links:
             for number, stop in enumerate(link.stops):
-                cell = int(self.flat.layout.start[stop.level]) + stop.cell
-                if self.flat.free[cell]:
-                    yield _Place(cell, "stop", f"{link.name} {number}", link=link.name)
-        for number, group in enumerate(group_steps(self.search)):
-            ends = self._middle(group.ends)
-            if ends is not None:
-                for level, cell in zip((group.low, group.high), ends, strict=True):
-                    yield _Place(cell, "stop", f"{group.what} {number} {level}")
-
-    def _links(self) -> list[Link]:
-        """The named links that are open, for the agent, and wide enough."""
-        return [
-            link
-            for link in self.grid.links
-            if link.refuses(self.search.agent) is None and link.fits(self.radius)
-        ]
-
-    def _middle(self, ends: Int) -> tuple[int, int] | None:
-        """Both cells of the free step of some that is farthest from what is beside it."""
-        ends = ends[self.inside[ends].all(axis=1)]
-        if not len(ends):
-            return None
-        room = np.round(self.clearance[ends].min(axis=1), DIGITS)
-        places = self.flat.positions(ends).mean(axis=1)
-        off = np.linalg.norm(places - places.mean(axis=0), axis=1)
-        low, high = ends[np.lexsort((off, -room))[0]].tolist()
-        return low, high
-
-    def _doors(self) -> Iterator[_Place]:
+                cell = int(flat.layout.start[stop.level]) + stop.cell
+                if flat.free[cell]:
+                    self._add(cell, "stop", f"{link.name} {number}", link=link.name)
+        for name, _, step in self.stairs:
+            for cell in step:
+                self._add(cell, "stop", f"{name} {flat.level_of(cell)}")
         for door in self.grid.doors:
-            cells = find_leaf(door, self.flat)
+            cells = find_leaf(door, flat)
             cells = cells[self.inside[cells]]
             if len(cells):
                 cell = int(cells[np.argmax(np.round(self.clearance[cells], DIGITS))])
-                yield _Place(cell, "door", door.id, door=door.id)
-
-    def _rooms(self) -> Iterator[_Place]:
-        """The widest place of each room, the nearest to its centre of several."""
-        rooms = self.search.rooms
+                self._add(cell, "door", door.id, door=door.id)
         for number, room in enumerate(rooms.rooms, 1):
             cells = np.flatnonzero((rooms.number == number) & self.inside)
-            if len(cells):
-                off = np.linalg.norm(self.flat.positions(cells) - room.centroid, axis=1)
+            if len(cells):  # of several, the nearest to the room's centre
+                off = np.linalg.norm(flat.positions(cells) - room.centroid, axis=1)
                 best = np.lexsort((off, -np.round(self.clearance[cells], DIGITS)))[0]
-                yield _Place(int(cells[best]), "room", room.name or room.id)
+                self._add(int(cells[best]), "room", room.name or room.id)
 
-    def _junctions(self) -> Iterator[_Place]:
-        """Where three branches of the medial axis meet, the widest first."""
+    def _add_junctions(self) -> None:
+        """Add where three branches of the medial axis meet and no node is near, widest first."""
         found = []
         for number, level in enumerate(self.grid.levels):
             part = self.flat.cells_of(number)
@@ -196,7 +167,11 @@ class _Builder:
             found.append(part.start + np.flatnonzero(thin & (turns >= 3)))
         cells = np.concatenate(found)
         order = np.argsort(-np.round(self.clearance[cells], DIGITS), kind="stable")
-        return (_Place(cell, "junction") for cell in cells[order].tolist())
+        for cell in cells[order].tolist():
+            on, at = int(self.flat.level_of(cell)), self.flat.positions(cell)
+            near = np.flatnonzero(np.hypot(*(self.points - at)[:, :2].T) < APART).tolist()
+            if not any(self.nodes[k].level == on and self._sees(self.cells[k], cell) for k in near):
+                self._add(cell, "junction")
 
     def _cover(self) -> None:
         """Add waypoints until every cell is near a node."""
@@ -205,7 +180,7 @@ class _Builder:
         places[:, 2] += 1e3 * self.flat.level_of(cells)  # other levels are far
         tree = spatial.cKDTree(places)
         while True:
-            nodes = np.array([place.cell for place in self.places], dtype=np.int64)
+            nodes = np.array(self.cells, dtype=np.int64)
             far = np.full(len(cells), math.inf)
             if len(nodes):
                 far = self.search.field(nodes, by="length")[cells]
@@ -223,7 +198,7 @@ class _Builder:
                     best = near[np.lexsort((near, -room))[0]]
                     # a wider place only where it still reaches this one
                     best = best if self._sees(cells[best], cells[one]) else one
-                    self._add(_Place(int(cells[best]), "waypoint"))
+                    self._add(int(cells[best]), "waypoint")
                     taken[tree.query_ball_point(places[one], REACH)] = True
 
     def _sees(self, one: int, other: int) -> bool:
@@ -255,8 +230,8 @@ class _Builder:
 
     def _cost(self, one: int, other: int) -> float:
         """The cost of a straight lane, or of a step between levels, which costs its length [m]."""
-        level = self._level_of(one)
-        if level != self._level_of(other):
+        level = self.nodes[one].level
+        if level != self.nodes[other].level:
             return float(self._apart(one, other))
         return self._cost_of(self.points[[one, other], :2], level)
 
@@ -282,9 +257,11 @@ class _Builder:
     def _link(self) -> None:
         """Add the lanes over links and stairs."""
         start = self.flat.layout.start
-        for link in self._links():
+        for link in self.links:
             index = {
-                own.cell: k for k, own in enumerate(self.places) if own.link in (None, link.name)
+                cell: k
+                for k, (cell, own) in enumerate(zip(self.cells, self.nodes, strict=True))
+                if own.link in (None, link.name)
             }
             cells = [int(start[stop.level]) + stop.cell for stop in link.stops]
             for i, j in zip(*np.triu_indices(len(cells), 1), strict=True):
@@ -296,22 +273,20 @@ class _Builder:
                         two_way=not link.one_way, kind=link.kind, link=link.name,
                         seconds=cost / self.speed if link.seconds is None else link.seconds,
                     )  # fmt: skip
-        index = {place.cell: k for k, place in enumerate(self.places)}
-        for group in group_steps(self.search):
-            ends = self._middle(group.ends)
-            if ends is not None:
-                self._join(index[ends[0]], index[ends[1]], kind=group.what)
+        index = {cell: k for k, cell in enumerate(self.cells)}
+        for _, kind, (low, high) in self.stairs:
+            self._join(index[low], index[high], kind=kind)
 
     def _is_free(self, one: int, other: int, doors: set[str | None]) -> bool:
         """Whether a straight lane is free, and leads through no other doors than some."""
-        cells = self.places[one].cell, self.places[other].cell
-        return self._sees(*cells) and self._doors_on(one, other) <= doors
+        seen = self._sees(self.cells[one], self.cells[other])
+        return seen and self._doors_on(one, other) <= doors
 
     def _doors_on(self, one: int, other: int) -> set[str | None]:
         """The doors whose leaves lie on the line between two nodes, and those of its ends; None."""
-        level, (a, b) = self._level_of(one), self.points[[one, other], :2]
+        level, (a, b) = self.nodes[one].level, self.points[[one, other], :2]
         on = {self.leaves.get(cell) for cell in self._cells_on(a, b, level).tolist()}
-        return on | {None, self.places[one].door, self.places[other].door}
+        return on | {None, self.nodes[one].door, self.nodes[other].door}
 
     def _cells_on(self, a: Float, b: Float, level: int) -> Int:
         """The cells along a line, by points a quarter of a cell apart."""
@@ -322,7 +297,7 @@ class _Builder:
 
     def _join_visible(self) -> None:
         """Add lanes between nodes that see each other, unless a way over shorter ones will do."""
-        levels = self.flat.level_of(np.array([place.cell for place in self.places]))
+        levels = self.flat.level_of(np.array(self.cells, dtype=np.int64))
         pairs = []
         for level in range(self.flat.num_levels):
             own = np.flatnonzero(levels == level)
@@ -336,7 +311,7 @@ class _Builder:
         order = np.lexsort((other, one, length))
         ways = zip(one[order].tolist(), other[order].tolist(), length[order].tolist(), strict=True)
         for a, b, straight in ways:
-            doors = {None, self.places[a].door, self.places[b].door}
+            doors = {None, self.nodes[a].door, self.nodes[b].door}
             if (
                 self.distance[a, b] > STRETCH * straight * self.least
                 and self.distance[a, b] > STRETCH * self._cost(a, b)
@@ -349,7 +324,7 @@ class _Builder:
 
         A cell belongs to the node that is the nearest by steps.
         """
-        size = len(self.places)
+        size = len(self.nodes)
         if not size:
             return
         ends = self._touching()
@@ -363,7 +338,7 @@ class _Builder:
         pairs = np.stack([one, other], axis=1)[order].tolist()
         for (a, b), least in zip(pairs, straight[order].tolist(), strict=True):
             if self.distance[a, b] > STRETCH * least * self.least:
-                self._join_path(a, b, {None, self.places[a].door, self.places[b].door})
+                self._join_path(a, b, {None, self.nodes[a].door, self.nodes[b].door})
         for a, b in self._touching().tolist():  # through doors that stand side by side
             if not math.isfinite(self.distance[a, b]):
                 self._join_path(a, b, {None, *self.leaves.values()})
@@ -372,7 +347,7 @@ class _Builder:
         """The pairs of nodes whose regions touch on a level, shape (n, 2)."""
         from navbake.runtime.kernels.arrays import EAST, SOUTH  # numba loads slowly
 
-        cells = np.array([place.cell for place in self.places])
+        cells = np.array(self.cells)
         _, onward = self.search.onward(cells)
         root = np.where(onward < 0, np.arange(len(onward)), onward)
         while (root != root[root]).any():
@@ -391,8 +366,8 @@ class _Builder:
 
     def _join_path(self, one: int, other: int, doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: its corners, and lanes between them."""
-        level = self._level_of(one)
-        if level != self._level_of(other):
+        level = self.nodes[one].level
+        if level != self.nodes[other].level:
             return
         start, end = self.points[one, :2], self.points[other, :2]
         found = find_path(self.search, start, end, level, by="cost", smooth=True)
@@ -404,7 +379,7 @@ class _Builder:
         centers = self.flat.positions(cells)[:, :2]
         turns = np.abs(centers - found.positions[1:-1, :2]).max(axis=1, initial=0.0) < 1e-6
         # corners of the path, without the points where only the floor bends
-        left, corners = [*cells[turns].tolist(), self.places[other].cell], [one]
+        left, corners = [*cells[turns].tolist(), self.cells[other]], [one]
         while left:
             here = corners[-1]
             ahead_xy = self.flat.positions(np.array(left))[:, :2]
@@ -412,7 +387,7 @@ class _Builder:
             seen = [
                 k
                 for k, cell in enumerate(left)
-                if self._sees(self.places[here].cell, cell)
+                if self._sees(self.cells[here], cell)
                 and self._cost_of(line[[0, k + 1]], level)
                 <= STRETCH * self._cost_of(line[: k + 2], level)
             ]
@@ -420,18 +395,18 @@ class _Builder:
             ahead = left[last + 1 : last + 2]
             price = self._price(line[0], line[last + 1], level)
             near = np.hypot(*(self.points - self.flat.positions(left[last]))[:, :2].T)
-            ends = self.places[here].cell, *ahead
+            ends = self.cells[here], *ahead
             known = [
                 k
                 for k in np.flatnonzero(near < SNAP).tolist()
-                if self._level_of(k) == level
-                and all(self._sees(self.places[k].cell, end) for end in ends)
+                if self.nodes[k].level == level
+                and all(self._sees(self.cells[k], end) for end in ends)
                 and self._cost(here, k) <= STRETCH * price * self._apart(here, k)
             ]
             if known and ahead:
                 corners.append(min(known, key=near.__getitem__))
             else:
-                corners.append(self._add(_Place(left[last], "waypoint")))
+                corners.append(self._add(left[last], "waypoint"))
             left = left[last + 1 :]
         for a, b in itertools.pairwise(corners):
             if a != b and self.distance[a, b] > self._cost(a, b) and self._is_free(a, b, doors):
@@ -440,39 +415,33 @@ class _Builder:
     # ---------------------------------------------------------------- the graph
 
     def _graph(self) -> RouteGraph:
-        rooms, taken, nodes = self.search.rooms, set[str](), []
-        for number, (place, point) in enumerate(zip(self.places, self.points, strict=True)):
-            name = base = place.name or f"{place.kind} {number}"
+        """The graph: nodes have unique names, and lanes their doors and what areas make of them."""
+        taken, nodes, lanes = set[str](), list[Node](), list[Lane]()
+        for number, node in enumerate(self.nodes):
+            name = base = node.name or f"{node.kind} {number}"
             while name in taken:
                 name = f"{base} ({number})"
                 number += 1
             taken.add(name)
-            room = rooms.id_of(int(rooms.number[place.cell]))
-            level = int(self.flat.level_of(place.cell))
-            at = tuple(point.tolist())
-            nodes.append(Node(name, at, level, place.kind, room, place.door, place.link))
-        lanes = tuple(self._finish(lane, nodes) for lane in self.lanes)
+            nodes.append(replace(node, name=name))
+        for lane in self.lanes:
+            one, other = nodes[lane.start], nodes[lane.end]
+            fields: dict[str, Any] = {"name": f"{one.name} - {other.name}"}
+            for key in ("length", "cost", "seconds"):
+                value = getattr(lane, key)
+                fields[key] = None if value is None else round(float(value), DIGITS)
+            if lane.kind == FLOOR:
+                through = self._doors_on(lane.start, lane.end)
+                fields["door"] = min((door for door in through if door), default=None)
+                begin, end = self.points[[lane.start, lane.end], :2]
+                numbers = np.unique(self.areas[self._cells_on(begin, end, one.level)]).tolist()
+                speeds = [self.grid.areas[k - 1].speed for k in numbers if k]
+                fields["speed"] = min((v for v in speeds if v is not None), default=None)
+            lanes.append(replace(lane, **fields))
         return RouteGraph(
-            tuple(nodes), lanes, self.grid.scene_id, tuple(self.grid.level_names),
+            tuple(nodes), tuple(lanes), self.grid.scene_id, tuple(self.grid.level_names),
             (self.search.agent and self.search.agent.name) or None, self.radius, self.speed,
         )  # fmt: skip
-
-    def _finish(self, lane: Lane, nodes: list[Node]) -> Lane:
-        """A lane with its name, its door, and what areas make of its cost and speed."""
-        one, other = nodes[lane.start], nodes[lane.end]
-        fields = {name: getattr(lane, name) for name in lane.__dataclass_fields__}
-        fields["name"] = f"{one.name} - {other.name}"
-        through = self._doors_on(lane.start, lane.end) if lane.kind == FLOOR else {None}
-        fields["door"] = min((door for door in through if door), default=None)
-        if lane.kind == FLOOR:
-            begin, end = self.points[[lane.start, lane.end], :2]
-            cells = self._cells_on(begin, end, one.level)
-            table = self.grid.areas
-            speeds = [table[k - 1].speed for k in np.unique(self.areas[cells]).tolist() if k]
-            fields["speed"] = min((v for v in speeds if v is not None), default=None)
-        for key in ("length", "cost", "seconds"):
-            fields[key] = None if fields[key] is None else round(float(fields[key]), DIGITS)
-        return Lane(**fields)
 
 
 def _around(padded: Bool) -> tuple[Int, Int]:

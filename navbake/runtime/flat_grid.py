@@ -15,19 +15,21 @@ from navbake.known_names import suggest
 from navbake.lazy import lazy
 from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.islands import cells_of_areas, label_islands, step_limit
+from navbake.navgrid.doors import Door
+from navbake.navgrid.islands import cells_of_areas, group_steps, label_islands, step_limit
 from navbake.navgrid.links import Arcs, find_arcs
 from navbake.navgrid.rooms import Room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
-    from navbake.runtime.kernels.arrays import Floors, Layout, Links
+    from navbake.runtime.kernels.arrays import FloorHeights, Layout, Links
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
 places = lazy("navbake.runtime.kernels.places")
 
+RISE = 0.05  # [m]: ways between levels that rise by more are called stairs
 REAL = int | float | np.integer | np.floating
 
 
@@ -43,7 +45,7 @@ class FlatGrid:
     layout: Layout  # where the cells of each level lie
     steps: Links  # between cells that are not neighbours on one level, both ways
     arcs: Arcs  # passages over named links, for agents of any size
-    floors: Floors  # heights of the cells' floors [m], and `max_step`
+    floors: FloorHeights  # heights of the cells' floors [m], and `max_step`
     free: Bool  # by flat id, shape (n,)
     weight: Float  # cost of a cell, by flat id, inf where it isn't free
     price: Float  # by which areas multiply weights, inf where they bar; by flat id, or one for all
@@ -209,7 +211,7 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     floor = [v.floor if v.uses_cell_floors else np.full(v.shape, v.ground) for v in levels]
     z = np.concatenate([layer.ravel() for layer in floor])
     ground = np.array([level.ground for level in levels], dtype=np.float64)
-    floors = arrays.Floors(z, ground, step_limit(grid) * grid.unit)
+    floors = arrays.FloorHeights(z, ground, step_limit(grid) * grid.unit)
     weight = np.concatenate([level.weights.ravel() for level in levels]).astype(np.float64)
     given = grid.step_array
     # each step both ways and once, and to which neighbours one leads on the same level
@@ -315,6 +317,13 @@ def map_doors(grid: NavGrid, flat: FlatGrid) -> DoorMap:
     return found
 
 
+def find_leaf(door: Door, flat: FlatGrid) -> Int:
+    """The flat ids of the cells that a door's leaf takes when closed."""
+    cells = door.solid_in if door.solid else door.cells_in
+    pairs = zip(flat.layout.start, cells("closed", flat.num_levels), strict=False)
+    return np.concatenate([start + ids for start, ids in pairs])
+
+
 def doors_on(doors: DoorMap, cells: Int) -> list[str]:
     """The doors along a route, in order; a door that is entered again is repeated."""
     passed: list[str] = []
@@ -324,6 +333,22 @@ def doors_on(doors: DoorMap, cells: Int) -> list[str]:
         passed += [name for name in here if name not in current]
         current = here
     return passed
+
+
+def find_stairs(grid: NavGrid, flat: FlatGrid) -> list[tuple[int, int, str, Int]]:
+    """Find the stairs and ramps between levels: steps whose cells touch on the lower level.
+
+    Returns the lower and the upper level of each, ``stairs`` or ``ramp``, and the flat ids of the
+    cells of each step, the lower level's first, shape (n, 2).
+    """
+    steps, found = grid.step_array, []
+    steps = np.where((steps[:, 0] <= steps[:, 2])[:, None], steps, steps[:, [2, 3, 0, 1]])
+    for own in group_steps(grid, steps[steps[:, 0] < steps[:, 2]]):
+        ends = flat.layout.start[own[:, ::2]] + own[:, 1::2]
+        rise = np.abs(np.diff(flat.positions(ends)[..., 2], axis=1)).max()
+        low, high = own[0, ::2].tolist()
+        found.append((low, high, "stairs" if rise > RISE else "ramp", ends))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

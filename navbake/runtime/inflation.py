@@ -102,7 +102,26 @@ def inflate(
         done["ledges"] = ledges
     if clearance > 0:
         done |= {"costs": costs, "scaling": float(scaling)} if costs == "nav2" else {"costs": costs}
-    return _with_weights(grid, weights, done)
+
+    def noted(metadata: dict[str, Any]) -> dict[str, Any]:
+        earlier: Any = metadata.get("inflation")
+        return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
+
+    levels = []
+    for level, weight in zip(grid.levels, weights, strict=True):
+        # Attributes that a file without them would derive from the weights are stored first, so
+        # that inflating does not change them, and the grid can be inflated again.
+        baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
+        kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
+        if not level.uses_cell_floors:  # the file's values are not the floor
+            kept["floorHeight"] = baked["floorHeight"].copy()
+        metadata = noted(level.metadata)
+        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=metadata))
+    inflated = grid.with_levels(levels, noted(grid.metadata))
+    if grid.navbake:  # in files of other programs these names may mean anything
+        names = {name for level in levels for name in level.attributes}
+        add_layers(inflated, names & {"island", "clearance"})
+    return inflated
 
 
 def _refined(level: SceneGrid2D, radius: float, far: float) -> Float:
@@ -172,30 +191,6 @@ def check_arguments(
         raise QueryError("mode minos has costs of its own (step): leave `costs` out")
     if not isinstance(scaling, REAL) or not 0 < scaling < math.inf:
         raise QueryError(f"expected a number > 0 [1/m] as scaling, got {scaling!r}")
-
-
-def _with_weights(grid: AnyGrid, weights: list[Float], done: dict[str, Any]) -> AnyGrid:
-    """Replace the weights and the layers derived from them, and note it in the metadata."""
-
-    def noted(metadata: dict[str, Any]) -> dict[str, Any]:
-        earlier: Any = metadata.get("inflation")
-        return {**metadata, "inflation": [*(earlier if isinstance(earlier, list) else []), done]}
-
-    levels = []
-    for level, weight in zip(grid.levels, weights, strict=True):
-        # Attributes that a file without them would derive from the weights are stored first, so
-        # that inflating does not change them, and the grid can be inflated again.
-        baked: dict[str, Any] = {"occupancy": level.occupancy, "floorHeight": level.floor_height}
-        kept = {key: v.copy() for key, v in baked.items() if key not in level.attributes}
-        if not level.uses_cell_floors:  # the file's values are not the floor
-            kept["floorHeight"] = baked["floorHeight"].copy()
-        metadata = noted(level.metadata)
-        levels.append(level.with_layers(weights=weight, attributes=kept, metadata=metadata))
-    inflated = grid.with_levels(levels, noted(grid.metadata))
-    if grid.navbake:  # in files of other programs these names may mean anything
-        names = {name for level in levels for name in level.attributes}
-        add_layers(inflated, names & {"island", "clearance"})
-    return inflated
 
 
 def ledges_of(grid: NavGrid) -> str:

@@ -16,12 +16,18 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.known_names import list_first
 from navbake.lazy import lazy
+from navbake.navgrid.cells import place_in
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
-from navbake.runtime.cuts import RISE, find_cuts
-from navbake.runtime.flat_grid import doors_on, map_islands, text_of
+from navbake.runtime.flat_grid import (
+    RISE,
+    doors_on,
+    find_leaf,
+    find_stairs,
+    map_islands,
+    text_of,
+)
 from navbake.runtime.paths import Goal, find_target
-from navbake.runtime.place import place_in
 from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.surroundings import free_for
 from navbake.types import Bool, Float, Int
@@ -31,6 +37,7 @@ spatial = lazy("scipy.spatial")  # saves scipy at start-up
 NARROW = 1000.0  # weight of a cell that is blocked for a larger agent: a way avoids it if it can
 SHUT = 10_000.0  # weight of a cell that a door blocks: a way of 10 km costs as much as 1 m of it
 MAX_NAMES = 4  # of obstacles, listed in a sentence
+LEAST_AREA = 0.5  # m² on both levels: what steps that stay free have to lead to
 BESIDE = 3  # cells along a route before and after its block, for its rise
 
 
@@ -129,6 +136,44 @@ def find_widest(
     return radii[good], *(free_for(grid, radii[k], ledges) for k in (good, good + 1))
 
 
+def find_cuts(before: Search, after: Search) -> list[tuple[str, Int]]:
+    """Find the steps between levels, the links and the doors that only one of two grids has open.
+
+    Steps side by side are one way. They are closed where no free step is left, or where the free
+    ones lead to less than 0.5 m² on one of the levels, as a landing between blocked treads. A door
+    is closed where none of its leaf's cells is free, a link where it is too narrow, or where fewer
+    than two of its stops are. Both searches are on the same cells.
+    """
+    flat, found = before.flat, list[tuple[str, Int]]()
+    for low, high, what, ends in find_stairs(before.grid, flat):
+        leads = []  # whether a step is free, and leads to enough of both levels
+        for search in (before, after):
+            number, count = search.islands.number, np.zeros(ends.shape, dtype=np.int64)
+            for side, level in enumerate((low, high)):
+                on_level = np.bincount(number[flat.cells_of(level)])
+                count[:, side] = on_level[number[ends[:, side]]]
+            size = flat.layout.cell_size[[low, high]] ** 2
+            leads.append((search.flat.free[ends] & (count * size >= LEAST_AREA)).all(axis=1).any())
+        if leads[0] and not leads[1]:
+            x, y, _ = flat.positions(ends).mean(axis=(0, 1))
+            name = f"the {what} between level {low} and {high} near ({x:.2f}, {y:.2f})"
+            found.append((name, ends.ravel()))
+    for link in before.grid.links:
+        cells = np.array([flat.layout.start[stop.level] + stop.cell for stop in link.stops])
+        was_fit, is_fit = (
+            search.flat.free[cells].sum() > 1 and link.fits(search.radius)
+            for search in (before, after)
+        )
+        if was_fit and not is_fit:
+            found.append((f"the link {link.name!r} ({link.kind})", cells))
+    for door in before.grid.doors:
+        cells = find_leaf(door, flat)
+        cells = cells[flat.free[cells]]
+        if len(cells) and not after.flat.free[cells].any():
+            found.append((f"door {door.id!r}", cells))
+    return found
+
+
 def deflated(grid: NavGrid) -> NavGrid:
     """The grid for a point agent, with weights of 1; itself if it wasn't inflated."""
     if "inflation" not in grid.metadata:
@@ -213,13 +258,8 @@ def why_not(search: Search, start: ArrayLike, goal: Goal, level: int | None) -> 
     if search.route(origin, goals) is not None:
         return None
     apart, cells = _apart(search, origin, goals)
-    because = (
-        _blocked_for_now(search, origin, goals)
-        or _doors(search, origin, goals)
-        or _links_and_areas(search, origin, goals)
-        or _too_narrow(search, origin, goals)
-        or _steps(search, origin, goals)
-    )
+    answers = (name(search, origin, goals) for name in CAUSES)
+    because = next((answer for answer in answers if answer), None)
     if not because and cells is not None:  # objects on the line between the nearest cells
         on, row, col = flat.split(cells)
         count = int(np.abs(np.diff([row, col])).max()) + 1
@@ -288,7 +328,7 @@ def _apart(search: Search, origin: int, goals: Int) -> tuple[str, Int | None]:
     return f"{text}; their nearest cells are {distance[one]:.2f} m apart, at {a} and {b}", cells
 
 
-def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
+def name_blocks(search: Search, origin: int, goals: Int) -> str | None:
     """Name the current blocks on the route that a grid without them has."""
     grid, flat = search.grid, search.flat
     clean = grid.without_blocks()
@@ -308,7 +348,7 @@ def _blocked_for_now(search: Search, origin: int, goals: Int) -> str | None:
     return f"the {what} at {where}{',' if closed else ''}{closed} {verb} blocked for now"
 
 
-def _doors(search: Search, origin: int, goals: Int) -> str | None:
+def name_doors(search: Search, origin: int, goals: Int) -> str | None:
     """Name the doors on the route through the fewest cells that doors block."""
     grid, flat = search.grid, search.flat
     if not grid.doors:
@@ -335,7 +375,7 @@ def _doors(search: Search, origin: int, goals: Int) -> str | None:
     return f"doors {listed} are in the way" if len(names) > 1 else f"door {listed} is in the way"
 
 
-def _too_narrow(search: Search, origin: int, goals: Int) -> str | None:
+def name_gap(search: Search, origin: int, goals: Int) -> str | None:
     """Name what the agent's radius closed: steps, links and doors on the way, else the gap [m].
 
     None if the grid isn't inflated, or no smaller radius passes.
@@ -351,7 +391,7 @@ def _too_narrow(search: Search, origin: int, goals: Int) -> str | None:
     weights = np.where(plain.flat.free, np.where(flat.free, 1.0, NARROW), np.inf)
     route = find_route(with_weights(plain.grid, weights), search, origin, goals)
     way = NO_CELLS if route is None else route
-    closed = [cut.name for cut in find_cuts(plain, search) if np.isin(cut.cells, way).any()]
+    closed = [name for name, cells in find_cuts(plain, search) if np.isin(cells, way).any()]
     if closed:
         is_one = len(closed) == 1 and not closed[0].startswith("the stairs")
         names = f"{' and '.join(closed)} {'is' if is_one else 'are'}"
@@ -381,7 +421,7 @@ def _too_narrow(search: Search, origin: int, goals: Int) -> str | None:
     return f"the gap between, at {where}, is {width:.2f} m wide, the agent {2 * agent:.2f} m"
 
 
-def _links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
+def name_links_and_areas(search: Search, origin: int, goals: Int) -> str | None:
     """Name the first link or area that the agent can't use on the route with all of them open."""
     grid, flat = search.grid, search.flat
     if not (grid.links or grid.areas):
@@ -423,7 +463,7 @@ def _barring_area(search: Search, cell: int) -> tuple[str, str] | None:
     return f"area {area.name!r}", f"bars {whom}"
 
 
-def _steps(search: Search, origin: int, goals: Int) -> str | None:
+def name_steps(search: Search, origin: int, goals: Int) -> str | None:
     """Name the levels that no step joins, or only steps that are blocked."""
     flat = search.flat
     home = int(flat.level_of(origin))
@@ -450,6 +490,10 @@ def _closed_steps(search: Search) -> list[str]:
             steps = "the step" if of_pair.sum() == 1 else f"all {of_pair.sum()} steps"
             closed.append(f"{steps} from {_level(search.grid, a)} to {_level(search.grid, b)}")
     return closed
+
+
+CAUSES = (name_blocks, name_doors, name_links_and_areas, name_gap, name_steps)
+"""What may be why there is no path, in the order in which they are looked for."""
 
 
 def _names(search: Search, cells: Int) -> str:

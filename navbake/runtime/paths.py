@@ -16,7 +16,7 @@ from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.runtime.flat_grid import FlatGrid, doors_on
 from navbake.runtime.inflation import check_word
 from navbake.runtime.search import Search
-from navbake.types import Float, Int, Json
+from navbake.types import Float, Int
 
 lines = lazy("navbake.runtime.kernels.lines")  # numba loads slowly
 ndimage = lazy("scipy.ndimage")  # saves scipy at start-up
@@ -135,8 +135,15 @@ def cells_around(search: Search, name: str) -> Int:
             if is_goal.any():
                 break
             if over_objects:
+                # cells that are empty or blocked by objects alone, and by no wall
                 entries = UserData.of(level.user_data).find(ids.ravel())
-                passable |= np.reshape(_hold_objects(entries), ids.shape)
+                walls = {name for entry in entries for name in names_in(entry, "walls")}
+                holds = []
+                for entry in entries:
+                    names = {*names_in(entry, "objects"), *names_in(entry, "blockers")}
+                    is_wall = names_in(entry, "walls") or names & walls
+                    holds.append(bool(names) and not is_wall)
+                passable |= np.reshape(holds, ids.shape)
             ring = np.where(own, 0, -1)
             for step in range(1, reach + 1):
                 ring[ndimage.binary_dilation(ring >= 0) & passable & (ring < 0)] = step
@@ -146,16 +153,6 @@ def cells_around(search: Search, name: str) -> Int:
                 is_goal |= (island == one) & (ring >= 0) & (ring <= first + 1)
         found.append(part.start + ids[is_goal])
     return np.concatenate(found)
-
-
-def _hold_objects(entries: list[Json]) -> list[bool]:
-    """Whether cells are empty or blocked by objects alone, and by no wall."""
-    walls = {name for entry in entries for name in names_in(entry, "walls")}
-    in_way = [{*names_in(entry, "objects"), *names_in(entry, "blockers")} for entry in entries]
-    return [
-        bool(names) and not names_in(entry, "walls") and not names & walls
-        for entry, names in zip(entries, in_way, strict=True)
-    ]
 
 
 def cells_named(grid: NavGrid, flat: FlatGrid, name: str) -> Int:

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.lazy import lazy
 from navbake.navgrid.agents import Agent
-from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, BlockState, Window
+from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, Window
 from navbake.navgrid.cells import Cells, check_level
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.grid import NavGrid
 from navbake.runtime import flat_grid
-from navbake.runtime.agents import find_agent, fit_grid
+from navbake.runtime.blocks import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile
 from navbake.runtime.inflation import find_room
 from navbake.types import Bool, Float, Int, Int32
@@ -47,7 +47,7 @@ class Route(NamedTuple):
 class Search:
     """Searches over the cells of all levels of a grid, and cached results.
 
-    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.agents`; `flat` are its
+    Not thread-safe. `grid` is fitted to the agent, see `navbake.runtime.blocks`; `flat` are its
     cells, `graph` the steps between them; `free_diagonally` marks free cells with room for a
     diagonal step, `off_center` those where a line may leave the centres. `update` takes over the
     grid's blocks; each change increments `version`.
@@ -139,28 +139,24 @@ class Search:
         """Take over cells that were blocked or freed since the last call."""
         for number, level in enumerate(self.grid.levels):
             state = level.block_state
-            if state is not None and state.revision != self._seen[number]:
-                whole = [(0, level.height, 0, level.width)]
-                for window in state.windows_since(self._seen[number]) or whole:
-                    self._copy_changes(number, level, state, window)
-                self._seen[number] = state.revision
-                self.version += 1
-
-    def _copy_changes(
-        self, number: int, level: SceneGrid2D, state: BlockState, window: Window
-    ) -> None:
-        """Copy a changed window of a level, and find the moves in and round it again."""
-        row0, row1, col0, col1 = window
-        inside, first = np.s_[row0:row1, col0:col1], self.flat.cells_of(number).start
-        cells = first + np.arange(row0, row1)[:, None] * level.width + np.arange(col0, col1)
-        weight = level.weights[inside].astype(np.float64)
-        self.flat.weight[cells] = self.flat.priced(weight, cells)
-        self.flat.free[cells] = free = np.isfinite(self.flat.weight[cells])
-        for k, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
-            self._masks[k][cells] = free
-            if self._room is not None:
-                self._masks[k][cells] &= self._room[k][cells] & (state.count[layer][inside] == 0)
-        self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
+            if state is None or state.revision == self._seen[number]:
+                continue
+            whole = [(0, level.height, 0, level.width)]
+            for row0, row1, col0, col1 in state.windows_since(self._seen[number]) or whole:
+                inside, first = np.s_[row0:row1, col0:col1], self.flat.cells_of(number).start
+                rows, cols = np.arange(row0, row1)[:, None], np.arange(col0, col1)
+                cells = first + rows * level.width + cols
+                weight = level.weights[inside].astype(np.float64)
+                self.flat.weight[cells] = self.flat.priced(weight, cells)
+                self.flat.free[cells] = free = np.isfinite(self.flat.weight[cells])
+                for k, layer in enumerate((NO_DIAGONAL, NO_OFF_CENTER, NO_OFF_CENTER)):
+                    self._masks[k][cells] = free
+                    if self._room is not None:
+                        has_room = self._room[k][cells] & (state.count[layer][inside] == 0)
+                        self._masks[k][cells] &= has_room
+                self._find_moves(number, (row0 - 1, row1 + 1, col0 - 1, col1 + 1))
+            self._seen[number] = state.revision
+            self.version += 1
 
     def _find_moves(self, level: int, window: Window) -> None:
         flat, layout = self.flat, self.flat.layout
@@ -250,26 +246,20 @@ class Search:
             return Route(np.array([origin]), np.zeros(1, dtype=np.bool_), 0.0)
         graph = self.graph_by(by)
         if len(self.flat.arcs.ends):
-            graph = graph._replace(lead=self._saved_by_links(goals, by))
+            # by how much links may make a way cheaper than the octile distance to the goals' box
+            flat, least = self.flat, graph.least_weight
+            find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
+            stops, ways = self.keep("ways by links", by, find)
+            if len(stops):
+                places = flat.positions(goals)[:, :2]
+                low, high = places.min(axis=0), places.max(axis=0)
+                direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
+                graph = graph._replace(lead=float((direct - (ways + direct).min(axis=1)).max()))
         cells = self._find(graph, np.array([origin]), goals)
         if not len(cells):
             return None
         by_link = self._visits.mark[cells] & routes.WAY == routes.LINK
         return Route(cells, by_link, float(self._visits.cost[cells[-1]]))
-
-    def _saved_by_links(self, goals: Int, by: str) -> float:
-        """By how much links may make a way to goals cheaper than the octile distance says."""
-        flat, least = self.flat, self.graph_by(by).least_weight
-
-        find = partial(flat.ways_by_links, self.radius, least, by_time=by == "time")
-        stops, ways = self.keep("ways by links", by, find)
-        if not len(stops):
-            return 0.0
-        # to the box round the goals
-        places = flat.positions(goals)[:, :2]
-        low, high = places.min(axis=0), places.max(axis=0)
-        direct = least * octile(np.maximum(np.maximum(low - stops, stops - high), 0.0))
-        return float((direct - (ways + direct).min(axis=1)).max())
 
     def measure(
         self, route: Route, places: Cells, by: str

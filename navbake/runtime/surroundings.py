@@ -26,7 +26,7 @@ An agent's centre is on a cell's centre. The rules:
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from navbake.navgrid.islands import step_limit
 from navbake.types import Bool, Int, Int32
 
 if TYPE_CHECKING:
-    from navbake.runtime.kernels.inflation import Storeys
+    from navbake.runtime.kernels.inflation import LevelStack
 
 arrays = lazy("navbake.runtime.kernels.arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
@@ -45,6 +45,7 @@ kernels = lazy("navbake.runtime.kernels.inflation")
 ndimage = lazy("scipy.ndimage")
 
 LEAST_FLOOR = 0.7  # share of the cells that a disc covers that must have a floor
+TILE = 16  # edge of the squares of cells whose floors are compared first
 ALIGNED = 1e-3  # of a cell: levels offset by less share one lattice
 TOUCH = 1e-9  # share of a radius by which a disc may overlap a square
 
@@ -75,8 +76,17 @@ def find_blocked(
         holes = ~has_floor & (occupied == 0)
         if holes.any():
             offsets, squares, widths = disc(cells, holes.shape, of_squares=False)
-            todo = kernels.dilate(holes.view(np.uint8), widths) & has_floor
-            kernels.block_near_holes(has_floor, todo, offsets, squares, LEAST_FLOOR, blocked)
+            near = np.nonzero(kernels.dilate(holes.view(np.uint8), widths) & has_floor & ~blocked)
+            reach = int(np.abs(offsets).max())
+            known, floors = np.pad(np.ones_like(has_floor), reach), np.pad(has_floor, reach)
+            within, with_floor = np.zeros((2, len(near[0])), dtype=np.int64)
+            # a ring of equally far cells completes a disc: a radius that fails fails larger ones
+            for ring in np.split(offsets + reach, np.flatnonzero(np.diff(squares)) + 1):
+                for row, col in ring.tolist():
+                    at = near[0] + row, near[1] + col
+                    within += known[at]
+                    with_floor += floors[at]
+                blocked[near] |= with_floor < LEAST_FLOOR * within
     return blocked[inside]
 
 
@@ -90,7 +100,7 @@ def free_for(grid: NavGrid, radius: float, ledges: str) -> Bool:
 def block_by_others(
     grid: NavGrid,
     number: int,
-    storeys: Storeys,
+    storeys: LevelStack,
     radius: float,
     offsets: Int,
     ledges: str,
@@ -104,20 +114,39 @@ def block_by_others(
     least, most = (extreme.reduce(storeys.floor, axis=None) for extreme in (np.fmin, np.fmax))
     if len(storeys.floor) == 1 and not most - least > storeys.step:
         return  # neither higher nor lower floors
-    # the lowest and the highest floor in each tile, and in the tiles that offsets lead to from it
-    tile, none, ranges = kernels.TILE, np.float32(np.inf), []
-    window = (1, *[2 * -(-int(np.abs(offsets).max()) // tile) + 1] * 2)
-    pads = [(0, 0), *((0, -size % tile) for size in blocked.shape)]
-    floor = np.pad(storeys.floor, pads, constant_values=np.nan)
-    tiles = floor.reshape(len(floor), floor.shape[1] // tile, tile, -1, tile)
-    filters = ndimage.minimum_filter, ndimage.maximum_filter
-    for extreme, of_window, beyond in zip((np.fmin, np.fmax), filters, (none, -none), strict=True):
-        here = extreme.reduce(tiles, axis=(2, 4))
-        here = np.where(np.isnan(here), beyond, here).astype(np.float64)
-        ranges += [here, of_window(here, size=window, mode="constant", cval=beyond)]
-    kernels.block_by_floors(
-        storeys, tuple(ranges), offsets, counts_higher, ledges == "avoid", blocked
-    )
+    # Floors are compared cell by cell, but only where the lowest and the highest floor round a tile
+    # make a conflict possible: one step of a min-max pyramid.
+    floor, step = storeys.floor, storeys.step
+    own, others = floor[storeys.level], np.arange(len(floor)) != storeys.level
+    lowest = _near_tiles(np.where(np.isnan(floor), np.inf, floor), offsets, np.minimum, np.inf)
+    highest = _near_tiles(np.where(np.isnan(floor), -np.inf, floor), offsets, np.maximum, -np.inf)
+    overlap, over = storeys.height - step, storeys.height + kernels.SLAB
+    meets = ((lowest < own + overlap) & (highest > own - overlap))[others].any(axis=0)
+    # by the cells of the level that offsets lead to
+    least, most = lowest[storeys.level], highest[storeys.level]
+    higher = lower = np.zeros_like(blocked)
+    if counts_higher:
+        with np.errstate(invalid="ignore"):  # files of other programs may have infinite floors
+            is_above = floor - least > step
+            is_above[others] &= (floor - most < over)[others]
+        higher = is_above.any(axis=0)
+    if ledges == "avoid":
+        # a column that carries agents of all heights near it is no drop
+        carries = (most - step <= floor) & (floor <= least + step)
+        lower = ~carries.any(axis=0) & (floor < most - step).any(axis=0)
+    kernels.block_by_floors(storeys, meets, higher, lower, offsets, blocked)
+
+
+def _near_tiles(values: NDArray[Any], offsets: Int, extreme: np.ufunc, beyond: float) -> Any:
+    """The extreme values of layers in the tiles that offsets lead to, by cell."""
+    rows, cols = values.shape[1:]
+    pads = (0, 0), (0, -rows % TILE), (0, -cols % TILE)
+    padded = np.pad(values, pads, constant_values=beyond)
+    tiles = padded.reshape(len(values), padded.shape[1] // TILE, TILE, -1, TILE)
+    of_window = ndimage.minimum_filter if extreme is np.minimum else ndimage.maximum_filter
+    window = 1, *[2 * -(-int(np.abs(offsets).max()) // TILE) + 1] * 2
+    found = of_window(extreme.reduce(tiles, axis=(2, 4)), size=window, mode="constant", cval=beyond)
+    return found.repeat(TILE, axis=1).repeat(TILE, axis=2)[:, :rows, :cols]
 
 
 def disc(
@@ -144,7 +173,7 @@ def disc(
 
 def find_surroundings(
     grid: NavGrid, number: int, reach: int
-) -> tuple[Storeys, tuple[slice, slice]]:
+) -> tuple[LevelStack, tuple[slice, slice]]:
     """The cells near an agent on a level, and the level's own rectangle among them."""
     level, agent = grid.levels[number], (step_limit(grid) * grid.unit, grid.agent_height)
     placed, (x_min, y_max, size, *_) = dict[int, tuple[int, int]](), level.lattice
@@ -171,14 +200,14 @@ def find_surroundings(
             _paste(occupied[i], part.solid, row - top, col - left)
     at = {k: (i, row - top, col - left) for i, (k, (row, col)) in enumerate(placed.items())}
     slopes = _find_slopes(grid, at, floor, agent[0])
-    storeys = kernels.Storeys(floor, occupied, slopes, at[number][0], *agent)
+    storeys = kernels.LevelStack(floor, occupied, slopes, at[number][0], *agent)
     return storeys, (slice(-top, level.height - top), slice(-left, level.width - left))
 
 
 def _find_slopes(
     grid: NavGrid, at: dict[int, tuple[int, int, int]], floor: NDArray[np.float32], step: float
 ) -> NDArray[np.uint8]:
-    """The `slopes` of Storeys; `at` has each level's index, row and column in them."""
+    """The `slopes` of LevelStack; `at` has each level's index, row and column in them."""
     links, none = grid.step_array, np.zeros((0, 0, 0), dtype=np.uint8)
     links = links[np.isin(links[:, ::2], list(at)).all(axis=1)]
     if not len(links):

@@ -10,12 +10,11 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.navgrid.agents import Area
-from navbake.navgrid.cells import check_positions
+from navbake.navgrid.cells import check_positions, place_at
 from navbake.navgrid.grid import NavGrid
-from navbake.navgrid.islands import find_islands
+from navbake.navgrid.islands import find_islands, group_steps
 from navbake.navgrid.links import Link
 from navbake.navgrid.user_data import NAMES, names_in
-from navbake.runtime.place import place_at
 from navbake.types import Float, Json
 from navbake.views.tables import Table, make_table
 
@@ -201,29 +200,23 @@ def find_ways(grid: NavGrid) -> list[Way]:
     """The named links in the file's order, then stairs, then steep ramps, by level."""
     stops = [tuple((stop.level, *stop.position) for stop in link.stops) for link in grid.links]
     links = [Way(one.name, one.kind, at, one) for one, at in zip(grid.links, stops, strict=True)]
-    return [*links, *_group_steps(grid)]
+    return [*links, *_find_stairs(grid)]
 
 
-def _group_steps(grid: NavGrid) -> Iterator[Way]:
+def _find_stairs(grid: NavGrid) -> Iterator[Way]:
     """Steps from one level to another that begin side by side are one stair."""
-    from scipy import ndimage  # takes longer to load than most pages to make
-
-    steps, count = grid.step_array, {STAIR: 0, STEEP: 0}
-    pairs = np.unique(steps[:, ::2], axis=0).tolist()
-    for pair in sorted(pairs, key=lambda pair: (pair[0] == pair[1], pair)):
-        own = steps[(steps[:, ::2] == pair).all(axis=1)]
-        level, kind = grid.levels[pair[0]], STEEP if pair[0] == pair[1] else STAIR
-        mask, cells = np.zeros(level.shape, np.bool_), np.divmod(own[:, 1], level.width)
-        mask[cells] = True
-        part = ndimage.label(mask, np.ones((3, 3)))[0][cells]
-        for number in np.unique(part).tolist():
-            some, count[kind] = own[part == number], count[kind] + 1
-            ends: list[Place] = []
-            for on, at in zip(pair, (some[:, 1], some[:, 3]), strict=True):
-                rows, cols = np.divmod(at, grid.levels[on].width)
-                x, y = grid.levels[on].lattice.positions(rows, cols).mean(axis=0).tolist()
-                ends.append((on, x, y, float(grid.levels[on].floor_or_ground[rows, cols].mean())))
-            yield Way(f"{kind} {count[kind]}", kind, tuple(ends), None, len(some))
+    count = {STAIR: 0, STEEP: 0}
+    groups = group_steps(grid, grid.step_array)
+    for some in sorted(groups, key=lambda steps: bool(steps[0, 0] == steps[0, 2])):
+        pair = some[0, ::2].tolist()
+        kind = STEEP if pair[0] == pair[1] else STAIR
+        count[kind] += 1
+        ends: list[Place] = []
+        for on, at in zip(pair, (some[:, 1], some[:, 3]), strict=True):
+            rows, cols = np.divmod(at, grid.levels[on].width)
+            x, y = grid.levels[on].lattice.positions(rows, cols).mean(axis=0).tolist()
+            ends.append((on, x, y, float(grid.levels[on].floor_or_ground[rows, cols].mean())))
+        yield Way(f"{kind} {count[kind]}", kind, tuple(ends), None, len(some))
 
 
 def bend(start: Float, end: Float) -> Float:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from navbake.errors import QueryError, count_of
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.door_lines import DoorLine, doorway_cells, find_door_lines
+from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.views.describe import Way, describe_area, find_ways

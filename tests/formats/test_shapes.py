@@ -10,7 +10,7 @@ import navbake
 from grid_maps import house_from, level_from
 from level_maps import level_of
 from navbake.errors import QueryError
-from navbake.navgrid.door_lines import find_ends
+from navbake.navgrid.door_states import find_ends
 from project_paths import GOLDEN
 
 SAMPLES = ("apartment", "clutter", "house", "terrain", "warehouse")

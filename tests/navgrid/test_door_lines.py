@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import navbake
-from navbake.navgrid.door_lines import find_door_lines
+from navbake.navgrid.door_states import find_door_lines
 from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import SceneGrid2D
 from project_paths import ROOT

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from navbake.runtime.kernels import lines
-from navbake.runtime.kernels.arrays import EAST, SOUTH, Floors, Graph, Layout, Links
+from navbake.runtime.kernels.arrays import EAST, SOUTH, FloorHeights, Graph, Layout, Links
 from navbake.runtime.kernels.routes import find_moves
 
 # parts of kernels as functions that Python can call
@@ -61,7 +61,7 @@ def test_walkable_lines_touch_only_cells_that_hang_together(seed):
     floor = rng.choice([0.0, 0.2, 0.4], free.size, p=[0.8, 0.1, 0.1])
     moves = np.zeros(free.size, np.uint8)
     no_slopes = np.zeros(0, dtype=np.uint8)
-    floors, window = Floors(floor, np.zeros(1), 0.25), (0, HEIGHT, 0, WIDTH)
+    floors, window = FloorHeights(floor, np.zeros(1), 0.25), (0, HEIGHT, 0, WIDTH)
     find_moves(free, free, floors, no_slopes, False, LAYOUT, 0, window, moves)
     answers = []
     for _ in range(40):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from navbake.errors import QueryError
+from navbake.navgrid.cells import LAYERS
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.runtime.place import LAYERS
 
 NAN = np.nan
 

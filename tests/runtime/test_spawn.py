@@ -11,7 +11,7 @@ from scipy.stats import chisquare
 import navbake
 from grid_maps import house_from, level_from, random_house
 from navbake.errors import QueryError
-from navbake.runtime.crowd import along_hilbert, most_that_fit
+from navbake.runtime.draws import along_hilbert, most_that_fit
 from navbake.runtime.path_finder import PathFinder
 from project_paths import GOLDEN
 

@@ -186,8 +186,8 @@ def inflate(
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
     from navbake.formats.navgrid import dumps_navgrid  # loads numpy
-    from navbake.runtime.cuts import find_cuts  # loads numpy
     from navbake.runtime.inflation import SCALING, check_arguments
+    from navbake.runtime.passage import find_cuts  # loads numpy
     from navbake.runtime.search import Search
 
     given = [value for value in (metres, radius) if value is not None]
@@ -219,7 +219,7 @@ def inflate(
     cuts = find_cuts(one := Search(before), other := Search(after)) if mode == "exact" else []
     if cuts:
         closed, were = one.islands.count, "was" if one.islands.count == 1 else "were"
-        listed = ", ".join(cut.name for cut in cuts)
+        listed = ", ".join(name for name, _ in cuts)
         count = f"{other.islands.count} islands where there {were} {closed}"
         print_warnings([f"a radius of {radius:g} m closes {listed}: {count}"])
     with options.beside_output(output):
@@ -238,7 +238,7 @@ def routes(
     from navbake.formats.route_files import encode_routes, write_routes
     from navbake.navgrid.agents import Agent
     from navbake.routes.build import make_routes
-    from navbake.runtime.agents import find_agent
+    from navbake.runtime.blocks import find_agent
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")

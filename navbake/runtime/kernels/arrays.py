@@ -52,7 +52,7 @@ class Links(NamedTuple):
     is_end: Bool  # by cell, whether it is one of `cell`; empty if there is none
 
 
-class Floors(NamedTuple):
+class FloorHeights(NamedTuple):
     """The heights of floors, world z [m]. Any step to or from a cell without floor is flat."""
 
     z: Float  # by cell, NaN for no floor; the ground on a level whose file has no heights

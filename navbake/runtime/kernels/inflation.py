@@ -3,11 +3,8 @@
 `dilate` has two passes, as the exact distance transform of Meijster, Roerdink and Hesselink (2000):
 along the columns first, then along the rows, where it unites intervals instead of parabolas.
 
-Floors of several levels are compared cell by cell, but only in tiles whose ranges of heights make
-a conflict possible: one step of a min-max pyramid.
-
-Arrays have the shape (rows, cols), those of `Storeys` (levels, rows, cols); `offsets` are the steps
-from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
+Arrays have the shape (rows, cols), those of `LevelStack` (levels, rows, cols); `offsets` are the
+steps from an agent's cell to the cells that it meets, (n, 2) int64. `blocked` is bool and written.
 """
 
 from typing import NamedTuple
@@ -18,11 +15,10 @@ from numpy.typing import NDArray
 from navbake.compiled import kernel, part
 from navbake.runtime.kernels.arrays import EAST, NORTH, SOUTH, WEST
 
-TILE = 16  # edge of the squares of cells whose floors are compared first
 SLAB = 0.3  # [m] how thick the floor of a level above may be
 
 
-class Storeys(NamedTuple):
+class LevelStack(NamedTuple):
     """The cells of one level and of those around it, in a window of the scene's lattice."""
 
     floor: NDArray[np.float32]  # world z of the floor [m], NaN for none, (levels, rows, cols)
@@ -74,119 +70,42 @@ def dilate(occupied, half_width):
 
 
 @kernel
-def block_near_holes(has_floor, todo, offsets, squares, least, blocked):
-    """Block cells of `todo` with a share under `least` of cells with a floor, within any distance.
-
-    The offsets come with their squared lengths, the nearest first.
-    """
-    rows, cols = has_floor.shape
-    for row in range(rows):
-        for col in range(cols):
-            if not todo[row, col] or blocked[row, col]:
-                continue
-            within, with_floor = 0, 0
-            for k in range(offsets.shape[0]):
-                # between two distances a whole disc has been counted: a smaller radius that
-                # fails blocks the larger ones, too
-                if k > 0 and squares[k] > squares[k - 1] and with_floor < least * within:
-                    blocked[row, col] = True
-                    break
-                r, c = row + offsets[k, 0], col + offsets[k, 1]
-                if 0 <= r < rows and 0 <= c < cols:
-                    within += 1
-                    with_floor += has_floor[r, c]
-            if with_floor < least * within:
-                blocked[row, col] = True
-
-
-@kernel
-def block_by_floors(storeys, ranges, offsets, counts_higher, counts_lower, blocked):
+def block_by_floors(storeys, meets, higher, lower, offsets, blocked):
     """Add what other levels and floors block to `blocked`, and free what other levels free.
 
-    `blocked` holds what the level's own occupied cells block. Floors more than a step higher count
-    if `counts_higher`, but for those of another level that are higher than an agent and a slab;
-    lower ones count if `counts_lower`. A floor that a slope leads to is neither. `ranges` are the
-    lowest floor of each level in each tile, and in those that offsets lead to; the highest alike.
+    `blocked` holds what the level's own occupied cells block. `meets` are the cells that may meet
+    another level, `higher` and `lower` those whose floors may be a wall or a drop for cells round
+    them. Floors more than a step higher count, but for those of another level that are higher than
+    an agent and a slab. A floor that a slope leads to is neither.
     """
     floor, occupied, slopes, level, step, height = storeys
-    low, low_near, high, high_near = ranges
     levels, rows, cols = floor.shape
-    overlap, over, reach = height - step, height + SLAB, np.abs(offsets).max()
-    for tile_row in range(low.shape[1] if levels > 1 else 0):
-        for tile_col in range(low.shape[2]):
-            bottom, top = low[level, tile_row, tile_col], high[level, tile_row, tile_col]
-            meets = False
+    overlap, over = height - step, height + SLAB
+    for row in range(rows):
+        for col in range(cols):
+            if meets[row, col] and not occupied[level, row, col]:
+                blocked[row, col] = _meets_any(floor, occupied, level, row, col, offsets, overlap)
+    for row in range(rows):
+        for col in range(cols):
+            if not (higher[row, col] or lower[row, col]):
+                continue
+            bottom, top = np.inf, -np.inf
             for other in range(levels):
-                is_near = low_near[other, tile_row, tile_col] < top + overlap
-                is_near &= high_near[other, tile_row, tile_col] > bottom - overlap
-                meets |= other != level and is_near
-            if not meets:
-                continue
-            for row in range(tile_row * TILE, min((tile_row + 1) * TILE, rows)):
-                for col in range(tile_col * TILE, min((tile_col + 1) * TILE, cols)):
-                    if not np.isnan(floor[level, row, col]) and not occupied[level, row, col]:
-                        blocked[row, col] = _meets_any(
-                            floor, occupied, level, row, col, offsets, overlap
+                z = floor[other, row, col]
+                bottom, top = z if z < bottom else bottom, z if z > top else top
+            for k in range(offsets.shape[0]):
+                r, c = row - offsets[k, 0], col - offsets[k, 1]
+                if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
+                    continue
+                z = floor[level, r, c]
+                for other in range(levels if higher[row, col] and top - z > step else 0):
+                    rise = floor[other, row, col] - z
+                    if step < rise and (other == level or rise < over):
+                        blocked[r, c] |= slopes.shape[0] == 0 or not _is_slope(
+                            floor, slopes, step, level, r, c, other, row, col
                         )
-    for tile_row in range(low.shape[1]):
-        for tile_col in range(low.shape[2]):
-            lowest = low_near[level, tile_row, tile_col]
-            highest = high_near[level, tile_row, tile_col]
-            row0, row1 = tile_row * TILE, min((tile_row + 1) * TILE, rows)
-            col0, col1 = tile_col * TILE, min((tile_col + 1) * TILE, cols)
-            for other in range(levels if counts_higher else 0):
-                # written so that a tile without floor, inf to -inf, is skipped
-                if not high[other, tile_row, tile_col] - lowest > step:
-                    continue
-                if other != level and not low[other, tile_row, tile_col] - highest < over:
-                    continue
-                for row in range(row0, row1):
-                    for col in range(col0, col1):
-                        if not floor[other, row, col] - lowest > step:
-                            continue
-                        for k in range(offsets.shape[0]):  # block the cells round it
-                            r, c = row - offsets[k, 0], col - offsets[k, 1]
-                            if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
-                                continue
-                            rise = floor[other, row, col] - floor[level, r, c]
-                            if step < rise and (other == level or rise < over):
-                                blocked[r, c] = slopes.shape[0] == 0 or not _is_slope(
-                                    floor, slopes, step, level, r, c, other, row, col
-                                )
-            limit = low[:, tile_row, tile_col].min() + step
-            if not (counts_lower and limit < highest):
-                continue
-            # Few cells round the tile that are high enough, or few columns in it that may be low
-            # enough: the fewer are looked at one by one.
-            top, left = max(row0 - reach, 0), max(col0 - reach, 0)
-            near = floor[level, top : row0 + TILE + reach, left : col0 + TILE + reach]
-            if (near > limit).sum() < TILE * TILE:
-                for i, j in np.argwhere(near > limit):
-                    row, col = top + i, left + j
-                    for k in range(0 if blocked[row, col] else offsets.shape[0]):
-                        r, c = row + offsets[k, 0], col + offsets[k, 1]
-                        # columns of other tiles have their own turn
-                        is_here = row0 <= r < row1 and col0 <= c < col1
-                        if is_here and _is_drop(floor, slopes, step, level, row, col, r, c):
-                            blocked[row, col] = True
-                            break
-                continue
-            for row in range(row0, row1):
-                for col in range(col0, col1):
-                    # a column that carries agents of all heights near it is no drop
-                    carries, is_below = False, False
-                    for other in range(levels):
-                        z = floor[other, row, col]
-                        carries |= highest - step <= z <= lowest + step
-                        is_below |= z < highest - step
-                    if carries or not is_below:
-                        continue
-                    for k in range(offsets.shape[0]):
-                        r, c = row - offsets[k, 0], col - offsets[k, 1]
-                        if not (0 <= r < rows and 0 <= c < cols) or blocked[r, c]:
-                            continue
-                        if floor[level, r, c] > limit:
-                            blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
+                if lower[row, col] and z - bottom > step and not blocked[r, c]:
+                    blocked[r, c] = _is_drop(floor, slopes, step, level, r, c, row, col)
 
 
 @part

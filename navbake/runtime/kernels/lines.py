@@ -99,26 +99,13 @@ def crossed_cells(a, b, layout, level):
 @part
 def line_cost(a, b, level, graph):
     """The length in cells of a line between points x, y, each part times its cell's weight."""
-    u0, v0 = in_cells(graph.layout, level, a[0], a[1])
-    u1, v1 = in_cells(graph.layout, level, b[0], b[1])
-    first, width = graph.layout.start[level], graph.layout.width[level]
-    du, dv = u1 - u0, v1 - v0
-    row, col = math.floor(v0), math.floor(u0)
-    total = share = 0.0
-    while True:
-        # where the line leaves the cell; 0 of it lies in cells that it only touches
-        to_u = (col + (du > 0.0) - u0) / du if du != 0.0 else np.inf
-        to_v = (row + (dv > 0.0) - v0) / dv if dv != 0.0 else np.inf
-        leave = min(to_u, to_v, 1.0)
-        if leave > share:
-            total += (leave - share) * graph.weight[first + row * width + col]
-            share = leave
-        if leave >= 1.0:
-            return total * math.hypot(du, dv)
-        if to_u <= to_v:
-            col += 1 if du > 0.0 else -1
-        else:
-            row += 1 if dv > 0.0 else -1
+    start = in_cells(graph.layout, level, a[0], a[1])
+    end = in_cells(graph.layout, level, b[0], b[1])
+    cells, enter = crossed_cells(start, end, graph.layout, level)
+    total = 0.0
+    for k in range(cells.shape[0]):
+        total += (enter[k + 1] - enter[k]) * graph.weight[cells[k]]
+    return total * math.hypot(end[0] - start[0], end[1] - start[1])
 
 
 @part

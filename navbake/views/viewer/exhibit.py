@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.episodes.episode import Episode, EpisodeSet, Goal, scene_of
 from navbake.errors import QueryError
 from navbake.navgrid import colors
+from navbake.navgrid.cells import place_at
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
-from navbake.runtime.place import place_at
 from navbake.scores import Trajectory
 from navbake.types import Bool, Float, Json
 from navbake.views.describe import bend, find_ways

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.formats.floor_mesh import Buffer
 from navbake.lazy import lazy
-from navbake.navgrid.cells import Cell
+from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.runtime.place import place_at
 from navbake.types import Bool, Float, Int, Json
 
 if TYPE_CHECKING:
