@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from navbake.formats.simulators import read_omnigibson as from_omnigibson
     from navbake.formats.simulators import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
-    from navbake.navgrid.agents import Agent
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+    from navbake.navgrid.links import Agent
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
     from navbake.views.report.report import write_report as report
@@ -83,7 +83,7 @@ __all__ = [
 
 # where each public name is that loads dependencies
 _LAZY = {
-    "Agent": "navbake.navgrid.agents:Agent",
+    "Agent": "navbake.navgrid.links:Agent",
     "audit": "navbake.auditor.audit:audit",
     "bake": "navbake.baker.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",

@@ -16,10 +16,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from navbake.errors import FormatError, count_of, shorten
-from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import GridBase, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST
-from navbake.navgrid.rooms import Room
+from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 
 ERROR, REMARK = "error", "remark"

@@ -23,12 +23,11 @@ from navbake.baker.warn import collect_warnings
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
-from navbake.navgrid.agents import Agent
 from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
-from navbake.navgrid.links import Link, Stop
+from navbake.navgrid.links import Agent, Link, Stop
+from navbake.navgrid.rooms import Door
 from navbake.navgrid.user_data import UserData
 from navbake.threads import limit_threads
 from navbake.types import Bool, Int, Json
@@ -295,7 +294,7 @@ def _metadata(stages: Stages, doors: Sequence[Door]) -> Json:
 
 
 def _door_entry(door: Door) -> Json:
-    """A door as the file states it; see `navbake.navgrid.doors.parse_doors`."""
+    """A door as the file states it; see `navbake.navgrid.rooms.parse_doors`."""
     rooms = list(door.rooms)
     entry: Json = {"id": door.id, "joint": door.joint, "rooms": rooms, "state": door.state}
     for name, by_state in (("cells", door.cells), ("solid", door.solid)):

@@ -40,8 +40,8 @@ from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import SCAN_HOLES, BakeConfig, settings_digest, settings_to_state
 from navbake.errors import SceneError
-from navbake.navgrid.doors import Door
 from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import Door
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Json
 

@@ -34,7 +34,7 @@ from navbake.config.field_types import (
 )
 from navbake.formats.shapes import read_entries
 from navbake.known_names import suggest
-from navbake.navgrid.agents import MAX_AREAS
+from navbake.navgrid.links import MAX_AREAS
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
     from typing_extensions import Self

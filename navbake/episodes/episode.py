@@ -15,7 +15,7 @@ import numpy as np
 
 from navbake.errors import QueryError
 from navbake.known_names import find_near, suggest
-from navbake.navgrid import agents
+from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.blocks import find_agent
 from navbake.types import Vector3
@@ -188,9 +188,9 @@ def scene_of(grid: NavGrid) -> str:
 
 def named_agent(
     grid: NavGrid, name: str | None, radius: float | None = None, height: float | None = None
-) -> agents.Agent:
+) -> links.Agent:
     """The grid's agent of a name, else a nameless one; of a radius and a height if given [m]."""
-    known = (find_agent(grid, name) if name else None) or agents.Agent("")
+    known = (find_agent(grid, name) if name else None) or links.Agent("")
     sizes: dict[str, Any] = {"radius": radius, "height": height}
     return replace(known, **{key: size for key, size in sizes.items() if size is not None})
 

@@ -31,7 +31,7 @@ from navbake.episodes.goals import GoalFinder, Stops, Task, find_stops, path_thr
 from navbake.errors import ConfigError, QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
-from navbake.navgrid import agents as navgrid_agents
+from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.blocks import fit_grid
 from navbake.runtime.path_finder import PathFinder
@@ -235,7 +235,7 @@ class _Draw:
         rules: Rules,
         seed: int,
         splits: Splits,
-        agent: navgrid_agents.Agent | None,
+        agent: links.Agent | None,
     ) -> None:
         self.task, self.rules, self.seed, self.splits = task, rules, seed, splits
         self.scene, self.finder = scene_of(grid), PathFinder(grid, agent=agent)

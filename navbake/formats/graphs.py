@@ -18,10 +18,9 @@ from navbake.errors import QueryError
 from navbake.formats.source import Files, import_extra, write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.door_states import find_ends
-from navbake.navgrid.doors import DOOR_REACH, Door
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import rounded
-from navbake.navgrid.rooms import Room
+from navbake.navgrid.rooms import DOOR_REACH, Door, Room
 from navbake.runtime.flat_grid import map_rooms
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int, Vector3

@@ -33,10 +33,10 @@ from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, Values, level_f
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml
 from navbake.known_names import suggest
-from navbake.navgrid.agents import MAX_AREAS, SPEED, Agent, Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
+from navbake.navgrid.links import MAX_AREAS, SPEED, Agent, Area
 from navbake.runtime.blocks import find_agent
 from navbake.types import Bool, Json
 

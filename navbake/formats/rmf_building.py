@@ -24,10 +24,10 @@ from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
 from navbake.lazy import lazy
 from navbake.navgrid.door_states import DoorLine, doorway_cells, find_door_lines
-from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
+from navbake.navgrid.rooms import Door
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
 

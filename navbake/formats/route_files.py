@@ -41,7 +41,7 @@ from navbake.formats.allowance import number as number_of
 from navbake.formats.convert import ROUTE_FORMATS, find_format
 from navbake.formats.graphs import encode_networkx
 from navbake.lazy import resolve
-from navbake.navgrid.agents import SPEED
+from navbake.navgrid.links import SPEED
 from navbake.navgrid.metadata import read_table
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph, directed, entry_of, undirected
 from navbake.types import Json

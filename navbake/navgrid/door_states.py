@@ -12,10 +12,10 @@ import numpy as np
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.navgrid.block_state import BLOCKED, OCCUPIED
-from navbake.navgrid.doors import STATES, Door
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
+from navbake.navgrid.rooms import STATES, Door
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Bool, Float, Json
 

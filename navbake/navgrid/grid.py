@@ -21,13 +21,20 @@ from numpy.typing import NDArray
 
 from navbake.errors import FormatError
 from navbake.lazy import Method
-from navbake.navgrid.agents import Agent, Area, parse_agents, parse_areas
 from navbake.navgrid.block_state import BLOCKED, CHANGING, OCCUPIED, BlockState
-from navbake.navgrid.doors import Door, parse_doors
 from navbake.navgrid.lattice import FARTHEST, Cell, Cells, Lattice
-from navbake.navgrid.links import Link, Step, parse_links, parse_steps
+from navbake.navgrid.links import (
+    Agent,
+    Area,
+    Link,
+    Step,
+    parse_agents,
+    parse_areas,
+    parse_links,
+    parse_steps,
+)
 from navbake.navgrid.metadata import cut_metadata, describe_attributes
-from navbake.navgrid.rooms import Room, measure_rooms, parse_rooms
+from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
 from navbake.navgrid.user_data import UserData
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.agents import MAX_AREAS
 from navbake.navgrid.block_state import Window
 from navbake.navgrid.grid import GridBase, SceneGrid2D
-from navbake.navgrid.links import find_arcs
+from navbake.navgrid.links import MAX_AREAS, find_arcs
 from navbake.types import Bool, Int, Int32
 
 STEP_SLACK = 1e-6  # [m] tolerance of the highest step

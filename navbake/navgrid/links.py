@@ -1,13 +1,15 @@
-"""Ways that aren't the floor of one level: steps as the bake finds them, and named links.
+"""The agents that a grid names, and what they use: areas, steps as a bake finds them, named links.
 
-``metadata.navbake.links`` lists both: a step is a row of four integers, a link an object.
+Areas say what cells cost, how fast and for whom they are. Steps and named links are ways that
+aren't the floor of one level; ``metadata.navbake.links`` lists both: a step is a row of four
+integers, a link an object.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -15,11 +17,20 @@ import msgspec
 import numpy as np
 
 from navbake.errors import FormatError
-from navbake.navgrid.agents import SPEED, Agent
-from navbake.navgrid.metadata import Name, NonNegative, Positive, entry_of, read_table, unflatten
+from navbake.navgrid.metadata import (
+    Name,
+    NonNegative,
+    Positive,
+    entry_of,
+    read_table,
+    unflatten,
+)
 from navbake.types import Bool, Float, Int, Json, Vector3
 
-WHERE = "metadata.navbake.links"
+AGENTS, AREAS = "metadata.navbake.agents", "metadata.navbake.areas"
+MAX_AREAS = 255
+SPEED = 1.0  # [m/s] of an agent that states none
+LINKS = "metadata.navbake.links"
 LinkState: TypeAlias = Literal["open", "closed"]
 LINK_STATES: tuple[str, ...] = get_args(LinkState)
 
@@ -27,6 +38,75 @@ SLACK = 1e-9  # share by which an agent may be wider than a link
 
 Id = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 Row = tuple[Id, Id, Id, Id]
+
+
+@dataclass(frozen=True)
+class Agent:
+    """An agent that plans on a grid; links and areas name those that may use them."""
+
+    name: str
+    radius: NonNegative | None = None  #: [m]; None for the grid's.
+    height: Positive | None = None  #: [m]; None for the grid's.
+    step: NonNegative | None = None  #: The highest that it takes [m]; None for the grid's.
+    speed: Positive = SPEED  #: [m/s]
+
+    def of_any_size(self) -> Agent:
+        """The agent with the grid's size: its rights and its speed stay."""
+        return replace(self, radius=None, height=None, step=None)
+
+    def to_json(self) -> Json:
+        """The agent's entry in the file's table, without its name."""
+        return entry_of(self, "name")
+
+
+def parse_agents(stated: Any) -> dict[str, Agent]:
+    """Read and check ``metadata.navbake.agents``, by name; None is no agent."""
+    entries: dict[str, Json] = read_table(stated or {}, dict[Name, Json], AGENTS)
+    named = {name: {**entry, "name": name} for name, entry in entries.items()}
+    agents: dict[str, Agent] = read_table(named, dict[str, Agent], AGENTS)
+    return agents
+
+
+@dataclass(frozen=True)
+class Area:
+    """An area; the layer ``area`` has its place in the table, from 1, in each of its cells."""
+
+    name: Name  #: Unique in the grid.
+    #: By which the weights of its cells are multiplied; inf bars all agents.
+    cost: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    speed: Positive | None = None  #: The highest in it [m/s]; None for the agent's.
+    agents: tuple[str, ...] | None = None  #: Names of those that may enter it; None for all.
+
+    def bars(self, agent: Agent | None) -> bool:
+        """Whether an agent may not enter it; without one, whether nobody may."""
+        is_named = agent is None or self.agents is None or agent.name in self.agents
+        return math.isinf(self.cost) or not is_named
+
+    def to_json(self) -> Json:
+        """The area's entry in the file's table."""
+        return {**entry_of(self), "cost": "inf" if math.isinf(self.cost) else self.cost}
+
+
+def parse_areas(stated: Any) -> tuple[Area, ...]:
+    """Read and check ``metadata.navbake.areas``; None is no area."""
+    areas: dict[str, Area] = {}
+    if isinstance(stated, list):  # JSON has no infinite numbers
+        bars = [isinstance(entry, dict) and entry.get("cost") == "inf" for entry in stated]
+        pairs = zip(stated, bars, strict=True)
+        stated = [{**entry, "cost": math.inf} if no else entry for entry, no in pairs]
+    entries: list[Area] = read_table(stated or [], list[Area], AREAS)
+    if len(entries) > MAX_AREAS:
+        raise FormatError(f"expected at most {MAX_AREAS} areas, got {len(entries)} at `{AREAS}`")
+    for number, area in enumerate(entries):
+        if area.name in areas:
+            raise FormatError(
+                f"expected unique names, got {area.name!r} twice at `{AREAS}[{number}].name`"
+            )
+        areas[area.name] = area
+    return tuple(entries)
+
+
+# ---------------------------------------------------------------- links
 
 
 @dataclass(frozen=True)
@@ -157,7 +237,7 @@ def _read(stated: Any) -> list[tuple[int, Row | _Stops]]:
     entries = unflatten(stated or [])
     is_mixed = isinstance(entries, list) and any(isinstance(entry, dict) for entry in entries)
     kind: Any = list[Row | _Stops] if is_mixed else list[Row]
-    return list(enumerate(read_table(entries, kind, WHERE)))
+    return list(enumerate(read_table(entries, kind, LINKS)))
 
 
 def parse_steps(stated: Any, num_cells: Sequence[int]) -> Int:
@@ -180,7 +260,7 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> tuple[Link, ...]:
     for number, entry in _read(stated):
         if isinstance(entry, tuple):
             continue
-        where = f"{WHERE}[{number}]"
+        where = f"{LINKS}[{number}]"
         stops = [
             Stop(*cell, position)
             for cell, position in zip(entry.stops, entry.positions, strict=False)
@@ -202,5 +282,5 @@ def parse_links(stated: Any, num_cells: Sequence[int]) -> tuple[Link, ...]:
 def _check_cell(level: int, cell: int, num_cells: Sequence[int], what: str) -> None:
     if not (0 <= level < len(num_cells) and 0 <= cell < num_cells[level]):
         raise FormatError(
-            f"expected an existing cell, got cell {cell} of level {level} in {what} at `{WHERE}`"
+            f"expected an existing cell, got cell {cell} of level {level} in {what} at `{LINKS}`"
         )

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from navbake.lazy import lazy
-from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.links import SPEED, Agent
 from navbake.routes.graph import FLOOR, Lane, Node, RouteGraph
 from navbake.runtime.blocks import find_agent, fit_grid
 from navbake.runtime.flat_grid import find_leaf, find_stairs

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
-from navbake.navgrid.agents import Agent
 from navbake.navgrid.block_state import (
     BLOCKED,
     CHANGING,
@@ -28,6 +27,7 @@ from navbake.navgrid.block_state import (
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, renew_islands, step_limit
+from navbake.navgrid.links import Agent
 from navbake.runtime.inflation import check_radius, ledges_of, margins_of
 from navbake.types import Float, Int
 

@@ -13,12 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
-from navbake.navgrid.agents import SPEED, Agent
 from navbake.navgrid.cells import Cell, Cells, check_positions
-from navbake.navgrid.doors import Door
 from navbake.navgrid.islands import cells_of_areas, group_steps, label_islands, step_limit
-from navbake.navgrid.links import Arcs, find_arcs
-from navbake.navgrid.rooms import Room
+from navbake.navgrid.links import SPEED, Agent, Arcs, find_arcs
+from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import resolve
-from navbake.navgrid.agents import Agent
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.links import Agent
 from navbake.runtime.draws import DrawQuestions
 from navbake.runtime.following import Follower
 from navbake.runtime.passage import Passage, find_passage, why_not

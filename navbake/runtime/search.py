@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
-from navbake.navgrid.agents import Agent
 from navbake.navgrid.block_state import NO_DIAGONAL, NO_OFF_CENTER, Window
 from navbake.navgrid.cells import Cells, check_level
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.links import Agent
 from navbake.runtime import flat_grid
 from navbake.runtime.blocks import find_agent, fit_grid
 from navbake.runtime.flat_grid import octile

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
-from navbake.navgrid.agents import Agent
 from navbake.navgrid.islands import cells_of_areas, clearance
+from navbake.navgrid.links import Agent
 from navbake.runtime.flat_grid import check_distance
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP

@@ -24,8 +24,8 @@ from navbake.config.settings import (
     settings_digest,
 )
 from navbake.errors import ConfigError, QueryError
-from navbake.navgrid.doors import Door
 from navbake.navgrid.grid import GridBase
+from navbake.navgrid.rooms import Door
 
 SCENES = "scenes"  # a folder in which scenes often are, as those of the samples
 SceneSource = BakeConfig | str | PathLike[str] | Mapping[str, Any] | Any

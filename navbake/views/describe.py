@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.errors import QueryError
-from navbake.navgrid.agents import Area
 from navbake.navgrid.cells import check_positions, place_at
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import find_islands, group_steps
-from navbake.navgrid.links import Link
+from navbake.navgrid.links import Area, Link
 from navbake.navgrid.user_data import NAMES, names_in
 from navbake.types import Float, Json
 from navbake.views.tables import Table, make_table
@@ -46,7 +45,7 @@ def describe(grid: NavGrid) -> Json:
     file has them; ``levels`` begin with the lowest, in cells, m and m2, heights are world z, None
     without floor; ``links``, ``areas`` and ``agents`` are as in the file, areas with their ``m2``;
     ``inflated`` has radius and clearance [m] and mode of each inflation since the
-    bake. For ``doors`` see `navbake.navgrid.doors.Door.to_json`.
+    bake. For ``doors`` see `navbake.navgrid.rooms.Door.to_json`.
     """
     islands, levels = find_islands(grid), []
     stated, noted = {**grid.metadata, **grid.navbake}, grid.metadata.get("inflation")

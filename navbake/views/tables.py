@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from navbake.errors import printable
 
 if TYPE_CHECKING:
-    from navbake.navgrid.doors import Door
     from navbake.navgrid.links import Link
-    from navbake.navgrid.rooms import Room
+    from navbake.navgrid.rooms import Door, Room
     from navbake.types import Json
 
 LEVEL_COLUMNS = {

@@ -17,8 +17,8 @@ from map_grids import sample, small
 from navbake.errors import FormatError, QueryError
 from navbake.formats.convert import read_as
 from navbake.formats.nav2_masks import read_keepout, read_speed
-from navbake.navgrid.agents import Area
 from navbake.navgrid.islands import add_layers
+from navbake.navgrid.links import Area
 
 
 def mask(path):

@@ -5,8 +5,8 @@ import pytest
 
 import navbake
 from navbake.navgrid.door_states import find_door_lines
-from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.rooms import to_runs
 from project_paths import ROOT
 
 

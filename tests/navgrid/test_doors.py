@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.door_states import with_door_names
-from navbake.navgrid.doors import from_runs, parse_doors, to_runs
 from navbake.navgrid.grid import SceneGrid2D
+from navbake.navgrid.rooms import from_runs, parse_doors, to_runs
 from navbake.navgrid.user_data import Shared, UserData
 
 GATE = {

@@ -9,9 +9,8 @@ import pytest
 
 from navbake.errors import FormatError, QueryError
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
-from navbake.navgrid.agents import Agent, Area
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
-from navbake.navgrid.links import Link, Step, Stop
+from navbake.navgrid.links import Agent, Area, Link, Step, Stop
 
 LIFT = {
     "name": "A",

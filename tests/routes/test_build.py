@@ -13,7 +13,7 @@ from grid_maps import house_from, level_from
 from navbake.auditor.facts import Facts
 from navbake.auditor.routes import distances
 from navbake.errors import QueryError
-from navbake.navgrid.agents import Agent
+from navbake.navgrid.links import Agent
 from navbake.routes.build import make_routes, thin_mask
 from project_paths import GOLDEN
 from route_ratios import TOLL, with_toll, worst_ratio

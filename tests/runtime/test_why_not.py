@@ -5,7 +5,7 @@ import pytest
 
 import navbake
 from navbake.navgrid.cells import Cells
-from navbake.navgrid.doors import to_runs
+from navbake.navgrid.rooms import to_runs
 from navbake.runtime.path_finder import PathFinder
 from oracles.ways import make_level, stack
 from project_paths import GOLDEN

@@ -9,8 +9,8 @@ import pytest
 
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
 from navbake.navgrid.colors import DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE
-from navbake.navgrid.doors import to_runs
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
+from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint

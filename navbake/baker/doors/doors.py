@@ -25,8 +25,8 @@ from navbake.baker.scene.extents import Extents, measure_geoms
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes
 from navbake.config.settings import AgentSettings
-from navbake.navgrid.doors import STATES, Door, Runs, to_runs
 from navbake.navgrid.lattice import Lattice
+from navbake.navgrid.rooms import STATES, Door, Runs, to_runs
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 

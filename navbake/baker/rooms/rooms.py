@@ -28,9 +28,8 @@ from navbake.baker.rooms.segmentation import (
 from navbake.baker.rooms.sources import MarkedRooms
 from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
-from navbake.navgrid.doors import DOOR_REACH
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.rooms import Neighbour, Room
+from navbake.navgrid.rooms import DOOR_REACH, Neighbour, Room
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
 

@@ -25,8 +25,8 @@ from navbake.config.settings import BakeConfig
 from navbake.config.traffic import AreaSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
-from navbake.navgrid.agents import Area
 from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
+from navbake.navgrid.links import Area
 from navbake.types import Bool, Float, Json
 
 BELOW = 0.05  # a geom marks a floor that lies up to so far over it, as a rug does [m]

@@ -236,7 +236,7 @@ def routes(
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
     from navbake.formats.route_files import encode_routes, write_routes
-    from navbake.navgrid.agents import Agent
+    from navbake.navgrid.links import Agent
     from navbake.routes.build import make_routes
     from navbake.runtime.blocks import find_agent
 
