@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
-    from navbake.views.report.report import write_report as report
+    from navbake.views.report import write_report as report
     from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
@@ -102,7 +102,7 @@ _LAZY = {
     "from_procthor": "navbake.formats.simulators:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
-    "report": "navbake.views.report.report:write_report",
+    "report": "navbake.views.report:write_report",
     "verify": "navbake.verifier.verify:verify",
     "view": "navbake.views.viewer.view:view",
 }

@@ -43,7 +43,6 @@ from navbake.batch.scenes import list_jobs
 from navbake.config.settings import SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
-from navbake.formats.binvox import encode_binvox
 from navbake.formats.convert import ROUTE_FORMATS
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
@@ -53,12 +52,12 @@ from navbake.formats.route_files import encode_routes, read_routes
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.simulators import encode_grscenes, encode_omnigibson, encode_procthor
-from navbake.formats.voxels import read_voxels
+from navbake.formats.voxels import encode_binvox, read_voxels
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import Lane, Node, RouteGraph
 from navbake.scores import read_trajectories
 from navbake.views.describe import describe
-from navbake.views.report.report import read_verification
+from navbake.views.report import read_verification
 from navbake.voxels.grid import VoxelGrid
 
 READ, REFUSED, FINDING = "read", "refused", "finding"

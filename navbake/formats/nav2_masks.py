@@ -105,7 +105,17 @@ def encode_mask(
     files: Files = {}
     for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
         files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
-        files[_info_path(yaml_path)] = _encode_info(yaml_path, scale)
+        filtered = "speed" if has_limits else "keepout"
+        topic = f"{filtered}_filter_mask"
+        info = {"type": scale.type, "filter_info_topic": f"{filtered}_filter_info"}
+        info |= {"mask_topic": topic, "base": scale.base, "multiplier": scale.multiplier}
+        served = {"yaml_filename": yaml_path.name, "topic_name": topic, "frame_id": "map"}
+        content = {
+            f"{filtered}_costmap_filter_info_server": {"ros__parameters": info},
+            f"{filtered}_filter_mask_server": {"ros__parameters": served},
+        }
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+        files[_info_path(yaml_path)] = text.encode()
     return files
 
 
@@ -212,39 +222,7 @@ def _info_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_filter{path.suffix}")
 
 
-def _encode_info(path: Path, scale: Scale) -> bytes:
-    """The parameters of the nodes that serve a mask and what it means."""
-    kind = "speed" if scale.type > KEEPOUT else "keepout"
-    info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
-    info |= {"mask_topic": f"{kind}_filter_mask", "base": scale.base}
-    info["multiplier"] = scale.multiplier
-    served = {"yaml_filename": path.name, "topic_name": f"{kind}_filter_mask", "frame_id": "map"}
-    content = {
-        f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
-        f"{kind}_filter_mask_server": {"ros__parameters": served},
-    }
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True).encode()
-
-
 # ---------------------------------------------------------------- reading
-
-
-def read_keepout(
-    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
-) -> NavGrid:
-    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=False, grid=grid, level=level)
-
-
-def read_speed(
-    path: str | PathLike[str],
-    *,
-    grid: NavGrid | None = None,
-    level: int = 0,
-    agent: str | Agent | None = None,
-) -> NavGrid:
-    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 
 
 def read_mask(
@@ -313,6 +291,10 @@ def read_mask(
     done: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(done)
     return done
+
+
+read_keepout = partial(read_mask, has_limits=False)
+read_speed = partial(read_mask, has_limits=True)
 
 
 def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:

@@ -9,7 +9,7 @@ import io
 import logging
 import os
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
@@ -22,8 +22,8 @@ from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
-Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
-"""Files to be written, in this order: content, or pieces of it, by path."""
+Files: TypeAlias = dict[Path, bytes]
+"""Files to be written, in this order: content by path."""
 
 LOG = logging.getLogger("navbake")
 CHUNK = 1 << 20  # read first [bytes]
@@ -188,12 +188,12 @@ def check_named(path: Path) -> None:
         raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
 
 
-def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
-    """Write a file, given as bytes or pieces, as a whole or not at all."""
+def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
+    """Write a file as a whole or not at all."""
     write_files({Path(check_path(path)): data})
 
 
-def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
+def write_files(files: Files) -> list[Path]:
     """Write files that belong together, all or none; returns their paths."""
     try:
         write_together(files)

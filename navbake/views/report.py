@@ -18,11 +18,12 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
+from navbake.verifier.report import Finding
 from navbake.views import tables
 from navbake.views.describe import describe, stair_table
+from navbake.views.difference import describe_changes, describe_place, flatten, to_url
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.page.page import make_page, pack, show_table
-from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
+from navbake.views.page import make_page, pack, show_table
 from navbake.views.tables import Table, make_table, summarize
 
 if TYPE_CHECKING:
@@ -39,14 +40,9 @@ FOLDED = ("Timings", "Made by")  # tables that few readers need
 BAR = 64  # colours of the bar beside a layer
 
 
-class Finding(TypedDict):
-    kind: str
-    level: int
-    position: Place
-    text: str
-
-
 class Verification(TypedDict):
+    """The part of `VerifyReport.to_json` that a page shows."""
+
     ok: bool
     checked: int
     cells: int
@@ -110,7 +106,7 @@ def render_report(
     sheets = list(map(_describe_grid, grids, called, audits, verifications))
     if num == 2:
         sheets.append(describe_changes(grids[0], grids[1], called))
-    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views.report", "report")
+    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views", "report")
 
 
 def read_verification(path: str | PathLike[str]) -> Json:
