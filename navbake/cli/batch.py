@@ -17,17 +17,20 @@ from navbake.cli import options, printing
 from navbake.cli.options import OUTPUT, STDOUT, Overrides, argument, flag, option
 from navbake.cli.printing import VOLUME, print_error, print_warnings, say, say_unless_quiet
 from navbake.errors import NavbakeError, count_of
+from navbake.lazy import lazy
 
 if TYPE_CHECKING:
-    from navbake.batch.index import Slice
-    from navbake.batch.job import Plan
-    from navbake.batch.page import LivePage
-    from navbake.batch.run import BatchResult
-    from navbake.batch.scenes import Job
-    from navbake.batch.store import Folder
-    from navbake.types import Json
+    from rich import filesize
 
-# Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
+    from navbake import compiled
+    from navbake.batch import index, job, page, products, run, scenes, store, workers
+    from navbake.types import Json
+else:  # --help loads neither MuJoCo nor numpy
+    filesize, compiled = lazy("rich.filesize"), lazy("navbake.compiled")
+    index, job = lazy("navbake.batch.index"), lazy("navbake.batch.job")
+    page, products = lazy("navbake.batch.page"), lazy("navbake.batch.products")
+    run, scenes = lazy("navbake.batch.run"), lazy("navbake.batch.scenes")
+    store, workers = lazy("navbake.batch.store"), lazy("navbake.batch.workers")
 
 INDEX = "index.jsonl"
 MOST_NAMED = 5  # scenes that a line of --plan names
@@ -93,9 +96,6 @@ def batch(
 
     Example: navbake batch "scenes/*.xml" -o grids --jobs 8 --time-limit 300
     """
-    from navbake.batch import index, job, page, products, run, scenes, store, workers
-    from navbake.batch.scenes import read_shared
-
     is_ray = executor == "ray"
     part, whole = _read_slice(piece), "the whole batch, as with --merge"
     options.refuse_unused(
@@ -117,7 +117,7 @@ def batch(
         given = (*sources, *filter(None, [config]), *(each.source for each in jobs), *own)
         inputs = map(Path, given)
         options.check_output(log, inputs=inputs, may_make_folder=True, option="--log")
-    settings = {} if config is None else read_shared(config)
+    settings = {} if config is None else scenes.read_shared(config)
     folder, made = store.as_folder(output), products.parse_products(make or [])
     witness = folder / index.LOCK if isinstance(folder, Path) else None
     on_ray = partial(workers.do_on_ray, address=ray_address, witness=witness)
@@ -151,26 +151,19 @@ def batch(
         raise Exit(1)
 
 
-def _read_slice(text: str | None) -> Slice | None:
-    from navbake.batch.index import Slice
-
+def _read_slice(text: str | None) -> index.Slice | None:
     if text is None:
         return None
     number, _, total = text.partition("/")
     if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
         message = f"expected K/N with K from 1 to N, as 3/64, got {text!r}"
         raise BadParameter(message, param_hint="--slice")
-    return Slice(int(number), int(total))
+    return index.Slice(int(number), int(total))
 
 
-def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
+def _print_preview(plan: job.Plan, jobs: list[scenes.Job], as_json: bool) -> None:
     """Print what a batch would bake: a line for each reason, or of JSON for each scene."""
-    from rich.filesize import decimal
-
-    from navbake.batch.index import read_index
-    from navbake.batch.run import BROKEN, DONE_BEFORE, measure_cost, preview
-
-    found = preview(plan, jobs)
+    found = run.preview(plan, jobs)
     if as_json:
         for scene in found:
             printing.print_json_line(scene)
@@ -179,24 +172,25 @@ def _print_preview(plan: Plan, jobs: list[Job], as_json: bool) -> None:
     for scene in found:
         kind = scene["why"].partition(":")[0]
         by_why.setdefault("equal" if kind.startswith("equal to ") else kind, []).append(scene)
-    for kind, scenes in by_why.items():
+    for kind, own in by_why.items():
         some = [
             scene["id"] + (f" ({scene['why'].removeprefix(f'{kind}: ')})" * (kind != scene["why"]))
-            for scene in scenes[: 0 if kind == DONE_BEFORE else MOST_NAMED]
+            for scene in own[: 0 if kind == run.DONE_BEFORE else MOST_NAMED]
         ]
-        more = [f"{len(scenes) - len(some)} more"] if some and scenes[len(some) :] else []
+        more = [f"{len(own) - len(some)} more"] if some and own[len(some) :] else []
         names = f": {', '.join([*some, *more])}" if some else ""
-        size = decimal(sum(scene["bytes"] for scene in scenes))
-        say(f"{kind}: {count_of(len(scenes), 'scene')}, {size}{names}")
-    unbaked = DONE_BEFORE, BROKEN
+        size = filesize.decimal(sum(scene["bytes"] for scene in own))
+        say(f"{kind}: {count_of(len(own), 'scene')}, {size}{names}")
+    unbaked = run.DONE_BEFORE, run.BROKEN
     baked = [scene for kind, some in by_why.items() for scene in some if kind not in unbaked]
     copied = len(by_why.get("equal", ()))
     line = f"{len(baked) - copied} of {count_of(len(found), 'scene')} would be baked"
     line += f", and {copied} copied" if copied else ""
-    cost = measure_cost(read_index(plan.folder).values())
+    cost = run.measure_cost(index.read_index(plan.folder).values())
     if cost is not None and len(baked) > copied:
         share = (len(baked) - copied) / cost["scenes"]
-        seconds, size = cost["seconds"]["sum"] * share, decimal(int(cost["bytes"]["sum"] * share))
+        seconds = cost["seconds"]["sum"] * share
+        size = filesize.decimal(int(cost["bytes"]["sum"] * share))
         line += f", by those done here in about {seconds:.3g} s of a worker, into {size}"
     say(line)
 
@@ -205,29 +199,31 @@ class _Watch:
     """Shows a batch's progress, as lines of JSON or a bar with failures, and writes its page."""
 
     def __init__(
-        self, stack: ExitStack, folder: Folder, *, as_json: bool, log: Path | None, has_page: bool
+        self,
+        stack: ExitStack,
+        folder: store.Folder,
+        *,
+        as_json: bool,
+        log: Path | None,
+        has_page: bool,
     ) -> None:
-        from navbake.batch.index import LineFile
-
         self._stack, self._folder, self._as_json, self._has_page = stack, folder, as_json, has_page
         printers: Any = [printing.print_json_line]
         self._takers: list[Callable[[Json], None]] = printers if as_json else []
         if log is not None:
-            lines = LineFile(log, f"the log {log}")
+            lines = index.LineFile(log, f"the log {log}")
             stack.callback(lines.close)
             self._takers.append(lines.add)
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
         self._show: Callable[..., None] = lambda *given: None
-        self._page: LivePage | None = None
+        self._page: page.LivePage | None = None
 
     def __call__(self, event: str, values: Json) -> None:
         """Handle an event."""
         counts = self._counts
         if event == "begin":
-            from navbake import compiled  # loads numba
-
             if compiled.cache_folder() is None:
                 lost = "no folder for compiled code can be written: each worker compiles its own"
                 print_warnings([f"{lost}: {compiled.REMEDY}"])
@@ -236,9 +232,7 @@ class _Watch:
             self._total = counts["left"] = values["scenes"] - values["skipped"]
         self._log(event, values)
         if event == "begin":
-            from navbake.batch.page import LivePage
-
-            self._page = LivePage(self._folder, self._total) if self._has_page else None
+            self._page = page.LivePage(self._folder, self._total) if self._has_page else None
             # on a terminal, lines and a bar would mix
             is_mixed = self._as_json and printing.is_terminal(sys.stdout)
             bars = printing.progress_bars("batch", VOLUME.quiet or is_mixed)
@@ -257,34 +251,24 @@ class _Watch:
                 self._page.refresh(done)
 
     def _log(self, event: str, values: Json) -> None:
-        from navbake.batch.run import line_of_event
-
         if event == "end":
             values = {**values, "seconds": round(time.perf_counter() - self._begin, 3)}
-        line = line_of_event(event, values)
+        line = run.line_of_event(event, values)
         for take in self._takers:
             take(line)
 
     def interrupt(self, error: BaseException) -> None:
         """Log that the batch ended early, by a signal or an error."""
-        from navbake.batch.page import write_page
-
         why = str(error) if isinstance(error, Exception) else "interrupted"
         if self._total and why == "interrupted" and not self._as_json:
             say_unless_quiet(f"interrupted: {_in_words(self._counts)}; the same command goes on")
         with suppress(OSError, NavbakeError):  # the first error counts
             self._log("end", {**self._counts, "stopped": why})
             if self._page is not None:
-                write_page(self._folder)
+                page.write_page(self._folder)
 
-    def end(self, result: BatchResult, names: list[str]) -> None:
+    def end(self, result: run.BatchResult, names: list[str]) -> None:
         """Print the result, and the names of the files that were written."""
-        from rich.filesize import decimal
-
-        from navbake.batch import page
-        from navbake.batch.run import measure_cost
-        from navbake.batch.store import shown
-
         baked, failed, left = map(result.count, ("ok", "failed", "left"))
         self._counts = {"baked": baked - result.skipped, "skipped": result.skipped}
         self._counts |= {"failed": failed, "left": left}
@@ -308,10 +292,11 @@ class _Watch:
             print_error(f"stopped: {result.stopped}")
         warned = sum(bool(row.get("warnings")) for row in result.rows)
         notes = f", {warned} with warnings" if warned else ""
-        files = ", ".join(shown(os.path.join(self._folder, name)) for name in names)
+        files = ", ".join(store.shown(os.path.join(self._folder, name)) for name in names)
         say_unless_quiet(f"{_in_words(self._counts)}{notes} in {seconds:.1f} s: {files}")
-        if cost := measure_cost(result.rows):
-            times, sizes = cost["seconds"], {key: decimal(n) for key, n in cost["bytes"].items()}
+        if cost := run.measure_cost(result.rows):
+            times = cost["seconds"]
+            sizes = {key: filesize.decimal(count) for key, count in cost["bytes"].items()}
             say_unless_quiet(
                 f"a scene: {times['median']:.2g} s (90%: {times['p90']:.2g}, longest "
                 f"{times['max']:.2g}), {sizes['median']} (90%: {sizes['p90']}, largest "
@@ -323,15 +308,12 @@ def _in_words(counts: Json) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no scene"
 
 
-def draw_missing_thumbnails(folder: Folder) -> None:
+def draw_missing_thumbnails(folder: store.Folder) -> None:
     """Draw the missing thumbnails of a batch's page."""
-    from navbake.batch.page import draw_thumbnails
-    from navbake.batch.store import FullError
-
     try:
         with printing.progress_bars("page", VOLUME.quiet) as show:
-            lacking = draw_thumbnails(folder, lambda share: show("thumbnails", share))
-    except FullError as error:
+            lacking = page.draw_thumbnails(folder, lambda share: show("thumbnails", share))
+    except store.FullError as error:
         print_warnings([str(error)])
     else:
         if lacking:
@@ -346,8 +328,6 @@ def warm_up() -> None:
 
     Example: navbake warm-up
     """
-    from navbake import compiled
-
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written, so nothing can be kept"
         print_warnings([f"{lost}: {compiled.REMEDY}"])

@@ -36,7 +36,7 @@ from navbake.known_names import suggest
 from navbake.navgrid.agents import MAX_AREAS, SPEED, Agent, Area
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
-from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
+from navbake.navgrid.lattice import cover_cells, touch_cells
 from navbake.runtime.agents import find_agent
 from navbake.types import Bool, Json
 
@@ -250,21 +250,16 @@ def read_mask(
         FormatError: a file is broken, there is no such level, or there are too many areas.
         QueryError: the grid names no such agent.
     """
-    values, (x, y), stated = read_map(path)
-    cell = stated.resolution
-    height, width = values.shape
+    values, lattice, stated = read_map(path)
     if grid is None:
         empty, level = np.zeros_like(values), 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
-        grid = level_from_values(empty, cell, (x, y, stated.ground), metadata)
+        grid = level_from_values(empty, lattice, stated.ground, metadata)
         checked_grid(grid, JsonPath(check_path(path)))
     check_level(grid, level)
     target = grid.levels[level].lattice
-    rows, cols = np.indices(target.shape)
-    rows, cols = Lattice(x, y + height * cell, cell, width, height).rows_cols(
-        target.positions(rows, cols)
-    )
-    inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    rows, cols = lattice.rows_cols(target.positions(*np.indices(target.shape)))
+    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     seen = np.zeros(target.shape, dtype=np.int8)
     seen[inside] = values[rows[inside], cols[inside]]
     whose = find_agent(grid, agent)

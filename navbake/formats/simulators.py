@@ -130,8 +130,8 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     cols = np.minimum((np.arange(shape[1]) + 0.5) * cell / dx, width - 0.5).astype(np.int64)
     table = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)
     picked = table[values[rows[:, None], cols].astype(np.int64)]
-    corner = x, top - shape[0] * cell, 0.0
-    return level_from_values(picked, cell, corner, {"sceneId": readable_stem(path)})
+    lattice = Lattice(x, top, cell, shape[1], shape[0])
+    return level_from_values(picked, lattice, 0.0, {"sceneId": readable_stem(path)})
 
 
 def _step_of(coordinates: Float, axis: str, place: JsonPath) -> float:
