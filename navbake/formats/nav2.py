@@ -32,9 +32,16 @@ from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
-from navbake.formats.images import Pixels, encode_image, read_pixels
 from navbake.formats.navgrid import checked_grid
-from navbake.formats.source import Files, check_named, check_path, read_yaml
+from navbake.formats.source import (
+    Files,
+    Pixels,
+    check_named,
+    check_path,
+    encode_image,
+    read_pixels,
+    read_yaml,
+)
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice, rounded
 from navbake.runtime.inflation import SCALING

@@ -19,9 +19,9 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import CELLS, SAMPLES, random_level, sample, small
 from navbake.errors import FormatError, QueryError
-from navbake.formats.images import Pixels
 from navbake.formats.nav2 import MapRules, read_values
 from navbake.formats.occupancy import lattice_of, level_from_values, values_of
+from navbake.formats.source import Pixels
 from navbake.runtime.inflation import nav2_costs
 from project_paths import SHARED_DATA
 
