@@ -218,7 +218,7 @@ def prepared(command: Callable[..., None]) -> Callable[..., None]:
         with volume(quiet=quiet, verbose=verbose):
             command(**values)
 
-    # of `get_type_hints`, Python 3.10 would hide the options whose default is None
+    # `get_type_hints` of Python 3.10 would hide the options whose default is None
     hints = inspect.get_annotations(command, eval_str=True) | {"quiet": bool, "verbose": bool}
     kind = inspect.Parameter.KEYWORD_ONLY
     parameters = [*inspect.signature(command).parameters.values()]

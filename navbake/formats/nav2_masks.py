@@ -105,14 +105,14 @@ def encode_mask(
     files: Files = {}
     for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
         files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
-        filtered = "speed" if has_limits else "keepout"
-        topic = f"{filtered}_filter_mask"
-        info = {"type": scale.type, "filter_info_topic": f"{filtered}_filter_info"}
+        kind = "speed" if has_limits else "keepout"
+        topic = f"{kind}_filter_mask"
+        info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
         info |= {"mask_topic": topic, "base": scale.base, "multiplier": scale.multiplier}
         served = {"yaml_filename": yaml_path.name, "topic_name": topic, "frame_id": "map"}
         content = {
-            f"{filtered}_costmap_filter_info_server": {"ros__parameters": info},
-            f"{filtered}_filter_mask_server": {"ros__parameters": served},
+            f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
+            f"{kind}_filter_mask_server": {"ros__parameters": served},
         }
         text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
         files[_info_path(yaml_path)] = text.encode()
