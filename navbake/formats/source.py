@@ -13,8 +13,7 @@ import logging
 import os
 import warnings
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias
 
@@ -72,30 +71,6 @@ def _os_message(error: Exception) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
-@contextmanager
-def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a source; system errors become FormatErrors."""
-    if isinstance(source, bytes | bytearray | memoryview):
-        yield io.BytesIO(source), "the bytes given"
-        return
-    if not isinstance(source, str | os.PathLike) and not callable(getattr(source, "read", None)):
-        expected = "a path, a file's content or a file opened in binary mode"
-        raise FormatError(f"expected {expected}, got {shown_type(source)}")
-    name = str(getattr(source, "name", "the stream given"))
-    try:
-        if isinstance(source, str | os.PathLike):
-            name = os.fsdecode(source)
-            LOG.debug("reading %s", name)
-            if os.path.isdir(source):
-                raise FormatError(f"expected a file, got the folder {path_name(name)}")
-            with open(source, "rb") as file:
-                yield file, name
-        else:
-            yield source, name
-    except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
-
-
 def read_bytes(
     source: Source,
     *,
@@ -108,20 +83,36 @@ def read_bytes(
     `begins` are the possible beginnings of such a file. Of any other, at most 1 MiB is read: it
     may be a device that never ends.
     """
-    with _opened(source) as (stream, name):
-        data = stream.read(CHUNK)
-        if not isinstance(data, bytes):
-            got = "text" if isinstance(data, str) else shown_type(data)
-            JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
-        if not data.startswith(begins):
-            JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
-        pieces, size = [data], len(data)
-        while piece := stream.read(16 * CHUNK):
-            pieces.append(piece)
-            size += len(piece)
-            if size > MAX_BYTES:
-                JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
-        return b"".join(pieces), name
+    path = source if isinstance(source, str | os.PathLike) else None
+    stream: Any = source
+    name = str(getattr(source, "name", "the stream given"))
+    if path is not None:
+        name = os.fsdecode(path)
+        LOG.debug("reading %s", name)
+    elif isinstance(source, bytes | bytearray | memoryview):
+        stream, name = io.BytesIO(source), "the bytes given"
+    elif not callable(getattr(source, "read", None)):
+        wanted = "a path, a file's content or a file opened in binary mode"
+        raise FormatError(f"expected {wanted}, got {shown_type(source)}")
+    try:
+        if path is not None and os.path.isdir(path):
+            raise FormatError(f"expected a file, got the folder {path_name(name)}")
+        with nullcontext(stream) if path is None else open(path, "rb") as file:
+            data = file.read(CHUNK)
+            if not isinstance(data, bytes):
+                got = "text" if isinstance(data, str) else shown_type(data)
+                JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
+            if not data.startswith(begins):
+                JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
+            pieces, size = [data], len(data)
+            while piece := file.read(16 * CHUNK):
+                pieces.append(piece)
+                size += len(piece)
+                if size > MAX_BYTES:
+                    JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
+            return b"".join(pieces), name
+    except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
+        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
 
 
 def _beginning(text: bytes) -> str:
