@@ -22,11 +22,10 @@ from navbake.lazy import lazy
 if TYPE_CHECKING:
     from rich import filesize
 
-    from navbake import compiled
     from navbake.batch import index, job, page, products, run, scenes, store, workers
     from navbake.types import Json
 else:  # --help loads neither MuJoCo nor numpy
-    filesize, compiled = lazy("rich.filesize"), lazy("navbake.compiled")
+    filesize = lazy("rich.filesize")
     index, job = lazy("navbake.batch.index"), lazy("navbake.batch.job")
     page, products = lazy("navbake.batch.page"), lazy("navbake.batch.products")
     run, scenes = lazy("navbake.batch.run"), lazy("navbake.batch.scenes")
@@ -224,6 +223,8 @@ class _Watch:
         """Handle an event."""
         counts = self._counts
         if event == "begin":
+            from navbake import compiled  # loads numba
+
             if compiled.cache_folder() is None:
                 lost = "no folder for compiled code can be written: each worker compiles its own"
                 print_warnings([f"{lost}: {compiled.REMEDY}"])
@@ -328,6 +329,8 @@ def warm_up() -> None:
 
     Example: navbake warm-up
     """
+    from navbake import compiled  # loads numba
+
     if compiled.cache_folder() is None:
         lost = "no folder for compiled code can be written, so nothing can be kept"
         print_warnings([f"{lost}: {compiled.REMEDY}"])

@@ -174,12 +174,12 @@ def test_a_cluster_is_asked_for_by_name(folder, run, monkeypatch):
 
 def test_what_is_cold_is_compiled_once_before_workers_start(folder, run, here, monkeypatch):
     compiled = []
-    monkeypatch.setattr("navbake.cli.batch.compiled.ensure_compiled", lambda: compiled.append(1))
+    monkeypatch.setattr("navbake.compiled.ensure_compiled", lambda: compiled.append(1))
     run("batch", "room.xml", "-o", "out", *COARSE)
     assert compiled == [1]
     run("batch", "room.xml", "-o", "out", *COARSE)
     assert compiled == [1]  # there was nothing to bake
-    monkeypatch.setattr("navbake.cli.batch.compiled.cache_folder", lambda: None)
+    monkeypatch.setattr("navbake.compiled.cache_folder", lambda: None)
     assert "each worker compiles its own" in run("batch", "room.xml", "-o", "third", *COARSE)[2]
 
 
@@ -323,7 +323,7 @@ def test_no_folder_for_temporary_files_ends_the_batch_with_one_line(folder, run,
 
     with monkeypatch.context() as patch:
         patch.setattr("tempfile.gettempdir", refuse)
-        patch.setattr("navbake.cli.batch.compiled.ensure_compiled", lambda *rooms: None)
+        patch.setattr("navbake.compiled.ensure_compiled", lambda *rooms: None)
         status, out, err = run("batch", "room.xml", "-o", "out", *COARSE)
     assert (status, out) == (1, "") and err == (
         "navbake: cannot write temporary files: No usable temporary directory found in ['/tmp']: "
