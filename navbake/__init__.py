@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from navbake.navgrid.links import Agent
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
-    from navbake.views.report.report import write_report as report
+    from navbake.views.report import write_report as report
     from navbake.views.viewer.view import view
     from navbake.voxels.grid import VoxelGrid
 
@@ -81,7 +81,7 @@ __all__ = [
     "view",
 ]
 
-# where each public name is that loads dependencies
+# where each public name is that loads dependencies; of others, the module itself
 _LAZY = {
     "Agent": "navbake.navgrid.links:Agent",
     "audit": "navbake.auditor.audit:audit",
@@ -102,18 +102,14 @@ _LAZY = {
     "from_procthor": "navbake.formats.simulators:read_procthor",
     "load": "navbake.formats.navgrid:read_navgrid",
     "load_voxels": "navbake.formats.voxels:read_voxels",
-    "report": "navbake.views.report.report:write_report",
+    "report": "navbake.views.report:write_report",
     "verify": "navbake.verifier.verify:verify",
     "view": "navbake.views.viewer.view:view",
+    "episodes": "navbake.episodes",
+    "samples": "navbake.samples",
+    "scores": "navbake.scores",
+    "tensors": "navbake.tensors",
 }
-
-_MODULES = (
-    "episodes",
-    "samples",
-    "scores",
-    "tensors",
-)  # of navbake, loaded when they are first asked for
-
 
 # first guesses
 _MEANT = {"load_grid": "load", "read": "load", "read_grid": "load", "load_scene": "bake"}
@@ -122,15 +118,14 @@ _MEANT |= {"make_episodes": "episodes.make_episodes", "batch": "bake, or use `na
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return importlib.import_module(f"navbake.{name}")
     if name not in _LAZY:
         meant = f": write navbake.{_MEANT[name]}" if name in _MEANT else ""
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{meant}")
-    value = resolve(_LAZY[name])
+    where = _LAZY[name]
+    value = resolve(where) if ":" in where else importlib.import_module(where)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY, *_MODULES})
+    return sorted({*globals(), *_LAZY})

@@ -43,7 +43,6 @@ from navbake.batch.scenes import list_jobs
 from navbake.config.settings import SceneSettings, load_config
 from navbake.episodes import read_episodes, write_episodes
 from navbake.errors import NavbakeError
-from navbake.formats.binvox import encode_binvox
 from navbake.formats.convert import ROUTE_FORMATS
 from navbake.formats.nav2 import encode_nav2
 from navbake.formats.navgrid import dumps_navgrid
@@ -53,12 +52,12 @@ from navbake.formats.route_files import encode_routes, read_routes
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.simulators import encode_grscenes, encode_omnigibson, encode_procthor
-from navbake.formats.voxels import read_voxels
+from navbake.formats.voxels import encode_binvox, read_voxels
 from navbake.navgrid.grid import NavGrid
 from navbake.routes.graph import Lane, Node, RouteGraph
 from navbake.scores import read_trajectories
 from navbake.views.describe import describe
-from navbake.views.report.report import read_verification
+from navbake.views.report import read_verification
 from navbake.voxels.grid import VoxelGrid
 
 READ, REFUSED, FINDING = "read", "refused", "finding"
@@ -106,7 +105,8 @@ OUTLINES = {"type": "FeatureCollection", "features": [
     {"type": "Feature", "properties": None, "geometry": {"type": "MultiPolygon",
      "coordinates": [[HALL], [[[5, 5, 0], [6, 5], [6, 6]]]]}}]}  # fmt: skip
 VERIFICATION = {"ok": False, "checked": 100, "cells": 50, "findings": [
-    {"kind": "free touches", "level": 0, "position": [0.5, 1, 0], "text": "a table"}]}  # fmt: skip
+    {"kind": "free touches", "level": 0, "cell": [0, 5], "position": [0.5, 1, 0],
+     "text": "a table"}]}  # fmt: skip
 SETTINGS = (
     b"scene:\n  path: a.xml\n  keyframe: 0\n  meshes: {wall*: hull}\n  joints:\n    hinge: 0.5\n"
     b"agent: {height: 1.5, radius: 0.2}\ngrid: {cell_size: 0.1, bounds: [-2, -2, 2, 2]}\n"

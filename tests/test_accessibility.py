@@ -13,8 +13,8 @@ import navbake
 from browser import needs_browser, open_browser, wait_until
 from navbake.auditor.audit import audit
 from navbake.batch.page import write_page
-from navbake.cli.commands.batch import INDEX
-from navbake.views.report.report import write_report
+from navbake.cli.batch import INDEX
+from navbake.views.report import write_report
 from project_paths import GOLDEN, ROOT
 
 AXE = Path(os.environ.get("AXE") or ROOT / "node_modules" / "axe-core" / "axe.min.js")

@@ -276,7 +276,9 @@ def test_an_import_inside_a_function_says_what_it_saves(name):
 
 
 def test_no_function_takes_more_than_10_parameters():
-    for name, path in MODULES.items():
+    """Commands do: their parameters are the options of the command line."""
+    functions = {name: path for name, path in MODULES.items() if not belongs(name, ("cli",))}
+    for name, path in functions.items():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef):
                 given = node.args

@@ -23,15 +23,8 @@ from navbake.baker.pipeline import run_bake
 from navbake.baker.scene.mesh_scene import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch import store
-from navbake.batch.products import (
-    GRID,
-    OWN,
-    RECORD,
-    THUMBNAIL,
-    make_product,
-    write_thumbnail,
-)
-from navbake.batch.settings import Job, outlines_of, settings_of
+from navbake.batch.products import GRID, OWN, RECORD, THUMBNAIL, make_product
+from navbake.batch.scenes import Job, outlines_of, settings_of
 from navbake.config.settings import (
     BakeConfig,
     load_config,
@@ -42,10 +35,14 @@ from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import read_navgrid, write_navgrid
 from navbake.formats.scene_files import find_inputs, suffix_of
+from navbake.formats.source import write_bytes
+from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
 from navbake.processes import lacked_memory
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides
+
+notebook = lazy("navbake.views.notebook")  # loads Pillow
 
 OK, FAILED, LEFT = "ok", "failed", "left"
 NEW = "new"  # why a scene without a record isn't done
@@ -177,21 +174,18 @@ def check_record(
                 return None, "made files"
         with open_scene(plan, job, whole=False) as scene:
             if row["key"] != scene.key:
-                return None, _what_changed(plan, row, scene)
+                now = {"version": __version__, "products": [*plan.products]}
+                now["settings"] = scene.settings
+                changed = [name for name, value in now.items() if row.get(name, value) != value]
+                names = sorted({*row["inputs"], *scene.inputs})
+                differ = [n for n in names if row["inputs"].get(n) != scene.inputs.get(n)]
+                if differ:
+                    changed.append(f"files: {' '.join(Path(name).name for name in differ)}")
+                return None, ", ".join(changed) or "files"
         row = {key: value for key, value in row.items() if key not in OF_RECORD}
     except (NavbakeError, OSError, KeyError, TypeError, AttributeError, ValueError):
         return None, NEW
     return {**row, "source": _name(plan, job.source)}, ""  # it may have moved
-
-
-def _what_changed(plan: Plan, record: Json, scene: Scene) -> str:
-    now = {"version": __version__, "products": [*plan.products], "settings": scene.settings}
-    changed = [name for name, value in now.items() if record.get(name, value) != value]
-    before, inputs = record["inputs"], scene.inputs
-    differ = [name for name in sorted({*before, *inputs}) if before.get(name) != inputs.get(name)]
-    if differ:
-        changed.append(f"files: {' '.join(Path(name).name for name in differ)}")
-    return ", ".join(changed) or "files"
 
 
 def read_record(place: store.Folder) -> Json:
@@ -279,7 +273,7 @@ def prepare(products: Iterable[str], thumbnail: bool) -> None:
             with suppress(NavbakeError):  # raised again by the scenes
                 make_product(product, grid, config, folder)
         if thumbnail:
-            write_thumbnail(grid, folder)
+            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
         write_navgrid(grid, folder / GRID)
     audit(grid)
 
@@ -359,7 +353,7 @@ def _write_products(
         write_navgrid(grid, folder / GRID)
         files = {name: store.describe_file(folder / name) for name in sorted(os.listdir(folder))}
         if plan.thumbnail:
-            write_thumbnail(grid, folder)
+            write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
         others = [name for name in os.listdir(folder) if name != GRID]
         # existing files are the user's until replaced
         is_here = isinstance(place, Path)

@@ -29,7 +29,7 @@ from navbake.formats.source import write_bytes
 from navbake.types import Json
 from navbake.views.layers import nice_step
 from navbake.views.notebook import draw_thumbnail
-from navbake.views.page.page import make_page, to_text
+from navbake.views.page import make_page, to_text
 
 NAME = "index.html"
 PICTURES = "'self' file: data:"  # thumbnails are beside the page

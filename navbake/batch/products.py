@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,7 +21,6 @@ from navbake.episodes.sampler import make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
 from navbake.formats.convert import OCTREES, VOXELS
 from navbake.formats.navgrid import write_navgrid
-from navbake.formats.source import write_bytes
 from navbake.formats.voxels import write_voxels
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
@@ -31,9 +29,8 @@ from navbake.views.layers import LAYERS
 
 # loaded by the products that need them
 voxelizer = lazy("navbake.baker.voxelize.voxelizer")
-notebook = lazy("navbake.views.notebook")
 plot = lazy("navbake.views.plot")
-report = lazy("navbake.views.report.report")
+report = lazy("navbake.views.report")
 
 GRID = "grid.json.gz"  # of every scene, written last
 PICTURE, REPORT = "picture.png", "report.html"
@@ -49,20 +46,31 @@ CLASSES = {measure: EDGES[measure] for measure in ("distance", "ratio", "levels"
 """Measures of episodes that a scene's row counts, and the lower edges of their classes."""
 
 
+KINDS = {
+    "inflated": (1, 2, "inflated:RADIUS[:CLEARANCE]"),
+    "nav2": (0, 1, "nav2[:RADIUS]"),
+    "voxels": (1, 2, "voxels:EDGE[:ENDING]"),
+    "picture": (0, len(LAYERS), "picture[:LAYER…]"),
+    "episodes": (1, 4, "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]"),
+    "report": (0, 0, "report"),
+}
+"""Kinds of products: the smallest and the largest number of their values, and how they look."""
+
+
 def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     """Check ``KIND`` or ``KIND:VALUE:…``; unique, sorted, numbers in their shortest form.
 
     So equal products have equal keys in any order. Raises a ConfigError for an unknown kind or
     wrong values, and a MissingDependencyError without an extra.
     """
+    unknown = (0, -1, f"one of {', '.join(usage for *_, usage in KINDS.values())}")
     products = set()
     for text in texts:
         name, *values = text.split(":")
-        kind = KINDS.get(name)
-        if kind is None or not kind.least <= len(values) <= kind.most:
-            wanted = kind.usage if kind else f"one of {', '.join(k.usage for k in KINDS.values())}"
-            raise ConfigError(f"expected {wanted} to make, got {text!r}")
-        products.add(":".join((name, *kind.check(values, text))))
+        least, most, usage = KINDS.get(name, unknown)
+        if not least <= len(values) <= most:
+            raise ConfigError(f"expected {usage} to make, got {text!r}")
+        products.add(":".join((name, *_check_values(name, values, text))))
     pictures = sorted(product for product in products if product.startswith("picture"))
     if len(pictures) > 1:
         asked = ", ".join(pictures)
@@ -70,76 +78,58 @@ def parse_products(texts: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(products))
 
 
-def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
-    """Write the files of a product, each whole or not at all; returns its values for the row."""
-    name, *values = product.split(":")
-    return KINDS[name].make(grid, config, values, folder) or {}
-
-
-def write_thumbnail(grid: NavGrid, folder: Path) -> None:
-    """Write a small picture of a grid for the batch's page."""
-    write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL)
-
-
-def _numbers(values: Sequence[str], text: str) -> tuple[str, ...]:
-    numbers = []
-    for value in values:
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not (math.isfinite(number) and number >= 0):
-            raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
-        numbers.append(f"{number:.12g}")
-    return tuple(numbers)
-
-
-def _check_voxels(values: Sequence[str], text: str) -> tuple[str, ...]:
-    edge = _numbers(values[:1], text)
-    if float(edge[0]) == 0:
+def _check_values(kind: str, values: list[str], text: str) -> list[str]:
+    """Check the values of a product; returns them in their shortest form, with their defaults."""
+    if kind == "picture":
+        if not set(values) <= LAYERS.keys():
+            raise ConfigError(f"expected layers of {', '.join(LAYERS)}, got {text!r} to make")
+        if find_spec("matplotlib") is None:
+            raise MissingDependencyError('pictures need matplotlib: pip install "navbake[plot]"')
+        return values
+    if kind == "episodes":
+        task, sampler, *numbers = [*values, *("point", "uniform", "100", "0")[len(values) :]]
+        make_task(task), make_rules(sampler)
+        if not all(number.isdecimal() for number in numbers) or int(numbers[0]) < 1:
+            raise ConfigError(f"expected a count >= 1 and a seed >= 0, got {text!r} to make")
+        return [task, sampler, *(str(int(number)) for number in numbers)]
+    ending = (values[1:] or ["binvox"]) if kind == "voxels" else []
+    try:
+        metres = [float(value) for value in (values[:1] if ending else values)]
+    except ValueError:
+        metres = [math.nan]
+    if not all(math.isfinite(number) and number >= 0 for number in metres):
+        raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
+    if ending and metres[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
-    ending = values[1] if len(values) > 1 else "binvox"
-    if f".{ending}" not in VOXELS:
+    if ending and f".{ending[0]}" not in VOXELS:
         known = ", ".join(suffix[1:] for suffix in VOXELS)
         raise ConfigError(f"expected an ending of {known}, got {text!r} to make")
-    return (*edge, ending)
+    return [*(f"{number:.12g}" for number in metres), *ending]
 
 
-def _check_picture(values: Sequence[str], text: str) -> tuple[str, ...]:
-    for layer in values:
-        if layer not in LAYERS:
-            raise ConfigError(f"expected layers of {', '.join(LAYERS)}, got {text!r} to make")
-    if find_spec("matplotlib") is None:
-        raise MissingDependencyError('pictures need matplotlib: pip install "navbake[plot]"')
-    return tuple(values)
+def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) -> Json:
+    """Write the files of a product, each whole or not at all; returns its values for the row."""
+    kind, *values = product.split(":")
+    if kind == "inflated":
+        inflated = grid.inflate(*map(float, values))
+        write_navgrid(inflated, folder / f"inflated-{'-'.join(values)}.json.gz")
+    elif kind == "nav2":
+        radius = float(values[0]) if values else None
+        grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
+    elif kind == "voxels":
+        edge, ending = values
+        made = voxelizer.Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
+        write_voxels(made, folder / f"voxels-{edge}.{ending}")
+    elif kind == "picture":
+        plot.plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
+    elif kind == "report":
+        report.write_report(grid, folder / REPORT, audits=[audit(grid)])
+    else:
+        return _make_episodes(grid, values, folder)
+    return {}
 
 
-def _make_inflated(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    clearance = float(values[1]) if len(values) > 1 else None
-    inflated = grid.inflate(float(values[0]), clearance)
-    write_navgrid(inflated, folder / f"inflated-{'-'.join(values)}.json.gz")
-
-
-def _make_nav2(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    radius = float(values[0]) if values else None
-    grid.to_nav2(folder / f"{'-'.join(('nav2', *values))}.yaml", radius=radius)
-
-
-def _make_voxels(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    edge, ending = values
-    voxels = voxelizer.Voxelizer(config).create(res=float(edge), align=f".{ending}" in OCTREES)
-    write_voxels(voxels, folder / f"voxels-{'.'.join(values)}")
-
-
-def _check_episodes(values: Sequence[str], text: str) -> tuple[str, ...]:
-    task, sampler, *numbers = [*values, *("point", "uniform", "100", "0")[len(values) :]]
-    make_task(task), make_rules(sampler)
-    if not all(number.isdecimal() for number in numbers) or int(numbers[0]) < 1:
-        raise ConfigError(f"expected a count >= 1 and a seed >= 0, got {text!r} to make")
-    return (task, sampler, *(str(int(number)) for number in numbers))
-
-
-def _make_episodes(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> Json:
+def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     task, sampler, count, seed = values
     try:
         drawn = make_episodes(grid, task, sampler, count=int(count), seed=int(seed), files=[GRID])
@@ -190,35 +180,3 @@ def merge_sets(sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
         rejected=dict(sorted(rejected.items())),
     )
     return [msgspec.json.encode(merged), b"\n", *pieces]
-
-
-def _make_picture(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    plot.plot_grid(grid, folder / PICTURE, layers=tuple(values) or PICTURE_LAYERS)
-
-
-def _make_report(grid: NavGrid, config: BakeConfig, values: Sequence[str], folder: Path) -> None:
-    report.write_report(grid, folder / REPORT, audits=[audit(grid)])
-
-
-class Kind(NamedTuple):
-    """A kind of product."""
-
-    #: Writes it; returns its values for the scene's row.
-    make: Callable[[NavGrid, BakeConfig, Sequence[str], Path], Json | None]
-    #: Checks the values and returns their shortest form.
-    check: Callable[[Sequence[str], str], tuple[str, ...]]
-    least: int  #: Smallest number of values.
-    most: int  #: Largest number of values.
-    usage: str  #: Its form, for messages.
-
-
-KINDS: dict[str, Kind] = {
-    "inflated": Kind(_make_inflated, _numbers, 1, 2, "inflated:RADIUS[:CLEARANCE]"),
-    "nav2": Kind(_make_nav2, _numbers, 0, 1, "nav2[:RADIUS]"),
-    "voxels": Kind(_make_voxels, _check_voxels, 1, 2, "voxels:EDGE[:ENDING]"),
-    "picture": Kind(_make_picture, _check_picture, 0, len(LAYERS), "picture[:LAYER…]"),
-    "episodes": Kind(
-        _make_episodes, _check_episodes, 1, 4, "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]"
-    ),
-    "report": Kind(_make_report, lambda *_: (), 0, 0, "report"),
-}

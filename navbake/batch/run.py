@@ -42,7 +42,7 @@ from navbake.batch.job import (
     write_record,
 )
 from navbake.batch.products import RECORD, merge_sets
-from navbake.batch.settings import Job, check_settings
+from navbake.batch.scenes import Job, check_settings
 from navbake.batch.workers import AGAIN, DONE, Ended, JobLimits, do_jobs
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers

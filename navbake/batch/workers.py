@@ -18,6 +18,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -290,17 +291,6 @@ def _do(
 # ---------------------------------------------------------------- on a Ray cluster
 
 
-class _Terms(NamedTuple):
-    """The common parameters of a batch's tasks."""
-
-    work: Callable[[Any], Any]
-    limits: JobLimits
-    prepare: Callable[[], None] | None
-    folder: str  # the batch's current one
-    witness: str | None
-    version: str
-
-
 def do_on_ray(
     jobs: Sequence[Any],
     work: Callable[[Any], Any],
@@ -329,10 +319,11 @@ def do_on_ray(
     if not jobs:
         return
     seen = None if witness is None else os.path.abspath(witness)
-    terms = _Terms(work, limits, prepare, os.getcwd(), seen, __version__)
+    enter = partial(_enter_node, os.getcwd(), seen, __version__)
+    make = partial(Workers, work, 1, limits=limits, prepare=prepare)
     with _connected(address, min(count or os.cpu_count() or 1, len(jobs))) as ray:
         do = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, scheduling_strategy="SPREAD")(_do_task)
-        shared = ray.put(terms)
+        shared = ray.put((enter, make))
         left, number_of = iter(range(len(jobs))), dict[Any, int]()
         while True:
             # twice the CPUs: no node waits for this process
@@ -356,24 +347,32 @@ def do_on_ray(
                 yield ended
 
 
-def _do_task(terms: _Terms, number: int, job: Any) -> tuple[Ended, list[Ended]]:
-    """Do a job on a node; returns how it ended, and earlier failed attempts."""
+def _enter_node(folder: str, witness: str | None, version: str) -> None:
+    """Enter the batch's current folder on a node, which has to see its files."""
     why = None
-    if terms.version != __version__:
-        why = f"it has navbake {__version__}, and the batch is one of {terms.version}"
-    elif not os.path.isdir(terms.folder):
-        why = f"it lacks {terms.folder}: run the batch in a folder that all nodes have"
-    elif terms.witness is not None and not os.path.exists(terms.witness):
-        why = f"it lacks {terms.witness}: write into a folder that all nodes share"
+    if version != __version__:
+        why = f"it has navbake {__version__}, and the batch is one of {version}"
+    elif not os.path.isdir(folder):
+        why = f"it lacks {folder}: run the batch in a folder that all nodes have"
+    elif witness is not None and not os.path.exists(witness):
+        why = f"it lacks {witness}: write into a folder that all nodes share"
     if why is not None:
         node = socket.gethostname()
         raise NavbakeError(printable(f"no worker can work on node {node}: {why}"))
-    os.chdir(terms.folder)
+    os.chdir(folder)
+
+
+def _do_task(
+    shared: tuple[Callable[[], None], Callable[[], Workers]], number: int, job: Any
+) -> tuple[Ended, list[Ended]]:
+    """Do a job on a node; returns how it ended, and earlier failed attempts."""
+    enter, make = shared
+    enter()
     # else each process started here imports Ray's main module first
     vars(sys.modules["__main__"]).pop("__file__", None)
     global _workers
     if _workers is None:
-        _workers = Workers(terms.work, 1, limits=terms.limits, prepare=terms.prepare).__enter__()
+        _workers = make().__enter__()
     tries: list[Ended] = []
     (ended,) = _workers.do([job], lambda event, each: tries.extend([each] * (event == AGAIN)))
     return ended._replace(number=number), [each._replace(number=number) for each in tries]

@@ -16,13 +16,13 @@ from typer import Exit, Option, Typer
 from typer.core import TyperGroup
 
 from navbake._version import __version__
-from navbake.cli.commands.ask import info, path, rooms, why
-from navbake.cli.commands.bake import bake, geoms, init, samples, voxelize
-from navbake.cli.commands.batch import batch, warm_up
-from navbake.cli.commands.check import audit, doctor, verify
-from navbake.cli.commands.episodes import episodes, score
-from navbake.cli.commands.exchange import convert, inflate, map_descriptor, routes
-from navbake.cli.commands.look import plot, report, view
+from navbake.cli.ask import info, path, rooms, why
+from navbake.cli.bake import bake, geoms, init, samples, voxelize
+from navbake.cli.batch import batch, warm_up
+from navbake.cli.check import audit, doctor, verify
+from navbake.cli.episodes import episodes, score
+from navbake.cli.exchange import convert, inflate, map_descriptor, routes
+from navbake.cli.look import plot, report, view
 from navbake.cli.options import Command, prepared
 from navbake.cli.printing import print_causes, print_error
 from navbake.errors import NavbakeError

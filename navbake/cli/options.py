@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from typer import Argument, BadParameter, Option
 from typer.core import TyperCommand
@@ -23,6 +23,7 @@ from typer.core import TyperCommand
 from navbake import files, samples
 from navbake.cli.printing import VOLUME, print_error, volume
 from navbake.errors import ConfigError, NavbakeError
+from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -94,6 +95,8 @@ QUIET = flag("-q", "Print only what was asked for, warnings and errors.", "--qui
 VERBOSE = flag("-v", "Print on stderr what is read, done and written, too.", "--verbose")
 OUTPUT = "-o", "--output"
 """The names of the option."""
+PICTURE = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT)
+LEVEL = option("N", "Only this level; 0 is the lowest.", min=0)
 STDOUT = Path("-")
 """The output that stands for stdout."""
 GRIDS = (".json", ".json.gz")
@@ -141,19 +144,21 @@ def check_output(
 
 
 def write_picture(grid: NavGrid, output: Path, **drawn: Any) -> None:
-    """Write a picture of a grid, or a PNG to stdout; for the arguments see `plot_grid`."""
-    from navbake.views.plot import plot_grid, render_picture  # loads numpy
+    """Write a picture of a grid, or a PNG to stdout; for the arguments see `render_picture`."""
+    from navbake.views.plot import render_picture  # loads numpy
 
-    if output == STDOUT:
-        write_stdout(render_picture(grid, **drawn))
-    else:
-        plot_grid(grid, output, **drawn)
+    form = "svg" if output.name.lower().endswith(".svg") else "png"
+    write_output(render_picture(grid, form, **drawn), output)
 
 
-def write_stdout(data: bytes) -> None:
+def write_output(content: bytes, output: Path) -> None:
+    """Write a file, whole or not at all, or to stdout."""
+    if output != STDOUT:
+        write_bytes(content, output)
+        return
     if sys.stdout is None:
         raise NavbakeError("cannot write to stdout: it is closed")
-    sys.stdout.buffer.write(data)
+    sys.stdout.buffer.write(content)
     sys.stdout.buffer.flush()
 
 
@@ -204,43 +209,24 @@ class Command(TyperCommand):
 
 
 def prepared(command: Callable[..., None]) -> Callable[..., None]:
-    """Prepare a command for typer: with --quiet and --verbose, and with groups of options.
-
-    typer makes an option of each parameter, so a NamedTuple's fields replace it, with their
-    annotations and defaults.
-    """
-    groups = {p.name: p.annotation for p in _parameters(command) if hasattr(p.annotation, "_make")}
+    """Prepare a command for typer, which makes an option of each parameter: add -q and -v."""
 
     @wraps(command)
     def run(quiet: bool, verbose: bool, **values: Any) -> None:
         if quiet and verbose:
             raise BadParameter("expected one of them", param_hint="--quiet, --verbose")
-        for name, group in groups.items():
-            values[name] = group(**{field: values.pop(field) for field in group._fields})
         with volume(quiet=quiet, verbose=verbose):
             command(**values)
 
-    parameters: list[inspect.Parameter] = []
-    for parameter in _parameters(command):
-        is_group = parameter.name in groups
-        parameters += _parameters(parameter.annotation) if is_group else [parameter]
-    for name, default in (("quiet", QUIET), ("verbose", VERBOSE)):
-        kind = inspect.Parameter.KEYWORD_ONLY
-        parameters.append(inspect.Parameter(name, kind, default=default, annotation=bool))
+    # `get_type_hints` of Python 3.10 would hide the options whose default is None
+    hints = inspect.get_annotations(command, eval_str=True) | {"quiet": bool, "verbose": bool}
+    kind = inspect.Parameter.KEYWORD_ONLY
+    parameters = [*inspect.signature(command).parameters.values()]
+    parameters += [inspect.Parameter("quiet", kind, default=QUIET)]
+    parameters += [inspect.Parameter("verbose", kind, default=VERBOSE)]
+    parameters = [each.replace(kind=kind, annotation=hints[each.name]) for each in parameters]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
-
-
-def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Parameters of a function or fields of a NamedTuple, keyword-only, with evaluated types."""
-    if isinstance(function, type):
-        hints = get_type_hints(function, include_extras=True)
-    else:  # of functions, Python 3.10 would hide the options whose default is None
-        hints = inspect.get_annotations(function, eval_str=True)
-    return [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name])
-        for name, parameter in inspect.signature(function).parameters.items()
-    ]
 
 
 # --- places -----------------------------------------------------------------------------------

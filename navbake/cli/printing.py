@@ -39,10 +39,15 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
     if not verbose:
         yield
         return
+
+    def is_for_the_terminal(record: logging.LogRecord) -> bool:
+        record.msg, record.args = printable(record.getMessage()), ()
+        return record.levelno < logging.WARNING
+
     begin, level = time.perf_counter(), LOG.level
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("navbake: %(message)s"))
-    handler.addFilter(_is_for_the_terminal)
+    handler.addFilter(is_for_the_terminal)
     LOG.addHandler(handler)
     LOG.setLevel(logging.DEBUG)
     try:
@@ -51,12 +56,6 @@ def volume(*, quiet: bool, verbose: bool) -> Iterator[None]:
         LOG.debug("%.2f s in all", time.perf_counter() - begin)
         LOG.removeHandler(handler)
         LOG.setLevel(level)
-
-
-def _is_for_the_terminal(record: logging.LogRecord) -> bool:
-    """Whether to print a record; escapes control characters in it."""
-    record.msg, record.args = printable(record.getMessage()), ()
-    return record.levelno < logging.WARNING
 
 
 def print_json_line(value: Any) -> None:

@@ -7,7 +7,6 @@ Run-length encoding is ``[value, count, value, count, …]``. NaN and Infinity, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -117,19 +116,15 @@ def _to_float64(
     return np.array(entries, dtype=np.float64)
 
 
-def encode_array(array: NDArray[Any], place: JsonPath) -> Iterator[bytes]:
-    """Write an array as the JSON list of its runs, ``[value,count,value,count,…]``, in pieces.
+def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
+    """Encode an array as the JSON list of its runs, ``[value,count,value,count,…]``.
 
     NaN and infinities become ``null``, -0.0 becomes 0, whole floats lose their ".0", and a
     float32 gets its own shortest decimal.
     """
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
-    return _encode_runs(array.reshape(-1))
-
-
-def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
-    starts = [np.zeros(1, np.int64)]
+    cells, starts, texts = array.reshape(-1), [np.zeros(1, np.int64)], []
     for first in range(1, len(cells), PIECE):
         piece = _as_written(cells[first - 1 : first + PIECE])
         differs = piece[1:] != piece[:-1]
@@ -138,20 +133,17 @@ def _encode_runs(cells: NDArray[Any]) -> Iterator[bytes]:
         starts.append(np.flatnonzero(differs) + first)
     start = np.concatenate(starts)
     count = np.diff(start, append=len(cells))
-    yield b"["
     for first in range(0, len(start), PIECE):
         values = _as_written(cells[start[first : first + PIECE]])
         counts = count[first : first + PIECE]
-        if first:
-            yield b","
         if values.dtype.kind == "f":
             pieces = [b""] * (2 * len(counts))
             pieces[0::2] = _dump(values).split(b",")
             pieces[1::2] = _dump(counts).split(b",")
-            yield b",".join(pieces).replace(b".0,", b",")
+            texts.append(b",".join(pieces).replace(b".0,", b","))
         else:
-            yield _dump(np.stack([values.astype(np.int64), counts], axis=1).ravel())
-    yield b"]"
+            texts.append(_dump(np.stack([values.astype(np.int64), counts], axis=1).ravel()))
+    return b"[%b]" % b",".join(texts)
 
 
 def _as_written(cells: NDArray[Any]) -> NDArray[Any]:

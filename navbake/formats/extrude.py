@@ -5,7 +5,7 @@ With the settings written beside it, the scene bakes to the cells of the grid:
 - A floor is a slab under each cell that has one, at its height. Unknown cells have none.
 - A wall stands on the floor of each blocked cell that isn't unknown. It rises to the floor above
   it, or over all floors, so that its top is no floor by itself.
-- Adjacent cells with the same heights share a box (`cover_planes`). Boxes are a thousandth of a
+- Adjacent cells with the same heights share a box (`cover_floor`). Boxes are a thousandth of a
   cell smaller on each side, so that none reaches into an adjacent cell.
 - Blocked cells that are not connected with a free cell, even through other blocked cells, become
   unknown: a bake derives the floor under objects from the floor beside them.
@@ -27,6 +27,7 @@ import numpy as np
 
 from navbake.errors import FormatError
 from navbake.formats.convert import chosen_levels
+from navbake.formats.floor_mesh import cover_floor
 from navbake.formats.source import Files, check_named
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
@@ -134,19 +135,14 @@ def _place_levels(levels: list[SceneGrid2D]) -> tuple[Lattice, list[tuple[slice,
 
 def _boxes(lattice: Lattice, mask: Bool, low: Float, high: Float) -> Float:
     """Boxes over rectangles of cells with the same heights: (n, 2, 3), both corners [m]."""
-    from navbake.compiled import ensure_compiled  # numba loads slowly
-    from navbake.formats.kernels.planes import cover_planes  # as above
-
-    ensure_compiled("formats.kernels.planes.")
     spans = np.stack([low[mask], high[mask]], axis=1)
     heights, labels = np.unique(spans, axis=0, return_inverse=True)
     cells = np.zeros(mask.shape, dtype=np.int32)
     cells[mask] = labels.ravel() + 1
-    bounds, _ = cover_planes(cells, np.zeros(mask.shape), 0.0, 0.0)
-    z = heights[cells[bounds[:, 0], bounds[:, 1]].astype(np.int64) - 1]
-    row, col, end_row, end_col = bounds.T.astype(np.float64)
-    x = lattice.x_min + lattice.cell_size * np.stack([col + INSET, end_col - INSET], axis=1)
-    y = lattice.y_max - lattice.cell_size * np.stack([end_row - INSET, row + INSET], axis=1)
+    first, rows, cols, _ = cover_floor(cells, np.zeros(mask.shape), 0.0, 0.0, -INSET)
+    z = heights[cells[first[:, 0], first[:, 1]].astype(np.int64) - 1]
+    x = lattice.x_min + lattice.cell_size * cols[:, :2]
+    y = lattice.y_max - lattice.cell_size * rows[:, 1:3]
     return np.stack([x, y, z], axis=-1)
 
 

@@ -119,43 +119,51 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = TOLERANCE) -> FloorMesh:
     stated: Any = grid.navbake.get("maxSlope")
     is_angle = type(stated) in (int, float) and 0 <= stated < 90
     steepest = math.tan(math.radians(stated if is_angle else MAX_SLOPE)) * (1 + SLACK)
-    numbers = range(len(grid.levels))
-    return FloorMesh([_mesh_level(grid, k, names, float(tolerance), steepest) for k in numbers])
+    levels = []
+    for number, level in enumerate(grid.levels):
+        lattice, size = level.lattice, level.lattice.cell_size
+        index = level.room_index.astype(np.int32)
+        labels, heights = np.where(level.free, index + 1, 0), level.floor_or_ground
+        first, rows, cols, z = cover_floor(labels, heights, float(tolerance), steepest * size)
+        own = index[first[:, 0], first[:, 1]]
+        order = np.argsort(own, kind="stable")
+        corners = [lattice.x_min + cols * size, lattice.y_max - rows * size, z]
+        found, room = np.unique(own[order], return_inverse=True)
+        indices = [i for i in found.tolist() if i]
+        mesh = LevelMesh(
+            name=grid.level_names[number],
+            origin=(lattice.x_min, lattice.y_max, level.ground),
+            vertices=np.stack(corners, axis=-1)[order].reshape(-1, 3),
+            # 0 is no room, also where all cells are in one
+            room=room.astype(np.int64) + (len(indices) == len(found)),
+            rooms=[NO_ROOM, *(names.get((number, i), f"{number}:{i}") for i in indices)],
+            indices=[0, *indices],
+        )
+        levels.append(mesh)
+    return FloorMesh(levels)
 
 
-def _mesh_level(
-    grid: NavGrid, number: int, names: dict[tuple[int, int], str], tolerance: float, steepest: float
-) -> LevelMesh:
+def cover_floor(
+    labels: NDArray[np.int32], heights: Float, tolerance: float, steepest: float, overlap: float = 0
+) -> tuple[Int, Float, Float, Float]:
+    """Cover cells by few quads, each of one label and one plane; see `cover_planes`.
+
+    Returns:
+        Row and column of each quad's first cell, shape (n, 2); and rows, columns and heights of its
+        corners, anticlockwise from above, the lower left one first, shape (n, 4) each. The quads
+        are larger by `overlap` on each side [cells].
+    """
     from navbake.compiled import ensure_compiled  # numba loads slowly
     from navbake.formats.kernels.planes import cover_planes  # as above
 
     ensure_compiled("formats.kernels.planes.")
-    level = grid.levels[number]
-    lattice, size = level.lattice, level.lattice.cell_size
-    index = level.room_index.astype(np.int32)
-    labels = np.where(level.free, index + 1, 0)
-    bounds, planes = cover_planes(labels, level.floor_or_ground, tolerance, steepest * size)
-    room = index[bounds[:, 0], bounds[:, 1]]
-    order = np.argsort(room, kind="stable")
-    bounds, planes, room = bounds[order], planes[order], room[order]
+    bounds, planes = cover_planes(labels, heights, tolerance, steepest)
     row0, col0, row1, col1 = bounds.T
-    # anticlockwise from above, from the lower left corner; rows run against y
-    rows = np.stack([row1, row1, row0, row0], axis=1)
-    cols = np.stack([col0, col1, col1, col0], axis=1)
+    rows = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * overlap
+    cols = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * overlap
     down, right = rows - row0[:, None] - 0.5, cols - col0[:, None] - 0.5  # from the first centre
-    heights = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
-    corners = [lattice.x_min + cols * size, lattice.y_max - rows * size, heights]
-    found, room = np.unique(room, return_inverse=True)
-    indices = [i for i in found.tolist() if i]
-    return LevelMesh(
-        name=grid.level_names[number],
-        origin=(lattice.x_min, lattice.y_max, level.ground),
-        vertices=np.stack(corners, axis=-1).reshape(-1, 3),
-        # 0 is no room, also where all cells are in one
-        room=room.astype(np.int64) + (len(indices) == len(found)),
-        rooms=[NO_ROOM, *(names.get((number, i), f"{number}:{i}") for i in indices)],
-        indices=[0, *indices],
-    )
+    z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:]
+    return bounds[:, :2], rows, cols, z
 
 
 def color_mesh(grid: NavGrid, mesh: FloorMesh) -> list[NDArray[np.uint8]]:

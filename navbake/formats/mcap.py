@@ -84,36 +84,33 @@ def encode_mcap(
         raise FormatError("expected paths as `route`, got None: there is no path")
     file, schemas = io.BytesIO(), dict[str, Any]()
     with writing.Writer(file) as writer:
-        for topic, kind, message in _messages(grid, chosen, route):
+
+        def write(topic: str, kind: str, message: Json) -> None:
             if kind not in schemas:
                 name = kind.replace("/", "/msg/")
                 schemas[kind] = writer.register_msgdef(name, define(kind))
             writer.write_message(topic, schemas[kind], message, log_time=0, publish_time=0)
+
+        for number in chosen:
+            own = grid.levels[number]
+            x, y = own.lattice.bounds[:2]
+            origin = {"position": _point([x, y, own.ground]), "orientation": UPRIGHT}
+            info = {"resolution": own.lattice.cell_size, "origin": origin}
+            info |= {"width": own.width, "height": own.height}
+            values = values_of(grid, number)[::-1].ravel().tolist()  # row 0 at the bottom
+            topic = "/map" if len(chosen) == 1 else f"/map_{number}"
+            map_of_level = {"header": FRAME, "info": info, "data": values}
+            write(topic, "nav_msgs/OccupancyGrid", map_of_level)
+        for number, found in enumerate(route):
+            poses = [
+                {"header": FRAME, "pose": {"position": _point(place), "orientation": UPRIGHT}}
+                for place in found.positions
+            ]
+            write(f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses})
+        markers = [*_markers(grid)] if len(chosen) == len(grid.levels) else []
+        if markers:
+            write("/links", "visualization_msgs/MarkerArray", {"markers": markers})
     return {path: file.getvalue()}
-
-
-def _messages(
-    grid: NavGrid, chosen: list[int], route: Sequence[Route]
-) -> Iterator[tuple[str, str, Json]]:
-    """Topic, type and content of all messages."""
-    for number in chosen:
-        level = grid.levels[number]
-        x, y = level.lattice.bounds[:2]
-        origin = {"position": _point([x, y, level.ground]), "orientation": UPRIGHT}
-        info = {"resolution": level.lattice.cell_size, "origin": origin}
-        info |= {"width": level.width, "height": level.height}
-        values = values_of(grid, number)[::-1].ravel().tolist()  # row 0 at the bottom
-        topic = "/map" if len(chosen) == 1 else f"/map_{number}"
-        yield topic, "nav_msgs/OccupancyGrid", {"header": FRAME, "info": info, "data": values}
-    for number, found in enumerate(route):
-        poses = [
-            {"header": FRAME, "pose": {"position": _point(place), "orientation": UPRIGHT}}
-            for place in found.positions
-        ]
-        yield f"/path_{number}", "nav_msgs/Path", {"header": FRAME, "poses": poses}
-    markers = [*_markers(grid)] if len(chosen) == len(grid.levels) else []
-    if markers:
-        yield "/links", "visualization_msgs/MarkerArray", {"markers": markers}
 
 
 def _markers(grid: NavGrid) -> Iterator[Json]:

@@ -32,11 +32,18 @@ from navbake.files import check_regular, readable_stem
 from navbake.formats import occupancy
 from navbake.formats.allowance import MISSING, JsonPath, number, vector
 from navbake.formats.convert import level_paths
-from navbake.formats.images import Pixels, encode_image, read_pixels
 from navbake.formats.navgrid import checked_grid
-from navbake.formats.source import Files, check_named, check_path, read_yaml
+from navbake.formats.source import (
+    Files,
+    Pixels,
+    check_named,
+    check_path,
+    encode_image,
+    read_pixels,
+    read_yaml,
+)
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
-from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, rounded
+from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice, rounded
 from navbake.runtime.inflation import SCALING
 from navbake.types import Json
 from navbake.yaml_text import encode_yaml
@@ -170,18 +177,18 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         FormatError: the YAML or its image is missing, broken or too large, or there are no such
             rules.
     """
-    values, (x, y), stated = read_map(path, rules)
+    values, lattice, stated = read_map(path, rules)
     content = {**stated._asdict(), "image": stated.image.name, "origin": list(stated.origin)}
     metadata = {"sceneId": readable_stem(path), "nav2": content}
-    level = occupancy.level_from_values(values, stated.resolution, (x, y, stated.ground), metadata)
+    level = occupancy.level_from_values(values, lattice, stated.ground, metadata)
     checked_grid(level, JsonPath(check_path(path)))
     return level
 
 
 def read_map(
     path: str | PathLike[str], rules: str = "humble"
-) -> tuple[occupancy.Values, tuple[float, float], MapRules]:
-    """Read a map's values on cells along the axes, its lower left corner x, y [m], and its YAML.
+) -> tuple[occupancy.Values, Lattice, MapRules]:
+    """Read a map's values on cells along the axes, the lattice of these, and its YAML.
 
     See `read_nav2` for the arguments and errors.
     """
@@ -195,8 +202,7 @@ def read_map(
         message = f"cannot read the image that `image` in {path} names: {error.strerror}"
         raise FormatError(f"{message} at {stated.image}") from error
     values = read_values(read_pixels(stated.image), stated, rules)
-    values, x, y = occupancy.lay_along_axes(values, stated.origin, stated.resolution)
-    return values, (x, y), stated
+    return *occupancy.lay_along_axes(values, stated.origin, stated.resolution), stated
 
 
 def list_images(path: str | PathLike[str]) -> list[Path]:

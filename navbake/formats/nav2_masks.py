@@ -35,7 +35,7 @@ from navbake.formats.source import Files, check_path, read_yaml
 from navbake.known_names import suggest
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
-from navbake.navgrid.lattice import Lattice, cover_cells, touch_cells
+from navbake.navgrid.lattice import cover_cells, touch_cells
 from navbake.navgrid.links import MAX_AREAS, SPEED, Agent, Area
 from navbake.runtime.blocks import find_agent
 from navbake.types import Bool, Json
@@ -105,7 +105,17 @@ def encode_mask(
     files: Files = {}
     for k, yaml_path in level_paths(grid, path, level, YAMLS).items():
         files |= encode_map(grid.levels[k], marked[k], yaml_path, "raw", image)
-        files[_info_path(yaml_path)] = _encode_info(yaml_path, scale)
+        kind = "speed" if has_limits else "keepout"
+        topic = f"{kind}_filter_mask"
+        info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
+        info |= {"mask_topic": topic, "base": scale.base, "multiplier": scale.multiplier}
+        served = {"yaml_filename": yaml_path.name, "topic_name": topic, "frame_id": "map"}
+        content = {
+            f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
+            f"{kind}_filter_mask_server": {"ros__parameters": served},
+        }
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+        files[_info_path(yaml_path)] = text.encode()
     return files
 
 
@@ -212,39 +222,7 @@ def _info_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_filter{path.suffix}")
 
 
-def _encode_info(path: Path, scale: Scale) -> bytes:
-    """The parameters of the nodes that serve a mask and what it means."""
-    kind = "speed" if scale.type > KEEPOUT else "keepout"
-    info = {"type": scale.type, "filter_info_topic": f"{kind}_filter_info"}
-    info |= {"mask_topic": f"{kind}_filter_mask", "base": scale.base}
-    info["multiplier"] = scale.multiplier
-    served = {"yaml_filename": path.name, "topic_name": f"{kind}_filter_mask", "frame_id": "map"}
-    content = {
-        f"{kind}_costmap_filter_info_server": {"ros__parameters": info},
-        f"{kind}_filter_mask_server": {"ros__parameters": served},
-    }
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True).encode()
-
-
 # ---------------------------------------------------------------- reading
-
-
-def read_keepout(
-    path: str | PathLike[str], *, grid: NavGrid | None = None, level: int = 0
-) -> NavGrid:
-    """Read a mask of the keepout filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=False, grid=grid, level=level)
-
-
-def read_speed(
-    path: str | PathLike[str],
-    *,
-    grid: NavGrid | None = None,
-    level: int = 0,
-    agent: str | Agent | None = None,
-) -> NavGrid:
-    """Read a mask of the speed filter as areas of a grid; `read_mask` of the filter."""
-    return read_mask(path, has_limits=True, grid=grid, level=level, agent=agent)
 
 
 def read_mask(
@@ -272,21 +250,16 @@ def read_mask(
         FormatError: a file is broken, there is no such level, or there are too many areas.
         QueryError: the grid names no such agent.
     """
-    values, (x, y), stated = read_map(path)
-    cell = stated.resolution
-    height, width = values.shape
+    values, lattice, stated = read_map(path)
     if grid is None:
         empty, level = np.zeros_like(values), 0
         metadata: Json = {"sceneId": readable_stem(path), "navbake": {}}
-        grid = level_from_values(empty, cell, (x, y, stated.ground), metadata)
+        grid = level_from_values(empty, lattice, stated.ground, metadata)
         checked_grid(grid, JsonPath(check_path(path)))
     check_level(grid, level)
     target = grid.levels[level].lattice
-    rows, cols = np.indices(target.shape)
-    rows, cols = Lattice(x, y + height * cell, cell, width, height).rows_cols(
-        target.positions(rows, cols)
-    )
-    inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    rows, cols = lattice.rows_cols(target.positions(*np.indices(target.shape)))
+    inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     seen = np.zeros(target.shape, dtype=np.int8)
     seen[inside] = values[rows[inside], cols[inside]]
     whose = find_agent(grid, agent)
@@ -313,6 +286,10 @@ def read_mask(
     done: NavGrid = grid.with_levels(levels, metadata)
     renew_islands(done)
     return done
+
+
+read_keepout = partial(read_mask, has_limits=False)
+read_speed = partial(read_mask, has_limits=True)
 
 
 def _area_of(value: int, scale: Scale, has_limits: bool, fastest: float) -> Area:

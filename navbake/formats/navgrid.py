@@ -14,7 +14,6 @@ import logging
 import math
 import os
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +44,7 @@ from navbake.formats.source import (
     check_path,
     parse_json,
     read_json_text,
-    write_bytes,
+    write_files,
 )
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -300,14 +299,18 @@ def write_navgrid(grid: NavGrid, path: str | os.PathLike[str]) -> None:
     if ways:
         expected = "a name that ends in .json or .json.gz, which grid.save writes"
         raise FormatError(f"expected {expected}, got {name}: {', '.join(ways)}")
-    [(file, content)] = encode_files(grid, Path(name)).items()
-    write_bytes(content, file)
+    write_files(encode_files(grid, Path(name)))
 
 
 def encode_files(grid: NavGrid, path: Path) -> Files:
     """The file of `write_navgrid`, as a writer of `navbake.formats.convert`."""
-    pieces = _encode_navgrid(grid)
-    return {path: _gzip(pieces) if path.name.lower().endswith(".gz") else pieces}
+    content = dumps_navgrid(grid)
+    if path.name.lower().endswith(".gz"):
+        packed = io.BytesIO()
+        with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
+            file.write(content)
+        content = packed.getvalue()
+    return {path: content}
 
 
 def dumps_navgrid(grid: NavGrid) -> bytes:
@@ -318,68 +321,39 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     FormatError for NaN or infinity outside of arrays, a dtype that the format lacks, or values in
     the metadata, user data or extra fields that JSON lacks.
     """
-    return b"".join(_encode_navgrid(grid))
-
-
-def _encode_navgrid(grid: NavGrid) -> Iterator[bytes]:
-    """See `dumps_navgrid`; yields pieces, the first after all checks.
-
-    Long parts are encoded last, piece by piece: their placeholders in the rest are their numbers
-    between two characters 0, which JSON never contains.
-    """
-    top, parts = JsonPath("the grid to be written"), list[Iterator[bytes]]()
+    top = JsonPath("the grid to be written")
     if isinstance(grid, SceneGrid2D):
-        fields = _level_fields(grid, top, grid.metadata, parts)
+        fields = _level_fields(grid, top, grid.metadata)
     else:
         _ = grid.step_array, grid.links  # checks them
+        described, levels = grid.cell_attributes, []
+        for k, level in enumerate(grid.grids):
+            # a level that takes over the metadata of the whole, all dtypes included, has none
+            is_same = grid.takes_over(k, level)
+            is_same &= all(entry in described for entry in level.cell_attributes)
+            own = None if is_same else level.metadata
+            levels.append(_level_fields(level, top["grids"][k], own))
         fields = {
             "type": "MultiLevelGrid",
             "metadata": _metadata(grid, top),
             "cellSize": number(grid.cell_size, top["cellSize"], positive=True),
             "unit": number(grid.unit, top["unit"], positive=True),
-            "grids": [
-                _level_fields(level, top["grids"][i], _own_metadata(grid, i), parts)
-                for i, level in enumerate(grid.grids)
-            ],
+            "grids": levels,
             "timings": plain(grid.timings, top["timings"]),
         } | _extra(grid, top)
 
-    def join(text: bytes) -> Iterator[bytes]:
-        for k, piece in enumerate(text.split(b"\0")):
-            if k % 2:
-                yield from parts[int(piece)]
-            else:
-                yield piece
-
     try:  # OPT_SERIALIZE_NUMPY for np.float64 alone
         option = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE
-        return join(orjson.dumps(fields, option=option))
+        return orjson.dumps(fields, option=option)
     except orjson.JSONEncodeError as error:  # an integer of over 64 bits, half a surrogate
         raise FormatError(f"cannot write the grid as JSON: {error}") from error
 
 
-def _gzip(pieces: Iterator[bytes]) -> Iterator[bytes]:
-    packed = io.BytesIO()
-    with gzip.GzipFile("", "wb", compresslevel=6, fileobj=packed, mtime=0) as file:
-        for piece in pieces:
-            file.write(piece)
-            yield packed.getvalue()
-            packed.seek(0)
-            packed.truncate()
-    yield packed.getvalue()
-
-
-def _level_fields(
-    grid: SceneGrid2D, place: JsonPath, metadata: Json | None, parts: list[Iterator[bytes]]
-) -> Json:
-    def later(pieces: Iterator[bytes]) -> orjson.Fragment:
-        parts.append(pieces)
-        return orjson.Fragment(b"\0%d\0" % (len(parts) - 1))
-
+def _level_fields(grid: SceneGrid2D, place: JsonPath, metadata: Json | None) -> Json:
     def runs(array: NDArray[Any], at: JsonPath, **stated: str) -> Json:
         if array.shape != grid.shape:
             at.fail(f"expected shape (height, width) = {grid.shape}, got {array.shape}")
-        data = later(encode_array(array, at["data"]))
+        data = orjson.Fragment(encode_array(array, at["data"]))
         return {"type": "array", **stated, "length": array.size, "encoding": "rle", "data": data}
 
     fields: Json = {"type": "SceneGrid2D"}
@@ -387,7 +361,7 @@ def _level_fields(
         fields["metadata"] = _metadata(grid, place)
     fields |= {
         "weights": runs(grid.weights.astype(np.float64, copy=False), place["weights"]),
-        "userData": later(encode_user_data(grid, place["userData"])),
+        "userData": orjson.Fragment(encode_user_data(grid, place["userData"])),
         "tileAttributes": {
             name: runs(array, place["tileAttributes"][name], datatype=array.dtype.name)
             for name, array in grid.attributes.items()
@@ -415,13 +389,6 @@ def _metadata(grid: NavGrid, place: JsonPath) -> Json:
     return json_object(plain(metadata, place), place)
 
 
-def _own_metadata(grid: MultiLevelGrid, number: int) -> Json | None:
-    """A level's metadata; None if it takes over those of the whole, all dtypes included."""
-    level, described = grid.grids[number], grid.cell_attributes
-    same = grid.takes_over(number, level) and all(e in described for e in level.cell_attributes)
-    return None if same else level.metadata
-
-
 def _extra(grid: NavGrid, place: JsonPath) -> Json:
     check_extra(grid.extra, type(grid), place)
     return {key: plain(grid.extra[key], place[key]) for key in grid.extra}
@@ -434,8 +401,8 @@ def check_extra(extra: Json, kind: type[NavGrid], place: JsonPath) -> None:
             place[key].fail("extra fields can't stand in for one of the format's own")
 
 
-def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
-    """Yield user data by ascending cell id, in pieces, the first after all checks."""
+def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> bytes:
+    """Encode user data as JSON by ascending cell id."""
     num_cells = grid.width * grid.height
     source = UserData.of(grid.user_data).source
     if isinstance(source, Shared):
@@ -453,14 +420,9 @@ def encode_user_data(grid: SceneGrid2D, place: JsonPath) -> Iterator[bytes]:
     if cells and not 0 <= cells[0] <= cells[-1] < num_cells:
         wrong = cells[0] if cells[0] < 0 else cells[-1]
         place.fail(f"expected cell ids from 0 to {num_cells - 1}, got {wrong}")
-    encoded = [orjson.dumps(entry) for entry in entries]
-
-    def join() -> Iterator[bytes]:
-        yield b"{"
-        for first in range(0, len(cells), ENTRIES):
-            part = slice(first, first + ENTRIES)
-            own = zip(cells[part], map(encoded.__getitem__, numbers[part]), strict=True)
-            yield (b"," if first else b"") + b",".join(map(b'"%d":%b'.__mod__, own))
-        yield b"}"
-
-    return join()
+    encoded, pieces = [orjson.dumps(entry) for entry in entries], []
+    for first in range(0, len(cells), ENTRIES):
+        part = slice(first, first + ENTRIES)
+        own = zip(cells[part], map(encoded.__getitem__, numbers[part]), strict=True)
+        pieces.append(b",".join(map(b'"%d":%b'.__mod__, own)))
+    return b"{%b}" % b",".join(pieces)

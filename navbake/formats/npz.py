@@ -205,7 +205,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
         )
         arrays[f"{k}/weights"] = level.weights
         arrays |= {f"{k}/{names[name]}": array for name, array in level.attributes.items()}
-        text = b"".join(navgrid.encode_user_data(level, place["userData"]))
+        text = navgrid.encode_user_data(level, place["userData"])
         arrays[f"{k}/userData"] = np.frombuffer(text, dtype=np.uint8)
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":

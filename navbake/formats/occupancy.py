@@ -82,26 +82,24 @@ def _publish(costs: NDArray[np.uint8]) -> Values:
 
 
 def level_from_values(
-    values: Values, cell_size: float, corner: tuple[float, float, float], metadata: Json
+    values: Values, lattice: Lattice, ground: float, metadata: Json
 ) -> SceneGrid2D:
-    """Make a level of values; `corner` is its lower left one, and the floor's z [m].
+    """Make a level of values on the cells of a lattice; `ground` is the floor's world z [m].
 
     100 is occupied, 99 blocked, -1 has no floor, and 1 to 98 become the least cost that is
     published as that value. All other cells have a flat floor, occupied ones too.
     """
-    height, width = values.shape
-    x, y, z = corner
     costs: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
     costs[0] = 1
     blocked = (values < FREE) | (values >= INSCRIBED)
     return SceneGrid2D(
-        width=width,
-        height=height,
-        cell_size=cell_size,
-        min_yup=(x, z, 0.0 - (y + height * cell_size)),
+        width=lattice.width,
+        height=lattice.height,
+        cell_size=lattice.cell_size,
+        min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
         weights=np.where(blocked, np.inf, costs[np.clip(values, 0, OCCUPIED)]),
         attributes={
-            "floorHeight": np.where(values == UNKNOWN, np.float32(np.nan), np.float32(z)),
+            "floorHeight": np.where(values == UNKNOWN, np.float32(np.nan), np.float32(ground)),
             "occupancy": ((values == OCCUPIED) | (values == UNKNOWN)).astype(np.uint8),
         },
         metadata=metadata,
@@ -121,19 +119,9 @@ def level_from_rooms(
     `free` is where an agent can stand, shape (height, width); `rooms` has numbers from 1, 0 for
     none, of the same shape; `names` are the rooms' by number; `ground` is the floor's world z [m].
     """
-    level = SceneGrid2D(
-        width=lattice.width,
-        height=lattice.height,
-        cell_size=lattice.cell_size,
-        min_yup=(lattice.x_min, ground, 0.0 - lattice.y_max),
-        weights=np.where(free, 1.0, np.inf),
-        attributes={
-            "floorHeight": np.full(free.shape, ground, dtype=np.float32),
-            "occupancy": (~free).astype(np.uint8),
-            "roomIndex": rooms,
-        },
-        metadata={"sceneId": scene_id},
-    )
+    values = np.where(free, np.int8(FREE), np.int8(OCCUPIED))
+    level = level_from_values(values, lattice, ground, {"sceneId": scene_id})
+    level.attributes["roomIndex"] = rooms
     table = [{**room.to_json(), "name": names.get(room.index)} for room in level.measure_rooms()]
     level.metadata["navbake"] = {"rooms": table}
     return level
@@ -141,14 +129,14 @@ def level_from_rooms(
 
 def lay_along_axes(
     values: Values, origin: tuple[float, float, float], resolution: float
-) -> tuple[Values, float, float]:
+) -> tuple[Values, Lattice]:
     """Resample a map with any yaw onto cells along the world's axes.
 
     A yaw of whole quarter turns, to a tenth of a cell over the map's diagonal, only permutes the
     cells. Otherwise a new cell has the value of the map at its centre, or -1 outside of the map;
     but it is occupied if occupied cells of the map cover at least 1 % of it. `origin` is the outer
     corner of the map's lower left cell, world x, y [m], and its yaw, counter-clockwise [rad]. Also
-    returns x, y of the new lower left corner [m].
+    returns the lattice of the new cells.
     """
     x, y, yaw = origin
     height, width = values.shape
@@ -156,7 +144,7 @@ def lay_along_axes(
     if abs(yaw - quarters * QUARTER) * math.hypot(width, height) <= SLACK:
         left, below = ((0, 0), (height, 0), (width, height), (0, width))[quarters % 4]
         turned = np.ascontiguousarray(np.rot90(values, quarters % 4))
-        return turned, x - left * resolution, y - below * resolution
+        return turned, lattice_of(turned, x - left * resolution, y - below * resolution, resolution)
     # in cells, from the map's own corner
     cos, sin = math.cos(yaw), math.sin(yaw)
     xs = 0, width * cos, width * cos - height * sin, -height * sin
@@ -179,7 +167,14 @@ def lay_along_axes(
         centers = np.stack([cos * right - sin * up, sin * right + cos * up], axis=-1)
         _add_cover(covered, turned, lattice, centers, cos, sin)
     turned[covered >= LEAST_COVER] = OCCUPIED
-    return turned, x + lattice.x_min * resolution, y + lattice.bounds[1] * resolution
+    x, y = x + lattice.x_min * resolution, y + lattice.bounds[1] * resolution
+    return turned, lattice_of(turned, x, y, resolution)
+
+
+def lattice_of(values: Values, x: float, y: float, cell_size: float) -> Lattice:
+    """The lattice of a map's cells from its lower left corner [m]."""
+    height, width = values.shape
+    return Lattice(x, y + height * cell_size, cell_size, width, height)
 
 
 def _add_cover(

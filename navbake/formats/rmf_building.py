@@ -65,14 +65,24 @@ def encode_building(grid: NavGrid, path: Path) -> Files:
     levels = [_Level(_elevation(level)) for level in grid.levels]
     lifts = [link for link in grid.links if link.kind == "lift"]
     for number, (level, own) in enumerate(zip(grid.levels, levels, strict=True)):
-        _add_floor(own, level)
+        with np.errstate(invalid="ignore"):
+            is_floor = np.abs(level.floor - own.content["elevation"]) <= FLAT
+        for rings in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
+            for k, ring in enumerate(rings):
+                vertices = [own.vertex(x, y) for x, y in ring.tolist()]
+                part = {"parameters": {}, "vertices": vertices}
+                own.content["holes" if k else "floors"].append(part)
         _add_walls(own, grid, number, lifts)
         doors = {door.id: door for door in grid.doors}
         for line in _join_leaves(find_door_lines(grid, number)):
             own.content["doors"].append(_door(own, line, doors, level, number))
     _add_lanes(levels, grid)
     known = {link.name: _lift(link, grid, names) for link in lifts if link.car is not None}
-    _say_what_is_lost(grid, known)
+    lost = [f"the link {link.name!r}" for link in grid.links if link.name not in known]
+    lost += ["steps between levels"] if len(grid.step_array) else []
+    lost += ["areas"] if grid.areas else []
+    if lost:
+        LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(lost))
     for own in levels:
         own.content["vertices"] = [[x, y, 0, name, {}] for x, y, name in own.numbers]
     content = {
@@ -91,17 +101,6 @@ def _elevation(level: SceneGrid2D) -> float:
         return level.ground
     heights, count = np.unique(np.round(floor, 2), return_counts=True)
     return float(heights[count.argmax()])
-
-
-def _add_floor(own: _Level, level: SceneGrid2D) -> None:
-    """Add the floor of a level, as polygons along the edges of cells."""
-    with np.errstate(invalid="ignore"):
-        is_floor = np.abs(level.floor - own.content["elevation"]) <= FLAT
-    for rings in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
-        for number, ring in enumerate(rings):
-            vertices = [own.vertex(x, y) for x, y in ring.tolist()]
-            part = {"parameters": {}, "vertices": vertices}
-            own.content["holes" if number else "floors"].append(part)
 
 
 def _add_walls(own: _Level, grid: NavGrid, number: int, lifts: Iterable[Link]) -> None:
@@ -250,11 +249,3 @@ def _lift(link: Link, grid: NavGrid, names: list[str]) -> Json:
         "highest_floor": names[max(stop.level for stop in link.stops)],
         "level_doors": level_doors, "doors": doors,
     }  # fmt: skip
-
-
-def _say_what_is_lost(grid: NavGrid, known: Json) -> None:
-    lost = [f"the link {link.name!r}" for link in grid.links if link.name not in known]
-    lost += ["steps between levels"] if len(grid.step_array) else []
-    lost += ["areas"] if grid.areas else []
-    if lost:
-        LOG.warning("buildings of Open-RMF have no place for %s: left out", ", ".join(lost))

@@ -74,14 +74,6 @@ def check_inputs(scene: Path) -> None:
     find_inputs(scene, looks=True)
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        check_regular(path)
-    except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}") from error
-    return os.path.isfile(path)
-
-
 _Element = tuple[str, dict[str, str]]  # tag and attributes
 
 
@@ -104,7 +96,15 @@ def find_inputs(
     `looks` includes textures and skins, `missing` all possible places of each missing file. Raises
     a SceneError for a pipe or a device of this machine, which would block its reader.
     """
-    has = _is_file if files is None else files.has
+
+    def has(path: Path) -> bool:
+        if files is not None:
+            return files.has(path)
+        try:
+            check_regular(path)
+        except OSError as error:
+            raise SceneError(f"cannot read {path}: {error.strerror}") from error
+        return os.path.isfile(path)
 
     def read(path: Path) -> bytes:
         """The content of a file; empty if it can't be read."""

@@ -245,9 +245,31 @@ def read_room_outlines(path: str | os.PathLike[str]) -> list[Json]:
     room. Rings may be closed or not. Errors name the feature. Returns ``name``, ``level``,
     ``outdoors``, ``points`` (the first outline) and ``rings`` (holes and further parts) of each.
     """
-    features = _read_features(path)
-    found = (_read_feature(feature, f"feature {k} of {path}") for k, feature in enumerate(features))
-    return [outline for outline in found if outline is not None]
+    found: list[Json] = []
+    for k, feature in enumerate(_read_features(path)):
+        where = f"feature {k} of {path}"
+        is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
+        _check(is_feature, "a Feature", feature, where)
+        properties = {} if feature.get("properties") is None else feature["properties"]
+        _check(isinstance(properties, dict), "an object at `properties`", properties, where)
+        if properties.get("kind") in KINDS[1:]:
+            continue
+        name, level = properties.get("name"), properties.get("level", 0)
+        outdoors, geometry = properties.get("outdoors"), feature.get("geometry")
+        is_name = name is None or (isinstance(name, str) and name != "")
+        _check(is_name, "text at `properties.name`", name, where)
+        where = where if name is None else f"feature {k} ({name!r}) of {path}"
+        level = int(level) if isinstance(level, float) and level.is_integer() else level
+        is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
+        expected = "a level's number from 0, or its name, at `properties.level`"
+        _check(is_level, expected, level, where)
+        is_flag = isinstance(outdoors, bool | None)
+        _check(is_flag, "true or false at `properties.outdoors`", outdoors, where)
+        kind = geometry.get("type") if isinstance(geometry, dict) else None
+        points, *rings = _read_rings(geometry, kind, where)
+        about = {"name": name, "level": level, "outdoors": bool(outdoors)}
+        found.append({**about, "points": points, "rings": rings})
+    return found
 
 
 def read_entries(path: str | os.PathLike[str], section: str) -> list[Json]:
@@ -292,31 +314,6 @@ def _read_features(path: str | os.PathLike[str], *, with_lists: bool = False) ->
     return features or []
 
 
-def _read_feature(feature: Any, where: str) -> Json | None:
-    """The outline of a feature; None for a feature that is no room."""
-    is_feature = isinstance(feature, dict) and feature.get("type") == "Feature"
-    _check(is_feature, "a Feature", feature, where)
-    properties = {} if feature.get("properties") is None else feature["properties"]
-    _check(isinstance(properties, dict), "an object at `properties`", properties, where)
-    if properties.get("kind") in KINDS[1:]:
-        return None
-    name, level = properties.get("name"), properties.get("level", 0)
-    outdoors, geometry = properties.get("outdoors"), feature.get("geometry")
-    is_name = name is None or (isinstance(name, str) and name != "")
-    _check(is_name, "text at `properties.name`", name, where)
-    if name is not None:
-        where = where.replace(" of ", f" ({name!r}) of ", 1)
-    level = int(level) if isinstance(level, float) and level.is_integer() else level
-    is_level = level != "" if isinstance(level, str) else type(level) is int and level >= 0
-    _check(is_level, "a level's number from 0, or its name, at `properties.level`", level, where)
-    is_flag = isinstance(outdoors, bool | None)
-    _check(is_flag, "true or false at `properties.outdoors`", outdoors, where)
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    rings = _read_rings(geometry, kind, where)
-    about = {"name": name, "level": level, "outdoors": bool(outdoors)}
-    return {**about, "points": rings[0], "rings": rings[1:]}
-
-
 def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]:
     """All rings of a Polygon or MultiPolygon, the first outline first."""
     _check(kind in ("Polygon", "MultiPolygon"), "a Polygon or MultiPolygon", kind, where)
@@ -324,27 +321,25 @@ def _read_rings(geometry: Any, kind: Any, where: str) -> list[list[list[float]]]
     polygons = [polygons] if kind == "Polygon" else polygons
     are_lists = isinstance(polygons, list) and all(isinstance(part, list) for part in polygons)
     _check(are_lists, "lists of rings at `coordinates`", polygons, where)
-    rings = [_read_ring(ring, where) for polygon in polygons for ring in polygon]
+    rings = []
+    for ring in (ring for polygon in polygons for ring in polygon):
+        if not isinstance(ring, list) or not all(
+            isinstance(position, list)
+            and len(position) >= 2
+            and all(type(value) in (int, float) for value in position[:2])
+            for position in ring
+        ):
+            raise FormatError(f"expected a ring of positions [x, y] in {where}")
+        points = [[float(x), float(y)] for x, y, *_ in ring]
+        if len(points) > 1 and points[0] == points[-1]:
+            points.pop()
+        if len(points) < 3:
+            raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
+        if fault := find_fault(points):
+            raise FormatError(f"expected a simple outline, got {fault} in {where}")
+        rings.append(points)
     _check(bool(rings), "an outline", None, where)
     return rings
-
-
-def _read_ring(ring: Any, where: str) -> list[list[float]]:
-    if not isinstance(ring, list) or not all(
-        isinstance(position, list)
-        and len(position) >= 2
-        and all(type(value) in (int, float) for value in position[:2])
-        for position in ring
-    ):
-        raise FormatError(f"expected a ring of positions [x, y] in {where}")
-    points = [[float(x), float(y)] for x, y, *_ in ring]
-    if len(points) > 1 and points[0] == points[-1]:
-        points.pop()
-    if len(points) < 3:
-        raise FormatError(f"expected a ring of 3 corners or more, got {len(points)} in {where}")
-    if fault := find_fault(points):
-        raise FormatError(f"expected a simple outline, got {fault} in {where}")
-    return points
 
 
 def _check(is_good: bool, expected: str, value: Any, where: str) -> None:

@@ -41,7 +41,6 @@ from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.allowance import MAX_PIXELS, Allowance, JsonPath
 from navbake.formats.convert import chosen_levels, level_paths
-from navbake.formats.images import encode_image, open_image
 from navbake.formats.npz import read_npy
 from navbake.formats.occupancy import (
     FREE,
@@ -50,7 +49,7 @@ from navbake.formats.occupancy import (
     level_from_rooms,
     level_from_values,
 )
-from navbake.formats.source import Files, check_path, read_bytes
+from navbake.formats.source import Files, check_path, encode_image, open_image, read_bytes
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import FARTHEST, LEAST_EDGE, Lattice
 from navbake.types import Float, Json
@@ -130,8 +129,8 @@ def read_grscenes(path: str | PathLike[str]) -> SceneGrid2D:
     cols = np.minimum((np.arange(shape[1]) + 0.5) * cell / dx, width - 0.5).astype(np.int64)
     table = np.array([FREE, OCCUPIED, UNKNOWN], dtype=np.int8)
     picked = table[values[rows[:, None], cols].astype(np.int64)]
-    corner = x, top - shape[0] * cell, 0.0
-    return level_from_values(picked, cell, corner, {"sceneId": readable_stem(path)})
+    lattice = Lattice(x, top, cell, shape[1], shape[0])
+    return level_from_values(picked, lattice, 0.0, {"sceneId": readable_stem(path)})
 
 
 def _step_of(coordinates: Float, axis: str, place: JsonPath) -> float:

@@ -1,4 +1,7 @@
-"""Reads and writes whole files: paths, bytes or streams; system errors become FormatErrors."""
+"""Reads and writes whole files: paths, bytes or streams, JSON, YAML, and images by Pillow.
+
+Errors of the system and of libraries become FormatErrors.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,39 @@ import importlib
 import io
 import logging
 import os
+import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias
 
 import orjson
 
 from navbake.errors import ConfigError, FormatError, MissingDependencyError
 from navbake.files import write_together
-from navbake.formats.allowance import MAX_BYTES, Allowance, JsonPath, shown
+from navbake.formats.allowance import MAX_BYTES, PIXEL_COST, Allowance, JsonPath, shown
+from navbake.lazy import lazy
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from PIL import Image, PngImagePlugin
+else:  # the command line lists formats before it loads numpy
+    np = lazy("numpy")
+    Image, PngImagePlugin = lazy("PIL.Image"), lazy("PIL.PngImagePlugin")
 
 Source: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO
 """A path, a file's content, or a file opened in binary mode."""
-Files: TypeAlias = dict[Path, bytes | Iterable[bytes]]
-"""Files to be written, in this order: content, or pieces of it, by path."""
+Files: TypeAlias = dict[Path, bytes]
+"""Files to be written, in this order: content by path."""
 
 LOG = logging.getLogger("navbake")
 CHUNK = 1 << 20  # read first [bytes]
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP = b"\x1f\x8b"
 PACKED: dict[bytes, tuple[str, Any]] = {GZIP: ("gzip", gzip.open), b"BZ": ("bzip2", bz2.open)}
+LUMA = (306, 601, 117)  # of 1024: shares of red, green and blue
+BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
 NAVGRID = "a NavGrid JSON object"
 NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
 
@@ -57,30 +71,6 @@ def _os_message(error: Exception) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
-@contextmanager
-def _opened(source: Source) -> Iterator[tuple[BinaryIO, str]]:
-    """Open a source; system errors become FormatErrors."""
-    if isinstance(source, bytes | bytearray | memoryview):
-        yield io.BytesIO(source), "the bytes given"
-        return
-    if not isinstance(source, str | os.PathLike) and not callable(getattr(source, "read", None)):
-        expected = "a path, a file's content or a file opened in binary mode"
-        raise FormatError(f"expected {expected}, got {shown_type(source)}")
-    name = str(getattr(source, "name", "the stream given"))
-    try:
-        if isinstance(source, str | os.PathLike):
-            name = os.fsdecode(source)
-            LOG.debug("reading %s", name)
-            if os.path.isdir(source):
-                raise FormatError(f"expected a file, got the folder {path_name(name)}")
-            with open(source, "rb") as file:
-                yield file, name
-        else:
-            yield source, name
-    except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
-        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
-
-
 def read_bytes(
     source: Source,
     *,
@@ -93,20 +83,36 @@ def read_bytes(
     `begins` are the possible beginnings of such a file. Of any other, at most 1 MiB is read: it
     may be a device that never ends.
     """
-    with _opened(source) as (stream, name):
-        data = stream.read(CHUNK)
-        if not isinstance(data, bytes):
-            got = "text" if isinstance(data, str) else shown_type(data)
-            JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
-        if not data.startswith(begins):
-            JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
-        pieces, size = [data], len(data)
-        while piece := stream.read(16 * CHUNK):
-            pieces.append(piece)
-            size += len(piece)
-            if size > MAX_BYTES:
-                JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
-        return b"".join(pieces), name
+    path = source if isinstance(source, str | os.PathLike) else None
+    stream: Any = source
+    name = str(getattr(source, "name", "the stream given"))
+    if path is not None:
+        name = os.fsdecode(path)
+        LOG.debug("reading %s", name)
+    elif isinstance(source, bytes | bytearray | memoryview):
+        stream, name = io.BytesIO(source), "the bytes given"
+    elif not callable(getattr(source, "read", None)):
+        wanted = "a path, a file's content or a file opened in binary mode"
+        raise FormatError(f"expected {wanted}, got {shown_type(source)}")
+    try:
+        if path is not None and os.path.isdir(path):
+            raise FormatError(f"expected a file, got the folder {path_name(name)}")
+        with nullcontext(stream) if path is None else open(path, "rb") as file:
+            data = file.read(CHUNK)
+            if not isinstance(data, bytes):
+                got = "text" if isinstance(data, str) else shown_type(data)
+                JsonPath(name).fail(f"expected a file opened in binary mode, got {got}")
+            if not data.startswith(begins):
+                JsonPath(name).fail(f"expected {expected}, got {_beginning(data)}", remedy)
+            pieces, size = [data], len(data)
+            while piece := file.read(16 * CHUNK):
+                pieces.append(piece)
+                size += len(piece)
+                if size > MAX_BYTES:
+                    JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
+            return b"".join(pieces), name
+    except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
+        raise FormatError(f"cannot read {path_name(name)}: {_os_message(error)}") from error
 
 
 def _beginning(text: bytes) -> str:
@@ -182,18 +188,86 @@ def read_yaml(path: str | os.PathLike[str], *, expected: str) -> tuple[Any, str]
         raise FormatError(f"expected {expected}: {error}") from error
 
 
+# ---------------------------------------------------------------- images
+
+
+class Pixels(NamedTuple):
+    """The pixels of an image, row 0 at the top."""
+
+    light: NDArray[Any]  #: Sum of red, green and blue, shape (height, width), uint16 or uint32.
+    white: int  #: The largest value of each, 255 or 65535.
+    #: 0 to 255, shape (height, width), uint8; None if the image has none.
+    opacity: NDArray[np.uint8] | None
+    #: Luma by Rec. 601, 0 to 255, shape (height, width), uint8, as GraphicsMagick computes it with
+    #: quanta of 16 bits.
+    luma: NDArray[np.uint8]
+
+
+def open_image(source: str | os.PathLike[str], kinds: tuple[str, ...] = tuple(BEGINNINGS)) -> Any:
+    """Load an image of one of some kinds: ``PPM`` (includes PGM), ``PNG`` and ``BMP``."""
+    begins = tuple(start for kind in kinds for start in BEGINNINGS[kind])
+    names = " or ".join("PGM" if kind == "PPM" else kind for kind in kinds)
+    data, name = read_bytes(source, begins=begins, expected=f"a {names} image")
+    allowance, place = Allowance(len(data)), JsonPath(name)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the pixels are counted here
+            image = Image.open(io.BytesIO(data), formats=kinds)
+            allowance.take_cells(image.size, place)
+            allowance.take_array(image.size, PIXEL_COST, place)
+            image.load()
+            return image
+    except FormatError:
+        raise
+    except Exception as error:  # Pillow and zlib raise many types for a broken image
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        raise FormatError(f"{path_name(name)} is no image that can be read: {why}") from error
+
+
+def read_pixels(source: str | os.PathLike[str]) -> Pixels:
+    """Read the pixels of a PGM, PNG or BMP of any depth; see `open_image`."""
+    image = open_image(source)
+    if image.mode in ("I", "I;16", "I;16B", "I;16L"):
+        grey = np.asarray(image).astype(np.uint32)
+        return Pixels(3 * grey, 65535, None, (grey // 257).astype(np.uint8))
+    has_opacity = "A" in image.getbands() or "transparency" in image.info
+    if not has_opacity and image.mode in ("1", "L"):
+        luma = np.asarray(image.convert("L"))
+        return Pixels(3 * luma.astype(np.uint16), 255, None, luma)
+    channels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
+    light = channels[..., :3].sum(axis=2, dtype=np.uint16)
+    luma = (channels[..., :3] @ np.array(LUMA, dtype=np.uint32) >> 10).astype(np.uint8)
+    return Pixels(light, 255, channels[..., 3] if has_opacity else None, luma)
+
+
+def encode_image(pixels: NDArray[np.uint8], kind: str, **texts: str) -> bytes:
+    """Encode pixels, (height, width) or (height, width, 3 or 4), as ``PNG`` with texts by keyword.
+
+    Or a binary PGM (``PPM`` to Pillow) of grey values, (height, width). Row 0 is the top.
+    """
+    notes = PngImagePlugin.PngInfo()
+    for keyword, text in texts.items():
+        notes.add_text(keyword, text)
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, kind, pnginfo=notes)
+    return file.getvalue()
+
+
+# ---------------------------------------------------------------- writing
+
+
 def check_named(path: Path) -> None:
     """Refuse a file whose name isn't UTF-8, as another file is to contain it."""
     if path.name != os.fsencode(path.name).decode(errors="replace"):
         raise FormatError(f"expected a name in UTF-8, which another file can hold, got {path}")
 
 
-def write_bytes(data: bytes | Iterable[bytes], path: str | os.PathLike[str]) -> None:
-    """Write a file, given as bytes or pieces, as a whole or not at all."""
+def write_bytes(data: bytes, path: str | os.PathLike[str]) -> None:
+    """Write a file as a whole or not at all."""
     write_files({Path(check_path(path)): data})
 
 
-def write_files(files: Mapping[Path, bytes | Iterable[bytes]]) -> list[Path]:
+def write_files(files: Files) -> list[Path]:
     """Write files that belong together, all or none; returns their paths."""
     try:
         write_together(files)

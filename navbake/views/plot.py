@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 from PIL import Image
@@ -55,13 +55,8 @@ STROKES = {  # colours and widths [points] of lines, from below
 }
 
 
-class Mark(NamedTuple):
-    """A place to mark on a picture: level (-1 for all), world x and y [m], and what is there."""
-
-    level: int
-    x: float
-    y: float
-    kind: str
+Mark: TypeAlias = tuple[int, float, float, str]
+"""A place to mark on a picture: level (-1 for all), world x and y [m], and what is there."""
 
 
 def plot_grid(grid: NavGrid, path: str | PathLike[str], **drawn: Any) -> Path:

@@ -104,19 +104,17 @@ def room_table(rooms: Sequence[Room], levels: Sequence[str]) -> Table:
 
 def door_table(doors: Sequence[Door], levels: Sequence[str]) -> Table:
     """A row for each door, without empty columns; `levels` are the levels' names."""
-    has_joints = any(door.joint != door.id for door in doors)
-    rows = [
-        (
-            door.id,
-            (door.joint or "none") if has_joints else "",
-            ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else "",
-            # a body that a pattern made a door may stand anywhere
-            " - ".join(room or "outside" for room in door.rooms) if any(door.rooms) else "nothing",
-            _shown_state(door),
-            ", ".join(door.states),
-        )
-        for door in doors
-    ]
+    has_joints, rows = any(door.joint != door.id for door in doors), []
+    for door in doors:
+        joint = (door.joint or "none") if has_joints else ""
+        on = ", ".join(levels[level] for level in door.levels) if len(levels) > 1 else ""
+        # a body that a pattern made a door may stand anywhere
+        rooms = [room or "outside" for room in door.rooms] if any(door.rooms) else ["nothing"]
+        # of a door as modelled also the state that this is the same as, if it is known
+        is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
+        like = door.like or ("half-open" if is_between else None)
+        state = f"{door.state} ({like})" if like else door.state
+        rows.append((door.id, joint, on, " - ".join(rooms), state, ", ".join(door.states)))
     headings = ("door", "joint", "level", "joins", "is", "can be")
     return make_table(headings, rows).without_empty_columns()
 
@@ -161,13 +159,6 @@ def _number(value: float | None) -> str:
 
 def _names(agents: Iterable[str] | None) -> str:
     return "" if agents is None else ", ".join(agents) or "nobody"
-
-
-def _shown_state(door: Door) -> str:
-    """A door's state; of one as modelled also which state that is the same as, if it is known."""
-    is_between = door.state == "modelled" and {"open", "closed"} <= set(door.states)
-    like = door.like or ("half-open" if is_between else None)
-    return f"{door.state} ({like})" if like else door.state
 
 
 def cell_facts(facts: Json) -> dict[str, str | list[str]]:

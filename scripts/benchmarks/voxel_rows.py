@@ -16,8 +16,8 @@ from benchmarks.scenes import APARTMENT
 from navbake.baker.scene.scene import load_scene
 from navbake.baker.voxelize.voxelizer import Voxelizer
 from navbake.config.settings import parse_config
-from navbake.formats.binvox import encode_binvox
 from navbake.formats.octomap import encode_octomap
+from navbake.formats.voxels import encode_binvox
 from navbake.voxels.grid import Placement, VoxelGrid
 
 RES = 0.05  # [m]

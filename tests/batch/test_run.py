@@ -702,7 +702,7 @@ def test_workers_make_all_that_is_asked_for_before_their_first_scene(monkeypatch
         raise ConfigError("it can't be made of the sample")
 
     monkeypatch.setattr(job_module, "make_product", make)
-    monkeypatch.setattr(job_module, "write_thumbnail", lambda grid, folder: folders.append(folder))
+    monkeypatch.setattr(job_module, "write_bytes", lambda _, path: folders.append(path.parent))
     job_module.prepare((), True)
     job_module.prepare(("report",), True)
     assert len(folders) == 3 and len(made) == 1 and made[0] > 1

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from navbake.batch.scenes import list_jobs
-from navbake.batch.settings import Job, nest, of_id, read_shared, settings_of
+from navbake.batch.scenes import Job, list_jobs, nest, of_id, read_shared, settings_of
 from navbake.config.keywords import merge
 from navbake.errors import ConfigError
 

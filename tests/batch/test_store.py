@@ -17,8 +17,7 @@ from batch_scenes import CHEST, draw_room
 from navbake.batch import store
 from navbake.batch.index import NAME
 from navbake.batch.products import RECORD
-from navbake.batch.scenes import list_jobs
-from navbake.batch.settings import read_shared
+from navbake.batch.scenes import list_jobs, read_shared
 from navbake.batch.store import (
     Mirror,
     as_folder,

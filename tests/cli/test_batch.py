@@ -22,7 +22,6 @@ from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, w
 from batch_scenes import write_scenes
 from navbake import files
 from navbake.batch import index, store
-from navbake.cli.commands import batch as command
 from navbake.errors import NavbakeError
 from navbake.files import TEMPORARY
 from navbake.formats.navgrid import read_navgrid
@@ -324,7 +323,7 @@ def test_no_folder_for_temporary_files_ends_the_batch_with_one_line(folder, run,
 
     with monkeypatch.context() as patch:
         patch.setattr("tempfile.gettempdir", refuse)
-        patch.setattr(command, "_warm_up", lambda: None)
+        patch.setattr("navbake.compiled.ensure_compiled", lambda *rooms: None)
         status, out, err = run("batch", "room.xml", "-o", "out", *COARSE)
     assert (status, out) == (1, "") and err == (
         "navbake: cannot write temporary files: No usable temporary directory found in ['/tmp']: "

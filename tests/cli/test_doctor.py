@@ -9,7 +9,7 @@ import pytest
 
 from navbake import compiled
 from navbake._version import __version__
-from navbake.cli.commands import check
+from navbake.cli import check
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -18,6 +18,7 @@ import navbake
 from navbake import compiled
 from navbake.cli.main import COMMANDS, app, main
 from navbake.cli.options import check_output, prepared
+from navbake.cli.printing import VOLUME
 from navbake.errors import ConfigError
 from project_paths import GOLDEN
 
@@ -151,32 +152,26 @@ def test_help_lists_the_output_first(name, run):
         assert re.search(r"\nOptions:\n +-o, --output ", out)
 
 
-class Size(NamedTuple):
-    width: Annotated[int, typer.Option(help="Columns.")]
-    height: Annotated[int, typer.Option(help="Rows.")] = 3
-
-
-def test_options_that_belong_together_are_one_value(capsys):
+def test_a_prepared_command_takes_quiet_and_verbose_too(capsys):
     app = typer.Typer(rich_markup_mode=None)
     got = []
 
     @app.command()
     @prepared
     def draw(
-        size: Size,
         name: Annotated[str, typer.Argument(help="What.")],
+        width: Annotated[int, typer.Option(help="Columns.")] = 3,
         fast: Annotated[bool, typer.Option("--fast")] = False,
     ) -> None:
         """Draw."""
-        got.append((size, name, fast))
+        got.append((name, width, fast, VOLUME.quiet))
 
     app(["box", "--width", "4", "--fast"], standalone_mode=False)
-    app(["box", "--width", "4", "--height", "5"], standalone_mode=False)
-    assert got == [(Size(4, 3), "box", True), (Size(4, 5), "box", False)]
+    app(["box", "-q"], standalone_mode=False)
+    assert got == [("box", 4, True, False), ("box", 3, False, True)]
     app(["--help"], standalone_mode=False)
     out = capsys.readouterr().out
-    assert all(text in out for text in ("Draw.", "--width", "Rows.", "What."))
-    assert "--size" not in out
+    assert all(text in out for text in ("Draw.", "--width", "Columns.", "What.", "--verbose"))
 
 
 def test_a_missing_folder_may_be_made_if_asked_for(tmp_path):

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from navbake.cli.commands.episodes import SET_FORMATS
+from navbake.cli.episodes import SET_FORMATS
 from navbake.episodes import (
     Agent,
     Episode,

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
-from navbake.formats.binvox import encode_binvox, read_binvox
-from navbake.formats.voxels import names_path, read_voxels, write_voxels
+from navbake.formats.voxels import encode_binvox, names_path, read_binvox, read_voxels, write_voxels
 from navbake.voxels.grid import VoxelGrid
 from oracles.voxel_files import read_binvox_plainly, write_binvox_as_airsim
 

@@ -19,9 +19,9 @@ import navbake
 from grid_maps import house_from, level_from
 from map_grids import CELLS, SAMPLES, random_level, sample, small
 from navbake.errors import FormatError, QueryError
-from navbake.formats.images import Pixels
 from navbake.formats.nav2 import MapRules, read_values
-from navbake.formats.occupancy import level_from_values, values_of
+from navbake.formats.occupancy import lattice_of, level_from_values, values_of
+from navbake.formats.source import Pixels
 from navbake.runtime.inflation import nav2_costs
 from project_paths import SHARED_DATA
 
@@ -357,7 +357,7 @@ def test_a_map_turned_by_quarters_is_turned_exactly(tmp_path, quarters):
 @settings(max_examples=25, deadline=None)
 @given(CELLS, st.floats(-7, 7) | st.sampled_from([math.atan2(3, 4), math.pi / 4]))
 def test_a_map_turned_by_any_angle_keeps_its_centres_and_has_no_gap(tmp_path_factory, values, yaw):
-    level = level_from_values(values, 0.1, (0.0, 0.0, 0.0), {})
+    level = level_from_values(values, lattice_of(values, 0.0, 0.0, 0.1), 0.0, {})
     (_, path) = level.to_nav2(tmp_path_factory.mktemp("turned") / "map.yaml")
     stated = yaml.safe_load(path.read_text())
     stated["origin"] = [7.0, -3.0, yaw]

@@ -14,9 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.errors import FormatError, NavbakeError
-from navbake.formats.binvox import read_binvox
 from navbake.formats.octomap import encode_octomap, read_octomap
-from navbake.formats.voxels import write_voxels
+from navbake.formats.voxels import read_binvox, write_voxels
 from navbake.voxels.grid import VoxelGrid
 
 try:

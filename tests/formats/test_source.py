@@ -8,9 +8,8 @@ import pytest
 
 import navbake
 from navbake.errors import ConfigError, FormatError, NavbakeError, SceneError
-from navbake.formats.binvox import encode_binvox
 from navbake.formats.shapes import read_room_outlines
-from navbake.formats.voxels import names_path
+from navbake.formats.voxels import encode_binvox, names_path
 from navbake.voxels.grid import VoxelGrid
 
 GRID = b'{"type": "SceneGrid2D", "width": 2, "height": 1, "cellSize": 1, "min": [0, 0, 0]}'

@@ -14,7 +14,7 @@ from navbake.navgrid.colors import rgb_of
 from navbake.views.describe import bend, find_ways, stair_table
 from navbake.views.layers import make_panel
 from navbake.views.plot import render_picture
-from navbake.views.report.report import describe_map, render_report
+from navbake.views.report import describe_map, render_report
 from navbake.views.viewer.exhibit import Choices, Exhibit
 from project_paths import GOLDEN
 from report_pages import content_of

@@ -14,7 +14,7 @@ from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
 from navbake.views import plot
 from navbake.views.layers import Label, make_panel, paint
-from navbake.views.plot import Mark, plot_grid, render_picture
+from navbake.views.plot import plot_grid, render_picture
 
 pytest.importorskip("matplotlib")
 
@@ -108,7 +108,7 @@ def test_marks_are_drawn_on_their_level_or_on_all(house):
     plain = pixels(render_picture(house, layers=("occupancy",)))
     colored = []
     for level in (0, 1, -1):
-        marks = [Mark(level, 0.5, 1.0, "floor off"), Mark(level, 1.5, 0.5, "path touches")]
+        marks = [(level, 0.5, 1.0, "floor off"), (level, 1.5, 0.5, "path touches")]
         drawn = pixels(render_picture(house, layers=("occupancy",), marks=marks))
         assert drawn.shape[1] == plain.shape[1]
         is_mark = [np.abs(drawn - color(c)).max(axis=-1) < 8 for c in MARKS[:2]]

@@ -10,7 +10,7 @@ from PIL import Image
 
 import navbake
 from navbake.errors import FormatError
-from navbake.formats.binvox import read_binvox
+from navbake.formats.voxels import read_binvox
 from navbake.voxels.grid import VoxelGrid
 
 

@@ -29,8 +29,8 @@ from navbake.baker.scene.sdf_frames import WORLD, Element, Scope, is_true, numbe
 from navbake.baker.scene.tessellation import Mesh, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
-from navbake.formats.images import read_pixels
 from navbake.formats.scene_files import model_file, sdf_places
+from navbake.formats.source import read_pixels
 from navbake.types import Float
 
 BASE = 0.1  # of a height field, below its lowest point [m]

@@ -258,9 +258,16 @@ class Exhibit:
                     height = min(NAME_HEIGHT, label.width / width if label.width else POINT_HEIGHT)
                     place = label.x, label.y, z + NAME_OVER
                     found.append((-label.width, number, Name(label.text, place, height)))
+
+        def meets(one: Name, other: Name) -> bool:
+            """Whether two names overlap, seen from above."""
+            x, y = (abs(a - b) for a, b in zip(one.position[:2], other.position[:2], strict=True))
+            wide = sum(LETTER * len(name.text) * name.height for name in (one, other)) / 2
+            return x < wide and y < (one.height + other.height) / 2
+
         names: dict[int, list[Name]] = {number: [] for number in levels}
         for _, number, name in sorted(found)[:MOST_NAMES]:
-            if not any(_overlap(name, other) for other in names[number]):
+            if not any(meets(name, other) for other in names[number]):
                 names[number].append(name)
         return [name for own in names.values() for name in own]
 
@@ -393,13 +400,6 @@ class Exhibit:
 def goal_place(goal: Goal) -> tuple[float, float, float] | None:
     """Where a goal is drawn: at its position, or its first view point."""
     return goal.position or (goal.view_points[0].position if goal.view_points else None)
-
-
-def _overlap(one: Name, other: Name) -> bool:
-    """Whether two names meet, seen from above."""
-    x, y = (abs(a - b) for a, b in zip(one.position[:2], other.position[:2], strict=True))
-    wide = sum(LETTER * len(name.text) * name.height for name in (one, other)) / 2
-    return x < wide and y < (one.height + other.height) / 2
 
 
 def triangles_of(surfaces: Sequence[Surface], geoms: Sequence[int]) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.formats.floor_mesh import Buffer
+from navbake.formats.floor_mesh import Buffer, cover_floor
 from navbake.lazy import lazy
 from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
@@ -418,30 +418,20 @@ def lay_carpet(level: SceneGrid2D, *, with_holes: bool = True, most: int = MOST)
     Without holes, cells without a floor lie at the level's ground. There are at most `most`
     rectangles, unless single cells are more.
     """
-    from navbake.compiled import ensure_compiled  # numba loads slowly
-    from navbake.formats.kernels.planes import cover_planes  # as above
-
-    ensure_compiled("formats.kernels.planes.")
     floor, size = level.floor.astype(np.float64), level.lattice.cell_size
     shown = ~np.isnan(floor) if with_holes else np.ones(level.shape, np.bool_)
     heights = np.where(np.isnan(floor), level.ground, floor)
-    flatness, span = FLAT, float(np.ptp(heights))
+    cells, flatness, span = shown.astype(np.int32), FLAT, float(np.ptp(heights))
     while True:
-        bounds, planes = cover_planes(shown.astype(np.int32), heights, flatness, STEEPEST * size)
-        if len(bounds) <= most or flatness > span:
+        _, row, col, z = cover_floor(cells, heights, flatness, STEEPEST * size, OVERLAP)
+        if len(row) <= most or flatness > span:
             break
         flatness *= 2
-    row0, col0, row1, col1 = bounds.T
-    # counter-clockwise from above
-    row = np.stack([row1, row1, row0, row0], axis=1) + np.array([1, 1, -1, -1]) * OVERLAP
-    col = np.stack([col0, col1, col1, col0], axis=1) + np.array([-1, 1, 1, -1]) * OVERLAP
-    down, right = row - row0[:, None] - 0.5, col - col0[:, None] - 0.5  # from the first centre
-    z = planes[:, :1] + right * planes[:, 1:2] + down * planes[:, 2:] + LIFT + flatness
     x, y = level.lattice.x_min + col * size, level.lattice.y_max - row * size
     first = (np.arange(len(row)) * 4)[:, None, None]
     uv = np.stack([col / level.width, row / level.height], axis=-1).reshape(-1, 2)
     return Surface(
-        np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float32),
+        np.stack([x, y, z + LIFT + flatness], axis=-1).reshape(-1, 3).astype(np.float32),
         (QUAD + first).reshape(-1, 3).astype(np.uint32),
         uv=uv.astype(np.float32),
         texture=0,

@@ -102,7 +102,24 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._scene.world_axes.visible = False
         self._scene.configure_default_lights(cast_shadow=False)
         self._set_up()
-        self._place_camera(exhibit.bounds)
+        # look at the grid from -y and above, so that it fills the page
+        bounds, camera = exhibit.bounds, self._server.initial_camera
+        place = find_camera(bounds, USUAL_ASPECT)
+        camera.fov = FIELD_OF_VIEW
+        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
+        camera.look_at, camera.position = bounds.mean(axis=0), place
+
+        def fit(camera: viser.CameraHandle) -> None:
+            """Move the first camera of a page that is narrower than usual, or becomes so."""
+            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, place, atol=0.01):
+                camera.position = find_camera(bounds, camera.aspect)
+                camera.look_at = bounds.mean(axis=0)
+
+        def follow(client: viser.ClientHandle) -> None:
+            fit(client.camera)
+            client.camera.on_update(fit)
+
+        self._server.on_client_connect(follow)
         self._scene.on_click()(self._click)
         page.on_dark = lambda: self._changes.put(Choices.with_dark_system)
         forget = self._server.gui.add_command("Clear what was clicked", hotkey="escape")
@@ -143,43 +160,23 @@ class Viewer(AbstractContextManager["Viewer"]):
         self.close()
 
     def _set_up(self) -> None:
-        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
-        gui.set_panel_label(name or "navbake")
-        self._page.title = f"{name} – navbake" if name else "navbake"
-        self._controls = Controls(gui, self._exhibit, self._chosen, change, self._verify)
-        gui.main_panel.dock_right()  # beside the scene, not over it
-
-    def _place_camera(self, bounds: Float) -> None:
-        """Look at a box from -y and above, so that it fills the page."""
-        camera, place = self._server.initial_camera, find_camera(bounds, USUAL_ASPECT)
-        camera.fov = FIELD_OF_VIEW
-        camera.near, camera.far = 0.05, 40 * max(float(place[2] - bounds[0, 2]), 1.0)
-        camera.look_at, camera.position = bounds.mean(axis=0), place
-
-        def fit(camera: viser.CameraHandle) -> None:
-            """Move the first camera of a page that is narrower than usual, or becomes so."""
-            if camera.aspect < USUAL_ASPECT and np.allclose(camera.position, place, atol=0.01):
-                camera.position = find_camera(bounds, camera.aspect)
-                camera.look_at = bounds.mean(axis=0)
-
-        def follow(client: viser.ClientHandle) -> None:
-            fit(client.camera)
-            client.camera.on_update(fit)
-
-        self._server.on_client_connect(follow)
-
-    def _click(self, event: viser.SceneClickEvent) -> None:
-        ray = event.ray_origin, event.ray_direction
-        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
-
-    def _verify(self) -> None:
         def compare(chosen: Choices) -> Choices:
             self._controls.say("Comparing the grid with the scene…")
             self._exhibit.verify()
             self._controls.say("")
             return chosen
 
-        self._changes.put(compare)
+        gui, change, name = self._server.gui, self._changes.put, self._exhibit.grid.scene_id
+        gui.set_panel_label(name or "navbake")
+        self._page.title = f"{name} – navbake" if name else "navbake"
+        self._controls = Controls(
+            gui, self._exhibit, self._chosen, change, partial(change, compare)
+        )
+        gui.main_panel.dock_right()  # beside the scene, not over it
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        ray = event.ray_origin, event.ray_direction
+        self._changes.put(lambda chosen: self._exhibit.click(chosen, ray))
 
     def _show_other(self, exhibit: Exhibit) -> None:
         """Show another exhibit with the same choices, as far as it has them; from any thread."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from typer import Argument, BadParameter
 
@@ -13,7 +13,6 @@ from navbake.cli.options import OUTPUT, AsJson, argument, flag, option
 from navbake.cli.printing import print_json, print_tables, say, say_unless_quiet
 from navbake.errors import ConfigError, QueryError
 from navbake.files import encode_csv
-from navbake.formats.source import write_bytes
 from navbake.known_names import suggest
 from navbake.views.tables import make_table
 
@@ -24,81 +23,65 @@ SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", 
 """Formats of other programs that hold sets."""
 
 
-class Goals(NamedTuple):
-    """Options of the goals."""
-
-    task: str = option("TASK", "point, object, room, sequence or explore.", default="point")
-    objects: list[str] | None = option("PATTERN", "Objects by name. May be repeated.", "--object")
-    categories: Path | None = option("YAML", "Patterns of names by category, or type of room.")
-    rooms: list[str] | None = option("PATTERN", "Rooms by id or name. May be repeated.", "--room")
-    reach: float | None = option("METRES", "How near to the goal counts as reached [m].")
-    length: int = option("N", "Goals of a sequence.", default=3, min=2)
-    of: str = option("KIND", "What its goals are: point, object or room.", default="point")
-    share: float = option("SHARE", "Of the free area to explore.", default=0.9)
-
-
-class Drawn(NamedTuple):
-    """Options of drawing episodes."""
-
-    sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform")
-    rule: list[str] | None = option("KEY=VALUE", "A rule, e.g. min_distance=2. May be repeated.")
-    total: int | None = option("N", "Episodes in all.  [default: 100 a scene]", "--count", min=1)
-    per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1)
-    seed: int = option("N", "Seed of the draw.", default=0, min=0)
-    split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated.")
-    split_by: str = option("scene|room", "What is in one part whole.", default="scene")
-
-
-class Robot(NamedTuple):
-    """Options of the agent."""
-
-    radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m].")
-    height: float | None = option("METRES", "Of the agent, at most the grid's [m].")
-    speed: float | None = option("M/S", "Of the agent, as a note [m/s].")
-    agent: str | None = option("NAME", "One of the grids' agents: its size, speed and rights.")
-
-
 def episodes(
     grids: Annotated[list[Path], Argument(metavar="GRID…", help="NavGrid files.")],
-    goals: Goals,
-    drawn: Drawn,
-    robot: Robot,
+    task: str = option("TASK", "point, object, room, sequence or explore.", default="point"),
+    objects: list[str] | None = option("PATTERN", "Objects by name. May be repeated.", "--object"),
+    categories: Path | None = option("YAML", "Patterns of names by category, or type of room."),
+    rooms: list[str] | None = option("PATTERN", "Rooms by id or name. May be repeated.", "--room"),
+    reach: float | None = option("METRES", "How near to the goal counts as reached [m]."),
+    length: int = option("N", "Goals of a sequence.", default=3, min=2),
+    of: str = option("KIND", "What its goals are: point, object or room.", default="point"),
+    share: float = option("SHARE", "Of the free area to explore.", default=0.9),
+    sampler: str = option("NAME", "uniform, habitat, stratified or minos.", default="uniform"),
+    rule: list[str] | None = option("KEY=VALUE", "A rule, e.g. min_distance=2. May be repeated."),
+    total: int | None = option("N", "Episodes in all.  [default: 100 a scene]", "--count", min=1),
+    per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1),
+    seed: int = option("N", "Seed of the draw.", default=0, min=0),
+    split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated."),
+    split_by: str = option("scene|room", "What is in one part whole.", default="scene"),
+    radius: float | None = option("METRES", "Of the agent; grids are inflated for it [m]."),
+    height: float | None = option("METRES", "Of the agent, at most the grid's [m]."),
+    speed: float | None = option("M/S", "Of the agent, as a note [m/s]."),
+    agent: str | None = option("NAME", "One of the grids' agents: its size, speed and rights."),
     output: Path = option("SET", "File: .jsonl, .jsonl.gz or .parquet.", *OUTPUT, default=...),
 ) -> None:
     """Draw solvable episodes on grids: starts, goals and distances.
 
     Example: navbake episodes house.grid.json -o house.jsonl --count 50 --sampler habitat
     """
-    if drawn.total is not None and drawn.per_scene is not None:
+    if total is not None and per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
     options.check_output(output, *SETS, inputs=grids)
     from msgspec import DecodeError, yaml  # --help does without it
 
     from navbake import episodes as sets  # loads numpy
 
-    given = goals._asdict()
-    given |= {"name": given.pop("task"), "radius": given.pop("reach")}
-    given |= {"objects": goals.objects or (), "rooms": goals.rooms or ()}
-    if (path := given.pop("categories")) is not None:
+    chosen: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
+    if categories is not None:
         try:
-            found = yaml.decode(path.read_bytes(), type=dict[str, list[str] | str])
+            found = yaml.decode(categories.read_bytes(), type=dict[str, list[str] | str])
         except (OSError, DecodeError) as error:
-            raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-        kind = "rooms" if "room" in (goals.task, goals.of) else "objects"
-        given[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
-    rules: dict[str, Any] = options.read_pairs(drawn.rule, "--rule", "KEY=VALUE")
+            why = " ".join(str(error).split())
+            raise ConfigError(f"cannot read {categories}: {why}") from error
+        kind = "rooms" if "room" in (task, of) else "objects"
+        chosen[kind] = {label: [v] if isinstance(v, str) else v for label, v in found.items()}
+    rules: dict[str, Any] = options.read_pairs(rule, "--rule", "KEY=VALUE")
     if "edges" in rules:
         rules["edges"] = rules["edges"].split(",")
-    shares = options.read_pairs(drawn.split, "--split", "NAME=SHARE")
-    count = drawn.total or (drawn.per_scene or 100) * len(grids)
+    shares = options.read_pairs(split, "--split", "NAME=SHARE")
+    count = total or (per_scene or 100) * len(grids)
     content = sets.make_episodes(
         [navbake.load(grid) for grid in grids],
-        sets.make_task(**given),
-        sets.make_rules(drawn.sampler, **rules),
+        sets.make_task(task, radius=reach, length=length, of=of, share=share, **chosen),
+        sets.make_rules(sampler, **rules),
         count=count,
-        seed=drawn.seed,
-        **robot._asdict(),
-        splits=sets.make_splits(shares, drawn.split_by),
+        seed=seed,
+        radius=radius,
+        height=height,
+        speed=speed,
+        agent=agent,
+        splits=sets.make_splits(shares, split_by),
         files=[grid.name for grid in grids],
     )
     sets.write_episodes(content, output)
@@ -173,4 +156,4 @@ def score(
             print_tables(make_table(("measure", "mean", "95 %"), cells))
     if output is not None:
         heads = list(rows[0]) if rows else ["episode"]
-        write_bytes(encode_csv([heads, *(row.values() for row in rows)]), output)
+        options.write_output(encode_csv([heads, *(row.values() for row in rows)]), output)

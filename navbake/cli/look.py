@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 from typer import BadParameter
 
 import navbake
 from navbake.cli import options, printing
-from navbake.cli.commands.batch import INDEX, draw_missing_thumbnails
+from navbake.cli.batch import INDEX, draw_missing_thumbnails
 from navbake.cli.options import (
     BAKED_SCENE,
     GRIDS,
+    LEVEL,
     OUTPUT,
     STDOUT,
     GridFile,
@@ -25,10 +25,6 @@ from navbake.cli.options import (
 )
 from navbake.cli.printing import print_warnings, say, say_unless_quiet
 from navbake.errors import ConfigError, NavbakeError
-from navbake.formats.source import write_bytes
-
-if TYPE_CHECKING:
-    from navbake.views.viewer.view import Watch
 
 # Functions import what they need when they run: --help loads no numpy, no MuJoCo and no viser.
 
@@ -38,7 +34,7 @@ ENDING = re.compile(r"(\.grid)?(\.json)?(\.gz)?$")  # of a grid's file
 def plot(
     grid: GridFile,
     output: Path = option("PNG|SVG", "Picture; - for a PNG on stdout.", *OUTPUT, default=...),
-    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
+    level: int | None = LEVEL,
     layers: list[str] | None = option(
         "LAYER",
         "occupancy, floor, rooms, doors, clearance, island, weights, links or area. May be "
@@ -86,14 +82,25 @@ def report(
     Example: navbake report before.grid.json after.grid.json -o report.html
     """
     from navbake.auditor.audit import audit
-    from navbake.views.report.report import read_verification, render_report
+    from navbake.views.report import read_verification, render_report
 
     if any(os.path.isdir(path) for path in grids):
         options.refuse_unused(
             ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
             ("--verify", bool(verifications), False, "grids"),
         )
-        _report_on_batch(grids, output)
+        from navbake.batch.page import NAME, write_page
+
+        if len(grids) > 1 or not os.path.isfile(grids[0] / INDEX):
+            named = ", ".join(map(str, grids))
+            raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
+        html = grids[0] / NAME if output is None else output
+        if html == STDOUT:
+            raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
+        options.check_output(html, ".html", ".htm", inputs=[grids[0] / INDEX])
+        draw_missing_thumbnails(grids[0])
+        write_page(grids[0], output)
+        say_unless_quiet(html)
         return
     if output is None:
         raise BadParameter("expected a page to write", param_hint="-o")
@@ -109,45 +116,21 @@ def report(
         audits=[audit(content) for content in contents] if with_audit else None,
         verifications=read or None,
     )
-    if output == STDOUT:
-        options.write_stdout(page)
-    else:
-        write_bytes(page, output)
+    options.write_output(page, output)
+    if output != STDOUT:
         say_unless_quiet(output)
 
 
-def _report_on_batch(folders: list[Path], output: Path | None) -> None:
-    """Write the page of a batch from its index, and draw missing thumbnails."""
-    from navbake.batch.page import NAME, write_page
-
-    if len(folders) > 1 or not os.path.isfile(folders[0] / INDEX):
-        named = ", ".join(map(str, folders))
-        raise ConfigError(f"expected grids, or one folder of a batch with {INDEX}, got {named}")
-    page = folders[0] / NAME if output is None else output
-    if page == STDOUT:
-        raise BadParameter("expected a file: the page of a batch has links", param_hint="-o")
-    options.check_output(page, ".html", ".htm", inputs=[folders[0] / INDEX])
-    draw_missing_thumbnails(folders[0])
-    write_page(folders[0], output)
-    say_unless_quiet(page)
-
-
-class Address(NamedTuple):
-    """Options of the page's address."""
-
+def view(
     host: str = option(
         "HOST",
         "Address of this machine to listen at. Only this machine can reach the default; "
         "0.0.0.0 lets others in, too.",
         default="127.0.0.1",
-    )
-    port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535)
-    no_open: bool = flag("--no-open", "Only print the link.")
-    allow_origin: list[str] | None = option("URL", "An address of a proxy. May be repeated.")
-
-
-def view(
-    address: Address,
+    ),
+    port: int = option("PORT", "Port; 0 for any free one.", default=8080, min=0, max=65535),
+    no_open: bool = flag("--no-open", "Only print the link."),
+    allow_origin: list[str] | None = option("URL", "An address of a proxy. May be repeated."),
     source: Path = argument(
         "GRID|SCENE|CONFIG", "A NavGrid file, or a scene, settings or a sample's name to bake."
     ),
@@ -163,8 +146,28 @@ def view(
 
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
+    from navbake.config.settings import load_config
+    from navbake.views.viewer.exhibit import Exhibit
     from navbake.views.viewer.server import PageServer
-    from navbake.views.viewer.view import Viewer, watch_grid
+    from navbake.views.viewer.view import Viewer, Watch, find_files, watch_grid
+
+    def find() -> list[Path]:
+        try:
+            return find_files([source, *load_config(source, overrides or []).inputs])
+        except NavbakeError:  # broken for now; the next write is tried again
+            return find_files([source])
+
+    def bake() -> Exhibit:
+        from navbake.baker.pipeline import run_bake
+        from navbake.baker.scene.scene import load_scene, open_file
+
+        config = load_config(source, overrides or [])
+        with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
+            opened = open_file(config.scene)
+            grid = run_bake(config, progress=progress, opened=opened).grid
+        print_warnings(list(grid.warnings))
+        baked = load_scene(config.scene, config.agent, config.floors, opened=opened)
+        return Exhibit(grid, baked, config)
 
     is_grid = source.name.lower().endswith(GRIDS)
     options.refuse_unused(
@@ -174,43 +177,16 @@ def view(
         ("--episodes", episodes is not None, is_grid, "a GRID"),
         ("--trajectories", trajectories is not None, is_grid, "a GRID"),
     )
-    allowed = address.allow_origin or ()
     # before the bake, which may be slow
-    with PageServer(address.host, address.port, allowed=allowed) as server:
+    with PageServer(host, port, allowed=allow_origin or ()) as server:
         if is_grid:
             runs = {"episodes": episodes, "trajectories": trajectories or ()}
             watch = watch_grid(source, scene, force=force, **runs)
         else:
             options.say_if_sample(source)
-            watch = _baked(source, overrides or [])
+            watch = Watch(bake, find)
         with Viewer(watch.read(), server, watch=watch) as viewer:
             say(f"{viewer.url} (Ctrl-C ends it)")
-            if not address.no_open:
+            if not no_open:
                 viewer.open()
             viewer.wait()
-
-
-def _baked(path: Path, overrides: list[str]) -> Watch:
-    """A watch of a scene or of settings that bakes it."""
-    from navbake.baker.pipeline import run_bake
-    from navbake.baker.scene.scene import load_scene, open_file
-    from navbake.config.settings import load_config
-    from navbake.views.viewer.exhibit import Exhibit
-    from navbake.views.viewer.view import Watch, find_files
-
-    def find() -> list[Path]:
-        try:
-            return find_files([path, *load_config(path, overrides).inputs])
-        except NavbakeError:  # broken for now; the next write is tried again
-            return find_files([path])
-
-    def bake() -> Exhibit:
-        config = load_config(path, overrides)
-        with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
-            opened = open_file(config.scene)
-            grid = run_bake(config, progress=progress, opened=opened).grid
-        print_warnings(list(grid.warnings))
-        scene = load_scene(config.scene, config.agent, config.floors, opened=opened)
-        return Exhibit(grid, scene, config)
-
-    return Watch(bake, find)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from door_scenes import LEAF, ROOMS, world
 from grid_maps import house_from, level_from, random_house
 from navbake import bake
-from navbake.views.report.difference import (
+from navbake.views.difference import (
     COLORS,
     SAME_FLOOR,
     compare_levels,

@@ -16,7 +16,7 @@ from browser import (
 )
 from grid_maps import level_from
 from navbake.auditor.audit import audit
-from navbake.views.report.report import write_report
+from navbake.views.report import write_report
 from project_paths import GOLDEN
 
 POINT = """

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option
 
 import navbake
 from navbake.cli import options
-from navbake.cli.commands.episodes import SET_FORMATS, convert_set
-from navbake.cli.options import GRIDS, OUTPUT, STDOUT, AsJson, GridFile, argument, option
+from navbake.cli.episodes import SET_FORMATS, convert_set
+from navbake.cli.options import GRIDS, LEVEL, OUTPUT, STDOUT, AsJson, GridFile, argument, option
 from navbake.cli.printing import print_json, print_warnings, say_unless_quiet
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import (
@@ -29,63 +29,59 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
     from navbake.runtime.paths import Path as Route
 
+FORMAT_OPTIONS = {name for f in FORMATS for name in (*f.write_options, *f.read_options)}
+"""Names of the options of `convert` that are a format's."""
 ONLY_SETS = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")  # endings of sets alone
 
 # Functions import what reads grids when they run: --help stays quick.
-
-# Options of formats, with the names of the format's functions; None is not given.
-
-
-class FormatOptions(NamedTuple):
-    """Options of maps, meshes and graphs."""
-
-    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0)
-    radius: float | None = option("METRES", "Inflate for an agent of this radius first [m].")
-    mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]")
-    image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]")
-    rules: str | None = option(
-        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
-    )
-    inflation: float | None = option("METRES", "Costs as nav2's, up to so far from obstacles [m].")
-    zone: list[str] | None = option("NAME[=PERCENT]", "Room or polygon of a mask. May be repeated.")
-    zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some.")
-    agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]")
-    absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent.")
-    height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]")
-    flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground.")
-    scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]")
-    categories: Path | None = option(
-        "TXT", "OmniGibson's room_categories.txt.  [default: one of these rooms, written beside]"
-    )
-    route: list[str] | None = option(
-        "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
-    )
-    tolerance: float | None = option(
-        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
-    )
-    up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]")
-    cut_corners: bool | None = Option(
-        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
-    )
 
 
 def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
-    chosen: FormatOptions,
+    level: int | None = LEVEL,
+    radius: float | None = option("METRES", "Inflate for an agent of this radius first [m]."),
+    mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]"),
+    image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]"),
+    rules: str | None = option(
+        "humble|main", "Rules of nav2 for the pixels of a map that is read.  [default: humble]"
+    ),
+    inflation: float | None = option("METRES", "Costs as nav2's, up to so far from obstacles [m]."),
+    zone: list[str] | None = option(
+        "NAME[=PERCENT]", "Room or polygon of a mask. May be repeated."
+    ),
+    zones: Path | None = option("GEOJSON", "Polygons of a mask; all unless --zone names some."),
+    agent: str | None = option("NAME", "Agent that a mask of areas is for.  [default: any]"),
+    absolute: bool | None = Option(None, "--absolute", help="Limits of areas in m/s, not percent."),
+    height: float | None = option("METRES", "How far walls rise over floors [m].  [default: 2.5]"),
+    flat: bool | None = Option(None, "--flat", help="Lay the floors of a level at its ground."),
+    scaling: float | None = option("FACTOR", "cost_scaling_factor of nav2 [1/m].  [default: 10]"),
+    categories: Path | None = option(
+        "TXT", "OmniGibson's room_categories.txt.  [default: one of these rooms, written beside]"
+    ),
+    route: list[str] | None = option(
+        "'START GOAL'", "Path to plan and to write, as `navbake path` does. May be repeated."
+    ),
+    tolerance: float | None = option(
+        "METRES", "How far a mesh may be off the floor [m].  [default: 0.001]", min=0
+    ),
+    up: str | None = option("y|z", "Upward axis of an OBJ.  [default: y]"),
+    cut_corners: bool | None = Option(
+        None, "--cut-corners", help="Let diagonal steps of a graph pass blocked corners."
+    ),
     to: str | None = option("FORMAT", "Format of OUT.  [default: by its ending]", "--to"),
     origin: str | None = option("FORMAT", "Format of IN.  [default: by its ending]", "--from"),
     scene: list[str] | None = option(
         "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
     ),
 ) -> None:
+    arguments = locals()
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    fields = chosen._asdict()
     given = {
         key: value
-        for key, value in fields.items()
-        if value is not None and value is not False and value != []
+        for key, value in arguments.items()
+        if key in FORMAT_OPTIONS and value not in (None, []) and value is not False
     }
     names = source.name.lower(), output.name.lower()
     if to in SET_FORMATS or names[0].endswith(".csv") or any(n.endswith(ONLY_SETS) for n in names):
@@ -93,14 +89,15 @@ def convert(
         convert_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
-    reader, writer = _find(source, origin, False, "--from"), _find(output, to, True, "--to")
+    reader = _find(source, origin, ("--from", "IN"), writing=False)
+    writer = _find(output, to, ("--to", "OUT"), writing=True)
     read_options = {key: given.pop(key) for key in reader.read_options if key in given}
     for key in given.keys() - {*writer.write_options}:
         takers = [f"{form.name} as OUT" for form in FORMATS if key in form.write_options]
         takers += [f"{form.name} as IN" for form in FORMATS if key in form.read_options]
         hint = f"--{key.replace('_', '-')}"
         raise BadParameter(f"does nothing here: it is for {', '.join(takers)}", param_hint=hint)
-    inputs = [source, *(value for value in fields.values() if isinstance(value, Path))]
+    inputs = [source, *(value for value in given.values() if isinstance(value, Path))]
     options.check_output(output, inputs=inputs)
     of_level = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source
     if not source.exists() and of_level.is_file():
@@ -108,8 +105,8 @@ def convert(
         raise FormatError(f"{missing}, but {of_level} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_as(source, reader.name, **read_options)
-    if route := given.get("route"):
-        inflated = grid if chosen.radius is None else grid.inflate(chosen.radius)
+    if route:
+        inflated = grid if radius is None else grid.inflate(radius)
         given["route"] = [_plan(inflated, text) for text in route]
     target = Path(f"stdout{writer.endings[0]}") if output == STDOUT else output
     files = encode_as(grid, target, writer.name, **given)
@@ -117,7 +114,7 @@ def convert(
         if len(files) > 1:
             raise BadParameter(f"{writer.name} is {len(files)} files", param_hint="OUT")
         (content,) = files.values()
-        options.write_stdout(content if isinstance(content, bytes) else b"".join(content))
+        options.write_output(content, output)
         return
     for path in files:
         options.check_output(path, inputs=inputs)
@@ -139,29 +136,29 @@ def _plan(grid: NavGrid, text: str) -> Route:
     return found
 
 
-def _describe_format(form: Format) -> str:
-    ways = [way for way, is_there in (("in", form.read), ("out", form.encode)) if is_there]
-    return f"{form.name} ({', '.join(form.endings)}; {', '.join(ways)}): {form.meaning}."
-
-
 convert.__doc__ = "\n\n".join(
     (
         "Convert a grid from one format to another.",
         "Example: navbake convert house.grid.json map.yaml",
         "Formats:",
-        *map(_describe_format, FORMATS),
+        *(
+            f"{form.name} ({', '.join(form.endings)}; "
+            f"{', '.join(filter(None, (form.read and 'in', form.encode and 'out')))}): "
+            f"{form.meaning}."
+            for form in FORMATS
+        ),
         f"Sets of episodes (.jsonl, .parquet, .json.gz, .csv.bz2; {', '.join(SET_FORMATS)}): IN is "
         "read by its ending and content.",
     )
 )
 
 
-def _find(path: Path, name: str | None, writing: bool, option: str) -> Format:
+def _find(path: Path, name: str | None, hints: tuple[str, str], **table: Any) -> Format:
+    """Find a file's format; an error is of the option that names it, or else of the file's."""
     try:
-        return find_format(path, name, writing=writing)
+        return find_format(path, name, **table)
     except FormatError as error:
-        hint = option if name is not None else ("OUT" if writing else "IN")
-        raise BadParameter(str(error), param_hint=hint) from error
+        raise BadParameter(str(error), param_hint=hints[name is None]) from error
 
 
 def inflate(
@@ -185,7 +182,7 @@ def inflate(
 
     Example: navbake inflate house.grid.json 0.3 -o wide.grid.json
     """
-    from navbake.formats.navgrid import dumps_navgrid  # loads numpy
+    from navbake.formats.navgrid import encode_files  # loads numpy
     from navbake.runtime.inflation import SCALING, check_arguments
     from navbake.runtime.passage import find_cuts  # loads numpy
     from navbake.runtime.search import Search
@@ -207,10 +204,8 @@ def inflate(
     if held > radius:
         print_warnings([f"{grid} stays inflated for {held:g} m: inflate the grid as it was baked"])
     after = before.inflate(radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges)
-    if output == STDOUT:
-        options.write_stdout(dumps_navgrid(after))
-    else:
-        after.save(output)
+    for content in encode_files(after, output).values():
+        options.write_output(content, output)
     areas = [
         sum(int(level.free.sum()) * level.lattice.cell_size**2 for level in content.levels)
         for content in (before, after)
@@ -232,20 +227,17 @@ def routes(
     output: Path = option("FILE", "File to write, - for stdout.", *OUTPUT, default=...),
     agent: str | None = option("NAME", "An agent that the grid names.  [default: the grid's own]"),
     radius: float | None = option("METRES", "Of the agent [m].  [default: its own, or the grid's]"),
-    level: int | None = option("N", "Only this level; 0 is the lowest.", min=0),
+    level: int | None = LEVEL,
     to: str | None = option("FORMAT", "Format of the file.  [default: by its ending]", "--to"),
 ) -> None:
-    from navbake.formats.route_files import encode_routes, write_routes
+    from navbake.formats.route_files import encode_routes
     from navbake.navgrid.links import Agent
     from navbake.routes.build import make_routes
     from navbake.runtime.blocks import find_agent
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    try:
-        find_format(output, to, writing=True, formats=ROUTE_FORMATS)
-    except FormatError as error:
-        raise BadParameter(str(error), param_hint="--to" if to else "-o") from error
+    _find(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
     options.check_output(output, inputs=[grid])
     content = navbake.load(grid)
     own = find_agent(content, agent)
@@ -253,12 +245,10 @@ def routes(
         own = replace(own or Agent(""), radius=radius)
     graph = make_routes(content, own)
     graph = graph if level is None else graph.on_level(level)
-    if output == STDOUT:
-        options.write_stdout(encode_routes(graph, output, to))
-        return
-    write_routes(graph, output, to)
-    nodes, lanes = len(graph.nodes), len(graph.lanes)
-    say_unless_quiet(f"{output}: {nodes} nodes, {lanes} lanes for a radius of {graph.radius:g} m")
+    options.write_output(encode_routes(graph, output, to), output)
+    if output != STDOUT:
+        size = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
+        say_unless_quiet(f"{output}: {size} for a radius of {graph.radius:g} m")
 
 
 routes.__doc__ = "\n\n".join(
@@ -271,20 +261,14 @@ routes.__doc__ = "\n\n".join(
 )
 
 
-class Squares(NamedTuple):
-    """Options of the descriptor's squares."""
-
-    level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0)
-    corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]")
-    rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1)
+def map_descriptor(
+    level: int | None = option("N", "Which level; 0 is the lowest.  [default: 0]", min=0),
+    corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]"),
+    rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1),
     cols: int | None = option(
         "N", "Squares across.  [default: the whole level; decoding: 15]", min=1
-    )
-    square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]")
-
-
-def map_descriptor(
-    squares: Squares,
+    ),
+    square: float | None = option("METRES", "Edge of a square [m].  [default: 0.1]"),
     grid: Path | None = argument("GRID", "A NavGrid file.", None),
     decode: tuple[str, str] | None = option("P1 P2", "Draw this descriptor in place of a GRID."),
     explored: Path | None = option(
@@ -298,10 +282,9 @@ def map_descriptor(
     """
     if (grid is None) == (decode is None):
         raise BadParameter("expected a GRID, or --decode P1 P2", param_hint="GRID")
-    if (squares.rows is None) != (squares.cols is None):
+    if (rows is None) != (cols is None):
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
-    of_grids: dict[str, object] = {"level": squares.level, "corner": squares.corner}
-    of_grids |= {"square": squares.square, "explored": explored}
+    of_grids = {"level": level, "corner": corner, "square": square, "explored": explored}
     for name, value in of_grids.items():
         options.refuse_unused((f"--{name}", value is not None, decode is None, "a GRID"))
     import numpy as np  # not for --help
@@ -309,18 +292,17 @@ def map_descriptor(
     from navbake.arena import map_descriptor as descriptor
     from navbake.formats.npz import read_npy
 
-    shape = None if squares.rows is None or squares.cols is None else (squares.rows, squares.cols)
+    shape = None if rows is None or cols is None else (rows, cols)
     if decode is not None:
         part1, part2 = decode
         known, filled = descriptor.decode(part1, part2, shape or descriptor.ARENA)
     else:
         assert grid is not None
-        levels, number = navbake.load(grid).levels, squares.level or 0
+        levels, number = navbake.load(grid).levels, level or 0
         if number >= len(levels):
             raise ConfigError(f"no level {number} in {grid}: it has {len(levels)}, counted from 0")
-        edge = descriptor.SQUARE if squares.square is None else squares.square
-        laid: Any = {"square": edge, "corner": squares.corner, "shape": shape}
-        placed = descriptor.place_squares(levels[number], **laid)
+        edge = descriptor.SQUARE if square is None else square
+        placed = descriptor.place_squares(levels[number], square=edge, corner=corner, shape=shape)
         filled = descriptor.find_obstacles(levels[number], placed)
         known = np.ones_like(filled) if explored is None else read_npy(explored)
         part1, part2 = descriptor.encode(known, filled)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from typer import BadParameter, Exit, Option
 
@@ -101,18 +101,12 @@ def why(
         print_tables(*map(printing.cell_table, cells))
 
 
-class Planner(NamedTuple):
-    """Options that say who plans, for what, and over which links."""
-
-    agent: str | None = option("NAME", "Plan for one of the grid's agents.")
-    by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost")
-    close: list[str] | None = option("LINK", "Close a link; may be repeated.", "--close")
-    open: list[str] | None = option("LINK", "Open a link; may be repeated.", "--open")
-
-
 def path(
     grid: GridFile,
-    planner: Planner,
+    agent: str | None = option("NAME", "Plan for one of the grid's agents."),
+    by: str = option("cost|time", "Find the cheapest path, or the quickest.", default="cost"),
+    closed: list[str] | None = option("LINK", "Close a link; may be repeated.", "--close"),
+    opened: list[str] | None = option("LINK", "Open a link; may be repeated.", "--open"),
     start: str = option(
         PLACES, f"Start, {PLACE_HELP}; or a room's middle.", "--from", "--start", default=...
     ),
@@ -138,12 +132,12 @@ def path(
     begin = None if start.startswith("room:") else options.parse_place(start, "--from")
     ends = [] if is_named else [options.parse_place(text, "--to") for text in goals]
     content = navbake.load(grid)
-    states = {"open": planner.open, "closed": planner.close}
-    if any(states.values()):
-        content = content.with_links({n: state for state, ns in states.items() for n in ns or ()})
+    if opened or closed:
+        states = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
+        content = content.with_links(states)
     if radius is not None:
         content = content.inflate(radius)
-    finder = navbake.PathFinder(content, agent=planner.agent)
+    finder = navbake.PathFinder(content, agent=agent)
     origin: Any = options.position_of_place(content, begin, "--from") if begin else None
     if origin is None:
         name = start.removeprefix("room:")
@@ -153,7 +147,7 @@ def path(
             raise QueryError(f"no agent can stand in room {name!r}")
     places = [options.position_of_place(content, p, "--to") for p in ends]
     goal: Any = goals[0] if is_named else places
-    found = finder.find_path(origin, goal, by=planner.by, smooth=smooth)
+    found = finder.find_path(origin, goal, by=by, smooth=smooth)
     reason = None if found else finder.why_not(origin, goal)
     with options.beside_output(output):
         if as_json:

@@ -16,7 +16,7 @@ from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import Room
 from navbake.types import Int, Json
 from navbake.views.notebook import encode_png
-from navbake.views.page.page import pack, show_table
+from navbake.views.page import pack, show_table
 from navbake.views.tables import make_table
 
 MAX_SHOWN = 4_000_000  # cells of a level that a page holds; of larger ones only every n-th

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from ctypes.util import find_library
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from typer import BadParameter, Exit
 
@@ -19,7 +19,7 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options
-from navbake.cli.options import BAKED_SCENE, OUTPUT, AsJson, GridFile, flag, option
+from navbake.cli.options import BAKED_SCENE, PICTURE, AsJson, GridFile, flag, option
 from navbake.cli.printing import print_json, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
@@ -55,17 +55,11 @@ USUAL = 0.5  # [s] a warm bake of the sample takes 0.05 to 0.2 s on a desktop's 
 REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)["'])?""")
 
 
-class Sample(NamedTuple):
-    """Options that select cells."""
-
-    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE)
-    every: bool = flag("--all", "Look at all cells.")
-    seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0)
-
-
 def verify(
     grid: GridFile,
-    which: Sample,
+    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLE),
+    every: bool = flag("--all", "Look at all cells."),
+    seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0),
     scene: Path | None = BAKED_SCENE,
     radius: float | None = option(
         "METRES", "Of the agent [m]; inflates the grid, if need be.  [default: that of the grid]"
@@ -77,7 +71,7 @@ def verify(
         default=1e-4,
     ),
     as_json: AsJson = False,
-    output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
+    output: Path | None = PICTURE,
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
     """Compare a grid with its scene by MuJoCo and FCL.
@@ -86,7 +80,7 @@ def verify(
 
     Example: navbake verify house.grid.json --all
     """
-    if which.every and which.sample != SAMPLE:
+    if every and sample != SAMPLE:
         raise BadParameter("expected one of them", param_hint="--sample, --all")
     if output is not None:
         options.check_output(output, ".png", ".svg", inputs=[grid, *([scene] if scene else [])])
@@ -95,8 +89,8 @@ def verify(
     report = compare(
         grid,
         scene,
-        sample=None if which.every else which.sample,
-        seed=which.seed,
+        sample=None if every else sample,
+        seed=seed,
         radius=radius,
         paths=paths,
         tolerance=tolerance,
@@ -108,9 +102,7 @@ def verify(
         else:
             _print(report)
     if output is not None:
-        from navbake.views.plot import Mark  # loads numpy
-
-        marks = [Mark(found.level, *found.position[:2], found.kind) for found in report.findings]
+        marks = [(found.level, *found.position[:2], found.kind) for found in report.findings]
         drawn = navbake.load(grid)
         options.write_picture(drawn, output, layers=("occupancy",), marks=marks)
     if not report.ok:
@@ -142,7 +134,7 @@ def _print(report: VerifyReport) -> None:
 def audit(
     grid: GridFile,
     as_json: AsJson = False,
-    output: Path | None = option("PNG|SVG", "Draw the places; - for a PNG on stdout.", *OUTPUT),
+    output: Path | None = PICTURE,
     on: Path | None = option("FILE", "GRID is a graph of routes on this grid or map.", "--grid"),
     radius: float | None = option(
         "METRES", "Radius that lanes have to be free for [m].  [default: that of the graph]"
@@ -177,11 +169,10 @@ def audit(
             others = count_of(len(report.remarks) - len(report.errors), "remark")
             say(f"{len(report.checks)} checks: {errors}, {others}")
     if output is not None:
-        from navbake.views.plot import Mark  # loads numpy
-
-        placed = [(-1 if r.level is None else r.level, r.place, r.check) for r in report.remarks]
         marks = [
-            Mark(level, *place[:2], kind) for level, place, kind in placed if place is not None
+            (-1 if remark.level is None else remark.level, *remark.place[:2], remark.check)
+            for remark in report.remarks
+            if remark.place is not None
         ]
         options.write_picture(content, output, layers=("occupancy",), marks=marks)
     if not report.ok:
@@ -199,8 +190,20 @@ def doctor(no_bake: bool = flag("--no-bake", "Leave out the bake.")) -> None:
     """
     for name, text in _describe_installation():
         print(f"{name:<12} {text}")
-    if not no_bake:
-        print(f"{'bake':<12} {_time_bake()}")
+    if no_bake:
+        return
+    settings, taken = config.load_config(samples.path(BAKED)), []
+    try:
+        for _ in range(2):  # the first time with what compiling there is to do
+            begin = time.perf_counter()
+            grid = pipeline.bake(settings)
+            taken.append(time.perf_counter() - begin)
+    except NavbakeError as error:
+        raise NavbakeError(f"the sample {BAKED!r} can't be baked: {error}") from error
+    free = sum(int(level.free.sum()) for level in grid.levels)
+    is_usual = "as usual" if taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
+    text = f"{BAKED}: {taken[0]:.2f} s, again {taken[1]:.2f} s ({is_usual}), {free} free cells"
+    print(f"{'bake':<12} {text}")
 
 
 def _installed(package: str) -> str | None:
@@ -226,7 +229,18 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
     libraries = ", ".join(filter(find_library, ("EGL", "OSMesa", "GL"))) or "none"
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "none"
     yield "OpenGL", f"libraries {libraries}, display {screen}; the browser of `view` draws by it"
-    yield from _describe_cache()
+    if (folder := compiled.cache_folder()) is None:
+        yield "compiled", f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.REMEDY}"
+    else:
+        entries = [entry for group in compiled.read_list() for entry in group]
+        warm = len(entries) - len(compiled.list_cold(entries))
+        files = [path for path in folder.rglob("*.nb?") if path.is_file()]
+        state = f"{warm} of {len(entries)} functions are compiled"
+        yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
+        used = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
+        if stale := [path for path in files if path.parent.parent not in used]:
+            folders = len({path.parent.parent for path in stale})
+            yield "", f"{_megabytes(stale)} MB in {folders} folders are of other sources: not used"
     needed.pop("")
     for extra in ("test", "bench", "docs", "tensors-test"):  # of developers
         needed.pop(extra, None)
@@ -237,37 +251,5 @@ def _describe_installation() -> Iterator[tuple[str, str]]:
         yield f"[{extra}]", "; ".join(filter(None, [have, lack]))
 
 
-def _describe_cache() -> Iterator[tuple[str, str]]:
-    folder = compiled.cache_folder()
-    if folder is None:
-        yield "compiled", f"NO FOLDER CAN BE WRITTEN: each process compiles anew; {compiled.REMEDY}"
-        return
-    entries = [entry for group in compiled.read_list() for entry in group]
-    cold = len(compiled.list_cold(entries))
-    files = [path for path in folder.rglob("*.nb?") if path.is_file()]
-    used = {Path(kernel.stats.cache_path).parent for kernel in compiled.KERNELS}
-    stale = [path for path in files if path.parent.parent not in used]
-    state = f"{len(entries) - cold} of {len(entries)} functions are compiled"
-    yield "compiled", f"{folder}, {_megabytes(files)} MB: {state}"
-    if stale:
-        folders = len({path.parent.parent for path in stale})
-        yield "", f"{_megabytes(stale)} MB in {folders} folders are of other sources: not used"
-
-
 def _megabytes(files: list[Path]) -> str:
     return f"{sum(path.stat().st_size for path in files) / 1e6:.1f}"
-
-
-def _time_bake() -> str:
-    """Bake the sample twice, the first time with what compiling there is to do."""
-    settings, taken = config.load_config(samples.path(BAKED)), []
-    try:
-        for _ in range(2):
-            begin = time.perf_counter()
-            grid = pipeline.bake(settings)
-            taken.append(time.perf_counter() - begin)
-    except NavbakeError as error:
-        raise NavbakeError(f"the sample {BAKED!r} can't be baked: {error}") from error
-    free = sum(int(level.free.sum()) for level in grid.levels)
-    is_usual = "as usual" if taken[1] <= USUAL else f"SLOW: usually below {USUAL} s"
-    return f"{BAKED}: {taken[0]:.2f} s, again {taken[1]:.2f} s ({is_usual}), {free} free cells"

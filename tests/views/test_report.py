@@ -13,9 +13,9 @@ from grid_maps import house_from, level_from
 from navbake.auditor.audit import audit
 from navbake.errors import FormatError, NavbakeError, QueryError
 from navbake.navgrid.islands import clearance, islands_of
+from navbake.views import difference, report
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.report import difference, report
-from navbake.views.report.report import read_verification, render_report, write_report
+from navbake.views.report import read_verification, render_report, write_report
 from project_paths import GOLDEN
 from report_pages import check_policy, content_of, picture_of, unpack
 
@@ -148,6 +148,7 @@ def test_audits_and_verifications_are_marked(tmp_path):
     finding = {
         "kind": "free cell touches",
         "level": 1,
+        "cell": [0, 0],
         "position": [0.05, -0.05, 3],
         "text": "touches a lamp",
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -18,11 +18,12 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import clearance, islands_of
 from navbake.navgrid.user_data import NAMES, UserData, names_in
 from navbake.types import Int, Json
+from navbake.verifier.report import Finding
 from navbake.views import tables
 from navbake.views.describe import describe, stair_table
+from navbake.views.difference import describe_changes, describe_place, flatten, to_url
 from navbake.views.layers import LAYERS, make_panel, paint
-from navbake.views.page.page import make_page, pack, show_table
-from navbake.views.report.difference import describe_changes, describe_place, flatten, to_url
+from navbake.views.page import make_page, pack, show_table
 from navbake.views.tables import Table, make_table, summarize
 
 if TYPE_CHECKING:
@@ -39,14 +40,9 @@ FOLDED = ("Timings", "Made by")  # tables that few readers need
 BAR = 64  # colours of the bar beside a layer
 
 
-class Finding(TypedDict):
-    kind: str
-    level: int
-    position: Place
-    text: str
-
-
 class Verification(TypedDict):
+    """The part of `VerifyReport.to_json` that a page shows."""
+
     ok: bool
     checked: int
     cells: int
@@ -110,7 +106,7 @@ def render_report(
     sheets = list(map(_describe_grid, grids, called, audits, verifications))
     if num == 2:
         sheets.append(describe_changes(grids[0], grids[1], called))
-    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views.report", "report")
+    return make_page(", ".join(called), {"sheets": sheets}, "navbake.views", "report")
 
 
 def read_verification(path: str | PathLike[str]) -> Json:
@@ -128,14 +124,26 @@ def _describe_grid(
     grid: NavGrid, name: str, audit: AuditReport | None, verification: Json | None
 ) -> Json:
     """A sheet of the page: everything that it shows of a grid."""
-    facts = describe(grid)
-    remarks: list[tuple[list[Json], tuple[str, Table]]] = []
+    facts, marks, noted = describe(grid), list[Json](), dict[str, Table]()
+
+    def note(source: str, title: str, more: str, found: list[Remarked], otherwise: str) -> None:
+        """Mark what was found on the map, and list it; `more` names a remark's further fact."""
+        rows: list[Any] = []
+        for kind, level, place, fact, text in found:
+            if place is not None:
+                mark = {"level": level, "x": place[0], "y": place[1]}
+                marks.append({**mark, "kind": f"{source}: {kind}", "text": text})
+            at = ", ".join(f"{value:.2f}" for value in place or ())
+            rows.append((kind, level, at, fact, text))
+        columns = ("kind", "level", "x, y, z [m]", more, "what")
+        noted[title] = make_table(columns, rows or [("none", None, "", "", otherwise)])
+
     if audit is not None:
         found: list[Remarked] = [
             (each.check, each.level, each.place, each.severity, each.text) for each in audit.remarks
         ]
         otherwise = f"{len(audit.checks)} checks, nothing to say"
-        remarks.append(_show_remarks("audit", "Audit", "how bad", found, otherwise))
+        note("audit", "Audit", "how bad", found, otherwise)
     if verification is not None:
         cells, num = sum(level.free.size for level in grid.levels), len(grid.levels)
         stated = verification.get("sceneId"), verification["cells"]
@@ -151,8 +159,8 @@ def _describe_grid(
         found = [tuple(map(each.get, keys)) for each in verification["findings"]]
         looked_at = f"{verification['checked']:,} of {verification['cells']:,} cells looked at"
         title = f"Verification: {'agrees' if verification['ok'] else 'disagrees'}, {looked_at}"
-        remarks.append(_show_remarks("verify", title, "geom", found, looked_at))
-    marks, levels = [mark for of_one, _ in remarks for mark in of_one], []
+        note("verify", title, "geom", found, looked_at)
+    levels = []
     for number in range(len(grid.levels)):
         own = [mark for mark in marks if mark["level"] in (number, None)]
         rooms = {str(r.index): r.name or r.id for r in grid.rooms if r.level == number}
@@ -171,7 +179,7 @@ def _describe_grid(
         "Links": tables.link_table(grid.links, grid.level_names),
         "Areas": tables.area_table(facts["areas"]),
         "Agents": tables.agent_table(facts["agents"]),
-        **dict(table for _, table in remarks),
+        **noted,
         "Settings": make_table(("setting", "value"), settings),
         "Timings": make_table(("stage", "ms"), timings, numbers=("ms",)),
         "Made by": make_table(("what", "version or digest"), facts["made_by"].items()),
@@ -188,24 +196,6 @@ def _describe_grid(
             show_table(*one, folded=one[0] in FOLDED) for one in named_tables.items() if one[1].rows
         ],
     }
-
-
-def _place(position: Iterable[float]) -> str:
-    return ", ".join(f"{value:.2f}" for value in position)
-
-
-def _show_remarks(
-    source: str, title: str, more: str, found: list[Remarked], otherwise: str
-) -> tuple[list[Json], tuple[str, Table]]:
-    """Marks on the map, and a table and its title; `more` names a remark's further fact."""
-    marks = [
-        {"level": level, "x": place[0], "y": place[1], "kind": f"{source}: {kind}", "text": text}
-        for kind, level, place, _, text in found
-        if place is not None
-    ]
-    rows = [(kind, level, _place(at or ()), fact, text) for kind, level, at, fact, text in found]
-    columns = ("kind", "level", "x, y, z [m]", more, "what")
-    return marks, (title, make_table(columns, rows or [("none", None, "", "", otherwise)]))
 
 
 def describe_map(grid: NavGrid, number: int) -> Json:

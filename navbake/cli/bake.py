@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from typer import BadParameter, Exit
 
@@ -29,6 +29,7 @@ from navbake.formats.convert import OCTREES, VOXELS
 from navbake.views.tables import level_table, make_table
 
 if TYPE_CHECKING:
+    from navbake.baker.scene.model import CompileLimits
     from navbake.config.settings import BakeConfig
 
 Triple = tuple[float, float, float]  # navbake.types would load numpy
@@ -108,29 +109,17 @@ def geoms(
     print(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 
-class Box(NamedTuple):
-    """Options that place the grid."""
-
-    res: float = option("METRES", "Edge of a voxel [m].", default=0.1)
-    position: Triple | None = option("X Y Z", "Centre [m].  [default: the scene's]", "--center")
-    cells: tuple[int, int, int] | None = option("NX NY NZ", "Number of voxels along each axis.")
-    size: Triple | None = option("X Y Z", "Size of the grid [m], in place of --cells.")
-    align: bool = flag("--align", "Begin voxels at multiples of --res, as octrees always do.")
-
-
-class Layout(NamedTuple):
-    """Options of the files' layout."""
-
-    compact: bool = flag("--compact", ".binvox: renumber the IDs that occur, from 1.")
-    twin: bool = flag("--twin", ".binvox with IDs: write NAME.occupied.binvox without IDs, too.")
-    airsim: bool = flag("--airsim", ".binvox: use AirSim's layout.")
-    free: bool = flag("--free", "Octrees: mark voxels that are not occupied as free.")
-
-
 def voxelize(
     config: SceneOrConfig,
-    box: Box,
-    layout: Layout,
+    res: float = option("METRES", "Edge of a voxel [m].", default=0.1),
+    position: Triple | None = option("X Y Z", "Centre [m].  [default: the scene's]", "--center"),
+    cells: tuple[int, int, int] | None = option("NX NY NZ", "Number of voxels along each axis."),
+    size: Triple | None = option("X Y Z", "Size of the grid [m], in place of --cells."),
+    align: bool = flag("--align", "Begin voxels at multiples of --res, as octrees always do."),
+    compact: bool = flag("--compact", ".binvox: renumber the IDs that occur, from 1."),
+    twin: bool = flag("--twin", ".binvox with IDs: write NAME.occupied.binvox without IDs, too."),
+    airsim: bool = flag("--airsim", ".binvox: use AirSim's layout."),
+    free: bool = flag("--free", "Octrees: mark voxels that are not occupied as free."),
     outputs: list[Path] = option(
         "FILE", "File: .binvox, .bt, .ot or .npz. May be repeated.", *OUTPUT, default=...
     ),
@@ -148,17 +137,19 @@ def voxelize(
         raise BadParameter("expected a name: its ending says which format", param_hint="-o")
     for output in outputs:
         options.check_output(output, *VOXELS, inputs=[config])
-    has_octree = [output.suffix.lower() in OCTREES for output in outputs]
-    has_ids = bool(segments) and any(output.suffix.lower() == ".binvox" for output in outputs)
+    endings = [output.suffix.lower() for output in outputs]
+    has_binvox, is_octree = ".binvox" in endings, [ending in OCTREES for ending in endings]
+    has_ids = bool(segments) and has_binvox
     options.refuse_unused(
-        ("--compact", layout.compact, has_ids, ".binvox with --segment"),
-        ("--twin", layout.twin, has_ids, ".binvox with --segment"),
-        ("--airsim", layout.airsim, any(o.suffix.lower() == ".binvox" for o in outputs), ".binvox"),
-        ("--free", layout.free, any(has_octree), ".bt and .ot"),
+        ("--compact", compact, has_ids, ".binvox with --segment"),
+        ("--twin", twin, has_ids, ".binvox with --segment"),
+        ("--airsim", airsim, has_binvox, ".binvox"),
+        ("--free", free, any(is_octree), ".bt and .ot"),
     )
-    if segments and all(has_octree):
+    if segments and all(is_octree):
         raise BadParameter("octrees hold no IDs: write a .npz, too", param_hint="--segment")
     from navbake.config.settings import load_config  # loads numpy
+    from navbake.formats.voxels import names_path, write_voxels
 
     settings = load_config(config, overrides or [])
     options.say_if_sample(config)
@@ -167,33 +158,32 @@ def voxelize(
     voxelizer = navbake.Voxelizer(settings, ignore=ignore or [])
     print_warnings(voxelizer.scene.warnings)
     # an octree's voxels begin at multiples of their edge, and all files hold the same ones
-    box = box._replace(align=box.align or any(has_octree))
-    grid = voxelizer.create(segments=_parse_segments(segments), **box._asdict())
+    grid = voxelizer.create(
+        res=res,
+        position=position,
+        cells=cells,
+        size=size,
+        align=align or any(is_octree),
+        segments=_parse_segments(segments),
+    )
     print_warnings(grid.notes)
     known = len(grid.notes)
-    for output in outputs:
-        _write(grid, output, layout)
+    form: Any = "airsim" if airsim else "binvox"
+    for output, ending in zip(outputs, endings, strict=True):
+        mapping: Any = "compact" if compact and ending == ".binvox" else None
+        write_voxels(grid, output, free=free, layout=form, mapping=mapping)
+        say_unless_quiet(output)
+        if grid.is_segmented and ending not in OCTREES:
+            say_unless_quiet(names_path(output))
+        if twin and grid.is_segmented and ending == ".binvox":
+            beside = output.with_suffix(".occupied.binvox")
+            write_voxels(grid.without_ids(), beside, layout=form)
+            say_unless_quiet(beside)
     print_warnings(grid.notes[known:])
     low, high = (f"({', '.join(f'{c:.6g}' for c in corner)})" for corner in grid.bounds)
     ids = f", {len(grid.names)} IDs" if grid.is_segmented else ""
     line = f"{' × '.join(map(str, grid.shape))} voxels of {grid.res:g} m, {low} to {high} m:"
     say_unless_quiet(f"{line} {grid.occupied.sum()} occupied{ids}")
-
-
-def _write(grid: navbake.VoxelGrid, output: Path, layout: Layout) -> None:
-    from navbake.formats.voxels import names_path, write_voxels  # loads numpy
-
-    is_binvox = output.suffix.lower() == ".binvox"
-    form: Any = "airsim" if layout.airsim else "binvox"
-    mapping: Any = "compact" if layout.compact and is_binvox else None
-    write_voxels(grid, output, free=layout.free, layout=form, mapping=mapping)
-    say_unless_quiet(output)
-    if grid.is_segmented and output.suffix.lower() in (".binvox", ".npz"):
-        say_unless_quiet(names_path(output))
-    if layout.twin and grid.is_segmented and is_binvox:
-        beside = output.with_suffix(".occupied.binvox")
-        write_voxels(grid.without_ids(), beside, layout=form)
-        say_unless_quiet(beside)
 
 
 def _parse_segments(words: list[str] | None) -> Any:
@@ -212,24 +202,6 @@ def _parse_segments(words: list[str] | None) -> Any:
             raise BadParameter(text, param_hint="--segment")
         patterns[pattern] = int(value)
     return patterns
-
-
-# Functions import the baker and the settings when they run: --help loads neither MuJoCo nor numpy.
-
-
-class Isolation(NamedTuple):
-    """Options that run MuJoCo's compiler in a process of its own."""
-
-    isolate: bool = flag("--isolate", "Compile in a process of its own: a crash is an error then.")
-    seconds: float | None = option(
-        "SECONDS", "How long that may take [s].  [default: 60]", "--isolate-seconds", min=0.0
-    )
-    memory: float | None = option(
-        "GIB",
-        "How much memory it may take, on Linux [GiB].  [default: 4]",
-        "--isolate-memory",
-        min=0.0,
-    )
 
 
 def bake(
@@ -251,8 +223,16 @@ def bake(
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
     ),
-    *,
-    isolation: Isolation,
+    isolate: bool = flag("--isolate", "Compile in a process of its own: a crash is an error then."),
+    seconds: float | None = option(
+        "SECONDS", "How long that may take [s].  [default: 60]", "--isolate-seconds", min=0.0
+    ),
+    memory: float | None = option(
+        "GIB",
+        "How much memory it may take, on Linux [GiB].  [default: 4]",
+        "--isolate-memory",
+        min=0.0,
+    ),
 ) -> None:
     """Bake scenes into navigation grids.
 
@@ -271,11 +251,15 @@ def bake(
     if name is not None:
         fill_name(name, "id", Path("stem"))
     options.refuse_unused(
-        ("--isolate-seconds", isolation.seconds is not None, isolation.isolate, "--isolate"),
-        ("--isolate-memory", isolation.memory is not None, isolation.isolate, "--isolate"),
+        ("--isolate-seconds", seconds is not None, isolate, "--isolate"),
+        ("--isolate-memory", memory is not None, isolate, "--isolate"),
     )
+    from navbake.baker.scene.model import CompileLimits
     from navbake.config.settings import load_config
 
+    given = {"seconds": seconds, "memory": memory}
+    stated = {key: value for key, value in given.items() if value is not None}
+    limits = CompileLimits(**stated) if isolate else None
     overrides = list(overrides or [])
     overrides += [f"agent.radius={radius}"] * (radius is not None)
     overrides += [f"grid.cell_size={cell_size}"] * (cell_size is not None)
@@ -298,7 +282,7 @@ def bake(
             if not target.name.lower().endswith(options.GRIDS) and target != options.STDOUT:
                 text = f"expected a name that ends in {', '.join(options.GRIDS)} as `output`"
                 raise ConfigError(f"{text} in {path}, got {target}")
-            _bake_one(config, target, threads, isolation, not no_timings)
+            _bake_one(config, target, threads, limits, not no_timings)
             written.add(target.resolve())
     if failed:
         print_error(f"{len(failed)} of {len(configs)} failed")
@@ -319,16 +303,16 @@ def _going_on(path: Path, failed: list[Path], num_configs: int) -> Iterator[None
 
 
 def _bake_one(
-    config: BakeConfig, target: Path, threads: int | None, isolation: Isolation, with_timings: bool
+    config: BakeConfig,
+    target: Path,
+    threads: int | None,
+    limits: CompileLimits | None,
+    with_timings: bool,
 ) -> None:
     from navbake.baker.pipeline import run_bake
-    from navbake.baker.scene.model import CompileLimits
-    from navbake.formats.navgrid import dumps_navgrid, write_navgrid
+    from navbake.formats.navgrid import encode_files
     from navbake.views.describe import describe
 
-    _, *given = isolation._asdict().items()
-    stated = {name: value for name, value in given if value is not None}
-    limits = CompileLimits(**stated) if isolation.isolate else None
     with printing.progress_bars(str(config.scene.id), printing.VOLUME.quiet) as progress:
         asked: Any = {"threads": threads, "progress": progress, "limits": limits}
         # with --quiet, all warnings follow the bake
@@ -337,11 +321,9 @@ def _bake_one(
     if not with_timings:
         result.grid.timings = {}
     begin = time.perf_counter()
-    if target == options.STDOUT:
-        options.write_stdout(dumps_navgrid(result.grid))
-    else:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_navgrid(result.grid, target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for content in encode_files(result.grid, target).values():
+        options.write_output(content, target)
     result.timings["write"] = time.perf_counter() - begin
     if printing.VOLUME.quiet:
         print_warnings(result.warnings)
