@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.blocks import join_parts
-from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
+from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import DROPPED, RIM
 from navbake.baker.kernels.rays import GROUP, Lines, cast_lines
 from navbake.baker.kernels.tiles import BAND, TILE, list_boxes
@@ -76,12 +76,10 @@ class TiledShapes:
         return self
 
     @cached_property
-    def by_band(self) -> BandItems:
+    def by_band(self) -> Tiles:
         """Which of them lie over centres of which band of rows."""
-        triangles = list_by_band(self.facets.bounds, RIM, self.lattice)
-        is_crossed = np.empty(len(triangles[1]), dtype=np.bool_)
         solids = list_by_band(self.shapes.solids.bounds, RIM, self.lattice)
-        return BandItems(*solids, *triangles, is_crossed)
+        return Tiles(*solids, *list_by_band(self.facets.bounds, RIM, self.lattice))
 
     @cached_property
     def heights(self) -> Band:
@@ -264,15 +262,14 @@ def cast_points(tiled: TiledShapes, cells: Int, points: Float, axes: Float = UPR
     tiles = tile_of(tiled.lattice, cells)
     tiles = np.stack([tiles, tiles], axis=1) if tiles.ndim == 1 else tiles
     lines = Lines(np.ascontiguousarray(points), tiles, axes)
-    items = BandItems(*tiled.tiles, np.empty(0, dtype=np.bool_))
     groups, start = range(-(-len(points) // GROUP)), np.zeros(len(points) + 1, dtype=np.int64)
-    return _cast(tiled, lines, items, groups, start, slice(None), LEAST_POINTS // GROUP)
+    return _cast(tiled, lines, tiled.tiles, groups, start, slice(None), LEAST_POINTS // GROUP)
 
 
 def _cast(
     tiled: TiledShapes,
     lines: Lines,
-    items: BandItems,
+    items: Tiles,
     groups: range,
     start: Int,
     known: slice,
@@ -282,9 +279,10 @@ def _cast(
     shapes, work = tiled.shapes, (cast_lines, len(groups))
     geometry = shapes.solids, tiled.facets, shapes.planes, tiled.heights
     dropped = np.zeros(groups.stop, dtype=np.int64)
+    crossed = np.empty(len(items.triangle_item), dtype=np.bool_)
 
     def cast(crossings: Crossings) -> None:
-        asked = tiled.lattice, lines, geometry, items, crossings, dropped
+        asked = tiled.lattice, lines, geometry, items, crossed, crossings, dropped
         run_in_bands(*work, *asked, least=least, begin=groups.start)
 
     cast(empty_crossings(start, 0))  # without room for them, the crossings are only counted

@@ -280,8 +280,8 @@ def make_ray():
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
-@part(**UNCOUNTED)
-def _cast_band(lattice, geometry, items, band, ray, middle, hits, end, writing):
+@part(inline="always")
+def _cast_band(lattice, geometry, items, crossed, band, ray, middle, hits, end, writing):
     """Note what the lines of a band's cells cross; `end` is as in `raster_triangles`."""
     solids, facets, planes, heights = geometry
     rows = band * BAND, min((band + 1) * BAND, lattice.height)
@@ -291,7 +291,7 @@ def _cast_band(lattice, geometry, items, band, ray, middle, hits, end, writing):
         s = items.solid_item[i]
         _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing)
     here = slice(items.triangle_start[band], items.triangle_start[band + 1])
-    listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
+    listed, is_crossed = items.triangle_item[here], crossed[here]
     raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing)
 
 
@@ -353,13 +353,15 @@ def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
 
 
 @kernel(nogil=True)
-def cast_lines(lattice, lines, geometry, items, crossings, dropped, first_group, end):
+def cast_lines(lattice, lines, geometry, items, crossed, crossings, dropped, first_group, end):
     """Cross lines with all geometry, in groups of them; twice: to count, then to write.
 
     Args:
         lines: at points, in groups of GROUP; or none, for those of the lattice's cells, in bands.
         geometry: solids, facets, planes, and a `Band` below and above everything [m].
         items: what lies over which tile, for lines at points, or else over which band.
+        crossed: by triangle of the bands, bool: whether any line of its band crosses it; receives
+            that while counting.
         crossings: while counting all but `start` are empty, and ``start[line + 1]`` receives the
             number of hits; while writing `start` has their running sums, and the others receive
             the crossings, and behind each column's last those that are DROPPED.
@@ -379,7 +381,7 @@ def cast_lines(lattice, lines, geometry, items, crossings, dropped, first_group,
             for line in range(last - first):
                 place[line] = start[first + line] - start[first]
         if not at_points:
-            _cast_band(lattice, geometry, items, group, ray, middle, hits, place, writing)
+            _cast_band(lattice, geometry, items, crossed, group, ray, middle, hits, place, writing)
         for n in range(first, last if at_points else first):
             at = place[n - first]
             found = _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.connect import list_runs
+from navbake.baker.kernels import gaps as kernels
 from navbake.baker.kernels.arrays import Facets
-from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.kernels.gaps import FAR
+from navbake.baker.kernels.gaps import FAR
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_bands
@@ -22,6 +22,7 @@ from navbake.types import Bool, Float, Int, Int32
 T = TypeVar("T", bound=np.generic)
 
 STRIP = 64  # columns that are worth a thread's while
+NO_ROWS = np.empty((0, 0), dtype=np.int32)
 # Directions of walls are taken from their geometry, at points about so far apart [m], in bins of so
 # many degrees and lines so wide [m], if this share of the points lies on walls with a direction
 SPACING, FINE_BIN, FINE_LINE, MOST_POINTS = 0.1, 1.0, 0.01, 0.5
@@ -61,19 +62,18 @@ HAIR = 1e-6
 
 def squared_distances(target: Bool, reach: int) -> Int32:
     """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
-    along, far = np.empty(target.shape, dtype=np.int16), np.int16(reach + 1)
-    target = np.ascontiguousarray(target)
-    run_in_bands(kernels.sweep_columns, target.shape[1], target, far, along, least=STRIP)
-    answer = np.empty(target.shape, dtype=np.int32)
-    run_in_bands(kernels.sweep_rows, len(target), along, reach, answer)
-    return answer
+    target, along = np.ascontiguousarray(target), np.empty(target.shape, dtype=np.int16)
+    run_in_bands(kernels.sweep, target.shape[1], target, reach, along, NO_ROWS, least=STRIP)
+    squared = np.empty(target.shape, dtype=np.int32)
+    run_in_bands(kernels.sweep, len(target), target, reach, along, squared)
+    return squared
 
 
 def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
     """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
     closed = np.pad(~open_cells, 1, constant_values=True)
-    along, far = np.empty(closed.shape, dtype=np.int16), np.int16(reach // 2 + 2)
-    run_in_bands(kernels.sweep_columns, closed.shape[1], closed, far, along, least=STRIP)
+    along, far = np.empty(closed.shape, dtype=np.int16), reach // 2 + 1
+    run_in_bands(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
     nearest = np.full(len(row), (reach + 1) ** 2)
     over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
