@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.blocks import join_parts
-from navbake.baker.kernels.arrays import Band, BandItems, Crossings, Facets, Tiles
+from navbake.baker.kernels.arrays import Band, Crossings, Facets, Tiles
 from navbake.baker.kernels.hits import DROPPED, RIM
-from navbake.baker.kernels.rays import cast_lines, cast_points_at
+from navbake.baker.kernels.rays import GROUP, Lines, cast_lines
 from navbake.baker.kernels.tiles import BAND, TILE, list_boxes
 from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
@@ -24,6 +24,7 @@ BLOCK_CELLS = 1 << 20
 LEAST_POINTS = 1024
 # Chunks for each thread, where there are more boxes than so many a tile
 CHUNKS, WORTH = 2, 4
+UPRIGHT = np.eye(3)  # the axes of a frame in which vertical lines are upright
 
 
 class Rows(NamedTuple):
@@ -75,12 +76,10 @@ class TiledShapes:
         return self
 
     @cached_property
-    def by_band(self) -> BandItems:
+    def by_band(self) -> Tiles:
         """Which of them lie over centres of which band of rows."""
-        triangles = list_by_band(self.facets.bounds, RIM, self.lattice)
-        is_crossed = np.empty(len(triangles[1]), dtype=np.bool_)
         solids = list_by_band(self.shapes.solids.bounds, RIM, self.lattice)
-        return BandItems(*solids, *triangles, is_crossed)
+        return Tiles(*solids, *list_by_band(self.facets.bounds, RIM, self.lattice))
 
     @cached_property
     def heights(self) -> Band:
@@ -239,26 +238,63 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
     Args:
         rows: the rows of cells that are asked about, all if None. They become whole `BAND`s.
     """
-    lattice, shapes, facets = tiled.lattice, tiled.shapes, tiled.facets
+    lattice = tiled.lattice
     asked = rows or Rows(0, lattice.height)
-    bands = Rows(asked.first // BAND, -(-asked.end // BAND))
-    asked = Rows(bands.first * BAND, min(bands.end * BAND, lattice.height))
+    bands = range(asked.first // BAND, -(-asked.end // BAND))
+    asked = Rows(bands.start * BAND, min(bands.stop * BAND, lattice.height))
     first, end = asked.cells(lattice)
-    work = cast_lines, bands.end - bands.first
-    geometry = (lattice, shapes.solids, facets, shapes.planes, tiled.by_band, tiled.heights)
     start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    dropped = np.zeros(-(-lattice.height // BAND), dtype=np.int64)
-    # without room for them, the crossings are only counted
-    run_in_bands(*work, *geometry, empty_crossings(start, 0), dropped, begin=bands.first)
-    known = start[first : end + 1]
-    np.cumsum(known, out=known)
-    crossings = empty_crossings(start, int(known[-1]))
+    none = Lines(np.empty((0, 2)), np.empty((0, 2), dtype=np.int64), UPRIGHT)
+    known = slice(first, end + 1)
+    return Columns(lattice, _cast(tiled, none, tiled.by_band, bands, start, known), rows and asked)
+
+
+def cast_points(tiled: TiledShapes, cells: Int, points: Float, axes: Float = UPRIGHT) -> Crossings:
+    """Cross lines with the geometry near some cells, as `cast_columns` does; one column a line.
+
+    Args:
+        cells: the cell that each line is near to, by at most the reach of `tile_shapes`, (n,); or
+            two cells, (n, 2), of a line that lies between them.
+        points: x and y of each line, shape (n, 2) [m].
+        axes: of a frame in which the lines are upright, its rows. The points, the normals and the
+            shapes' solids are in this frame.
+    """
+    tiles = tile_of(tiled.lattice, cells)
+    tiles = np.stack([tiles, tiles], axis=1) if tiles.ndim == 1 else tiles
+    lines = Lines(np.ascontiguousarray(points), tiles, axes)
+    groups, start = range(-(-len(points) // GROUP)), np.zeros(len(points) + 1, dtype=np.int64)
+    return _cast(tiled, lines, tiled.tiles, groups, start, slice(None), LEAST_POINTS // GROUP)
+
+
+def _cast(
+    tiled: TiledShapes,
+    lines: Lines,
+    items: Tiles,
+    groups: range,
+    start: Int,
+    known: slice,
+    least: int = 1,
+) -> Crossings:
+    """Cross some groups of lines; columns start at the `known` part of `start`, of zeros."""
+    shapes, work = tiled.shapes, (cast_lines, len(groups))
+    geometry = shapes.solids, tiled.facets, shapes.planes, tiled.heights
+    dropped = np.zeros(groups.stop, dtype=np.int64)
+    crossed = np.empty(len(items.triangle_item), dtype=np.bool_)
+
+    def cast(crossings: Crossings) -> None:
+        asked = tiled.lattice, lines, geometry, items, crossed, crossings, dropped
+        run_in_bands(*work, *asked, least=least, begin=groups.start)
+
+    cast(empty_crossings(start, 0))  # without room for them, the crossings are only counted
+    ends = start[known]
+    np.cumsum(ends, out=ends)
+    crossings = empty_crossings(start, int(ends[-1]))
     if len(crossings.z):
-        run_in_bands(*work, *geometry, crossings, dropped, begin=bands.first)
+        cast(crossings)
     if dropped.any():
         kept = crossings.geom != DROPPED
         place, every = np.append(0, np.cumsum(kept)), crossings
-        known[:] = place[known]
+        ends[:] = place[ends]
         crossings = empty_crossings(start, int(place[-1]))
 
         def keep(first: int, end: int) -> None:
@@ -267,39 +303,7 @@ def cast_columns(tiled: TiledShapes, rows: Rows | None = None) -> Columns:
                 new[place[first] : place[end]] = old[first:end][kept[first:end]]
 
         run_in_bands(keep, len(kept), least=65536)
-    return Columns(lattice, crossings, rows and asked)
-
-
-def cast_points(tiled: TiledShapes, cells: Int, points: Float) -> Crossings:
-    """Cross vertical lines that lie in or near cells, as `cast_columns` does; one column a line.
-
-    Args:
-        cells: the cell that each line is near to, by at most the reach of `tile_shapes`.
-        points: x and y of each line, shape (n, 2), world frame [m].
-    """
-    shapes, heights = tiled.shapes, tiled.heights
-    tile = tile_of(tiled.lattice, cells)
-    geometry = (shapes.solids, tiled.facets, shapes.planes, tiled.tiles, heights)
-    parts: dict[int, Crossings] = {}
-
-    def cast(first: int, end: int) -> None:
-        parts[first] = cast_points_at(points[first:end], tile[first:end], *geometry)
-
-    run_in_bands(cast, len(points), least=LEAST_POINTS)
-    return _join_crossings([parts[first] for first in sorted(parts)])
-
-
-def _join_crossings(parts: list[Crossings]) -> Crossings:
-    """Columns of one part after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    ends = np.cumsum([0, *(part.start[-1] for part in parts)])
-    starts = [part.start[1:] + end for part, end in zip(parts, ends, strict=False)]
-    empty = empty_crossings(np.zeros(1, dtype=np.int64), 0)
-    layers = zip(empty[1:], *(part[1:] for part in parts), strict=True)
-    return Crossings(
-        np.concatenate([empty.start, *starts]), *(np.concatenate(layer) for layer in layers)
-    )
+    return crossings
 
 
 def take_columns(crossings: Crossings, cells: Int) -> Crossings:

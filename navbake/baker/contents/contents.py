@@ -14,31 +14,26 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import Blocks, BlockTable
 from navbake.baker.columns import Columns, TiledShapes
+from navbake.baker.connect import ranges
 from navbake.baker.contents.cell_names import BLOCKERS, OBJECTS, WALLS, name_cells, name_geoms
-from navbake.baker.contents.structure import (
+from navbake.baker.contents.kinds import (
     COVERING,
-    THING_HEIGHT,
-    Carriers,
-    find_carriers,
-    find_ceilings,
-    find_steps,
-)
-from navbake.baker.contents.walls import (
     NEAR_FLOOR,
+    THING_HEIGHT,
     WALL_BAND,
+    Classified,
     GeomsOverFloors,
-    find_buildings,
-    find_panes,
-    find_walls,
+    classify_geoms,
+    find_carriers,
+    find_steps,
     is_static,
     is_surface,
-    match_walls,
     wall_candidates,
 )
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.surfaces import agent_limits
 from navbake.baker.kernels import contents as kernels
-from navbake.baker.kernels.constants import BUILDING, OBJECT, SLACK, STRUCTURE, TOUCH, WALL
+from navbake.baker.kernels.constants import BUILDING, OBJECT, SLACK, TOUCH, WALL
 from navbake.baker.kernels.contents import LevelContents
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS, Listing
 from navbake.baker.lattice import Window
@@ -50,7 +45,7 @@ from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.user_data import Shared, UserData, collector_off
 from navbake.threads import LEAST_CELLS, run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # Lists get so many times the room that they are expected to need, and so many where some are
 # replaced, as the old ones stay
@@ -120,7 +115,7 @@ class Contents:
 
     def _name_cells(self, level: int, window: Window) -> Shared:
         listed = self.levels[level]
-        cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
+        cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
         kind, carrier = self.kinds[geom], listed.carrier
         stands, is_upper = (flags & STANDS) > 0, (flags & PROBED) > 0
         is_wall = (kind == WALL) | ((kind == BUILDING) & is_upper)
@@ -351,6 +346,17 @@ class CellFinder:
         return GeomsOverFloors(base, rise, *area), counts[:, 2:].sum(axis=0), stood_on
 
 
+def take_entries(listed: LevelContents, cells: Int) -> tuple[Int, Int32, NDArray[np.uint8]]:
+    """What stands in some cells, by cell and then geom: places in `cells`, geoms and flags."""
+    first, counts = listed.first[cells], np.zeros(len(cells), dtype=np.int64)
+    left = np.flatnonzero(listed.geom[first] >= 0)
+    while len(left):  # cells whose lists go on
+        counts[left] += 1
+        left = left[listed.geom[first[left] + counts[left]] >= 0]
+    cell, place = ranges(first, first + counts)
+    return cell, listed.geom[place], listed.flags[place]
+
+
 def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by: int) -> None:
     """Add `by` to `taken` for each body and each of some cells that it takes.
 
@@ -359,7 +365,7 @@ def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by:
     """
     if not (body_of >= 0).any():
         return
-    cell, geom, flags = kernels.take_entries(listed, cells)
+    cell, geom, flags = take_entries(listed, cells)
     blocks = (flags & BLOCKS) > 0
     cell, body = cell[blocks], body_of[geom[blocks]]
     is_fixed = np.zeros(len(cells), dtype=np.bool_)
@@ -371,7 +377,7 @@ def count_taken(listed: LevelContents, cells: Int, body_of: Int, taken: Int, by:
 
 def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     """Contents without the lists that no cell has, and the length of the others."""
-    cell, geom, flags = kernels.take_entries(listed, np.arange(len(listed.first)))
+    cell, geom, flags = take_entries(listed, np.arange(len(listed.first)))
     is_first = np.diff(cell, prepend=-1) > 0
     # an end before each list but the first, which begins at 1
     place = np.arange(len(cell)) + np.cumsum(is_first)
@@ -381,31 +387,3 @@ def _compact(listed: LevelContents) -> tuple[LevelContents, int]:
     first = np.zeros_like(listed.first)
     first[cell[is_first]] = place[is_first]
     return listed._replace(first=first, geom=geoms, flags=marks), size
-
-
-Classified = tuple[NDArray[np.uint8], NDArray[np.uint8], list[str]]
-"""Kinds and partitions by geom id, see `Contents`, and warnings."""
-
-
-def classify_geoms(
-    scene: Scene,
-    extents: Extents,
-    over_floors: GeomsOverFloors,
-    carriers: Carriers,
-    agent: AgentSettings,
-    settings: NameSettings,
-) -> Classified:
-    """Kinds and partitions of geoms, see `Contents`, and warnings."""
-    buildings = find_buildings(scene, extents, over_floors)
-    ceilings = find_ceilings(extents, over_floors.base, is_static(scene), agent)
-    kinds = np.full(len(scene.geoms), OBJECT, dtype=np.uint8)
-    kinds[carriers.building | ceilings] = STRUCTURE
-    kinds[find_walls(scene, extents, over_floors, carriers, buildings)] = WALL
-    kinds[buildings] = BUILDING
-    partitions, warnings = kinds.copy(), list[str]()
-    if settings.walls:  # walls of the settings replace those by shape
-        named, warnings = match_walls(scene, settings.walls)
-        kinds[kinds == WALL] = OBJECT
-        kinds[named] = partitions[named] = WALL
-    partitions[find_panes(extents, over_floors, partitions == WALL)] = WALL
-    return kinds, partitions, warnings

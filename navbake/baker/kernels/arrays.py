@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Bool, Float, Int, Int32
+from navbake.types import Float, Int, Int32
 
 SQUARE: Any = np.bool_(False)
 """`Prism.is_round` of a square; a plain False would be compiled for once more."""
@@ -56,28 +56,14 @@ class Facets(NamedTuple):
 class Tiles(NamedTuple):
     """Which solids and triangles lie over which tile of cells, ascending, see `list_boxes`.
 
-    Tile t holds ``solid_item[solid_start[t] : solid_start[t + 1]]``; so with the triangles.
+    Tile t holds ``solid_item[solid_start[t] : solid_start[t + 1]]``; so with the triangles. Or so
+    with bands of rows, of what lies over centres of their cells.
     """
 
     solid_start: Int
     solid_item: Int32
     triangle_start: Int
     triangle_item: Int32
-
-
-class BandItems(NamedTuple):
-    """Which solids and triangles lie over centres of which band of rows, see `list_boxes`.
-
-    Band b holds ``solid_item[solid_start[b] : solid_start[b + 1]]``; so with the triangles.
-    `is_crossed`, bool, is of the length of `triangle_item`: whether any line of the band crosses
-    the triangle; while crossings are counted, it receives that.
-    """
-
-    solid_start: Int
-    solid_item: Int32
-    triangle_start: Int
-    triangle_item: Int32
-    is_crossed: Bool
 
 
 class Band(NamedTuple):

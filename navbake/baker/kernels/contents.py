@@ -38,26 +38,6 @@ class LevelContents(NamedTuple):
     gap: Float
 
 
-@kernel(nogil=True)
-def take_entries(listed, cells):
-    """What stands in some cells, by cell and then geom: places in `cells`, geoms and flags."""
-    first, geom, flags = listed.first, listed.geom, listed.flags
-    count = 0
-    for cell in cells:
-        i = first[cell]
-        while geom[i] >= 0:
-            i += 1
-        count += i - first[cell]
-    entries = np.empty(count, np.int64), np.empty(count, np.int32), np.empty(count, np.uint8)
-    count = 0
-    for n in range(cells.shape[0]):
-        i = first[cells[n]]
-        while geom[i] >= 0:
-            entries[0][count], entries[1][count], entries[2][count] = n, geom[i], flags[i]
-            i, count = i + 1, count + 1
-    return entries
-
-
 @part(**UNCOUNTED)
 def _open_row(columns, row_of, before, num, geom):
     """The row of a geom in the block whose rows begin at `before`, -1 for no room."""

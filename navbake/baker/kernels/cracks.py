@@ -256,7 +256,13 @@ def list_sides(
             )  # fmt: skip
             if after >= 0:
                 break
-            seen = np.empty((2 * seen.shape[0], NUM_NOTES))
-            sides = np.concatenate((sides, sides))
+            seen, wider = (
+                np.empty((2 * seen.shape[0], NUM_NOTES)),
+                np.empty((2 * sides.shape[0], NUM_NOTES)),
+            )
+            for n in range(num):
+                for k in range(NUM_NOTES):
+                    wider[n, k] = sides[n, k]
+            sides = wider
         num = after
     return sides, num

@@ -81,14 +81,17 @@ def _cross_triangle(corners, t, x, y, far):
 
 
 @part(inline="always")
-def hit_triangle(facets, t, x, y, far, hits, at, writing):
-    """Whether a line crosses a triangle that isn't upright, 0 or 1; notes the hit if `writing`."""
-    place, z = _cross_triangle(facets.corners, t, x, y, far)
+def hit_triangle(corners, n, facets, t, x, y, far, hits, at, writing):
+    """Whether a line crosses a triangle that isn't upright, 0 or 1; notes the hit if `writing`.
+
+    Its corners are the n-th of some, in the frame of the line.
+    """
+    place, z = _cross_triangle(corners, n, x, y, far)
     if place == 0:
         return 0
     if not writing:
         return 1
-    nx, ny, nz = unit_normal(facets.corners, t)
+    nx, ny, nz = unit_normal(corners, n)
     hits.z[at] = z
     hits.normal[at, 0], hits.normal[at, 1], hits.normal[at, 2] = nx, ny, nz
     hits.geom[at] = facets.geom[t]
@@ -161,7 +164,7 @@ def raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writi
                 if not is_beside(bounds, t, x, y):
                     line = (row - rows[0]) * width + col
                     place = end[line] if writing else 0
-                    found = hit_triangle(facets, t, x, y, far, hits, place, writing)
+                    found = hit_triangle(corners, t, facets, t, x, y, far, hits, place, writing)
                     end[line] += found
                     count += found
         is_crossed[i] = count > 0

@@ -21,7 +21,6 @@ import numpy as np
 from llvmlite import binding
 from numba import types
 
-from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.kernels.hits import (
     INSIDE,
@@ -34,9 +33,10 @@ from navbake.baker.kernels.hits import (
     settle,
 )
 from navbake.baker.kernels.raster import NEVER_FAR, hit_triangle, is_beside, raster_triangles
-from navbake.baker.kernels.tiles import BAND, cell_center, centers_between
+from navbake.baker.kernels.tiles import BAND, TILE, cell_center, centers_between
+from navbake.baker.scene.kernels.triangles import unit_normal
 from navbake.compiled import UNCOUNTED, kernel, part
-from navbake.types import Float
+from navbake.types import Float, Int
 
 # An eighth of a turn [rad]
 EIGHTH = 0.7853981633974483
@@ -45,6 +45,24 @@ PLANE_KIND = np.int32(PLANE)
 # Lines this far from the rim of an upright solid are inside or outside of it, whatever rounding
 # does; and solids narrower than WIDE ask MuJoCo on all lines [m]
 CLEAR, WIDE = 1e-5, 1e-3
+GROUP = 64  # lines at points that one call takes together
+# Axes; plain integers would compile what takes them once for each
+X, Y, Z = np.int64(0), np.int64(1), np.int64(2)
+
+
+class Lines(NamedTuple):
+    """Lines at points, in a frame in which they are upright.
+
+    Attributes:
+        points: x and y in the frame, (n, 2) float64 [m].
+        tiles: of each, the first and the last one of a rectangle of tiles, for whose items it is
+            looked at; (n, 2) int64.
+        axes: of the frame, (3, 3) float64, its rows; solids are turned into it beforehand.
+    """
+
+    points: Float
+    tiles: Int
+    axes: Float
 
 
 def _load_mujoco() -> None:
@@ -262,111 +280,114 @@ def make_ray():
     return Ray(np.empty(3), np.zeros(3), np.zeros(3), np.empty(3), np.empty(3))
 
 
+@part(inline="always")
+def _cast_band(lattice, geometry, items, crossed, band, ray, middle, hits, end, writing):
+    """Note what the lines of a band's cells cross; `end` is as in `raster_triangles`."""
+    solids, facets, planes, heights = geometry
+    rows = band * BAND, min((band + 1) * BAND, lattice.height)
+    for p in range(planes.geom.shape[0]):
+        _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, end, writing)
+    for i in range(items.solid_start[band], items.solid_start[band + 1]):
+        s = items.solid_item[i]
+        _cast_solid(solids, s, lattice, rows, ray, middle, hits, end, writing)
+    here = slice(items.triangle_start[band], items.triangle_start[band + 1])
+    listed, is_crossed = items.triangle_item[here], crossed[here]
+    raster_triangles(facets, listed, is_crossed, lattice, rows, hits, end, writing)
+
+
+@part(inline="always")
+def _along(axes, axis, corners, t):
+    """A triangle's three corners along an axis of a frame."""
+    x, y, z = axes[axis, 0], axes[axis, 1], axes[axis, 2]
+    return (
+        x * corners[t, 0, 0] + y * corners[t, 0, 1] + z * corners[t, 0, 2],
+        x * corners[t, 1, 0] + y * corners[t, 1, 1] + z * corners[t, 1, 2],
+        x * corners[t, 2, 0] + y * corners[t, 2, 1] + z * corners[t, 2, 2],
+    )
+
+
+@part(inline="always")
+def _is_near(corners, t, x, y, axes, turned):
+    """Whether a line may cross a triangle, whose corners in the line's frame `turned` receives."""
+    a, b, c = _along(axes, X, corners, t)
+    if x < min(a, b, c) - RIM or x > max(a, b, c) + RIM:  # most are
+        return False
+    d, e, f = _along(axes, Y, corners, t)
+    if y < min(d, e, f) - RIM or y > max(d, e, f) + RIM:
+        return False
+    turned[0, 0, X], turned[0, 1, X], turned[0, 2, X] = a, b, c
+    turned[0, 0, Y], turned[0, 1, Y], turned[0, 2, Y] = d, e, f
+    turned[0, 0, Z], turned[0, 1, Z], turned[0, 2, Z] = _along(axes, Z, corners, t)
+    return unit_normal(turned, 0)[2] != 0.0
+
+
+@part(**UNCOUNTED)
+def _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing):
+    """Note what the n-th line crosses, from a place of the hits on; returns how often.
+
+    `turned` has room for a triangle's corners, (1, 3, 3).
+    """
+    solids, facets, planes, heights = geometry
+    x, y, count, tiles_x = lines.points[n, 0], lines.points[n, 1], 0, -(-lattice.width // TILE)
+    row0, row1 = lines.tiles[n, 0] // tiles_x, lines.tiles[n, 1] // tiles_x
+    col0, col1 = lines.tiles[n, 0] % tiles_x, lines.tiles[n, 1] % tiles_x
+    is_turned = lines.axes[2, 2] != 1.0
+    for p in range(planes.geom.shape[0]):
+        count += _hit_plane(planes, p, x, y, heights, ray, hits, at + count if writing else at)
+    for row in range(min(row0, row1), max(row0, row1) + 1):
+        for col in range(min(col0, col1), max(col0, col1) + 1):
+            tile = row * tiles_x + col
+            for i in range(items.solid_start[tile], items.solid_start[tile + 1]):
+                s, place = items.solid_item[i], at + count if writing else at
+                if not is_beside(solids.bounds, s, x, y):
+                    count += _hit_solid(solids, s, x, y, ray, hits, place)
+            for i in range(items.triangle_start[tile], items.triangle_start[tile + 1]):
+                t, place = items.triangle_item[i], at + count
+                if not _is_near(facets.corners, t, x, y, lines.axes, turned):
+                    continue
+                if hit_triangle(turned, 0, facets, t, x, y, NEVER_FAR, hits, place, writing) > 0:
+                    count += 1
+                    if writing and is_turned:
+                        hits.closed[place] = OPEN_SURFACE  # it may be listed twice
+    return count
+
+
 @kernel(nogil=True)
-def cast_lines(
-    lattice, solids, facets, planes, items, heights, crossings, dropped, first_band, end
-):  # fmt: skip
-    """Cross the lines of cells in bands ``range(first_band, end)``; twice: to count, then to write.
+def cast_lines(lattice, lines, geometry, items, crossed, crossings, dropped, first_group, end):
+    """Cross lines with all geometry, in groups of them; twice: to count, then to write.
 
     Args:
-        items: what lies over which band of rows.
-        heights: a `Band` below and above everything [m].
-        crossings: while counting all but `start` are empty, and ``start[cell + 1]`` receives the
+        lines: at points, in groups of GROUP; or none, for those of the lattice's cells, in bands.
+        geometry: solids, facets, planes, and a `Band` below and above everything [m].
+        items: what lies over which tile, for lines at points, or else over which band.
+        crossed: by triangle of the bands, bool: whether any line of its band crosses it; receives
+            that while counting.
+        crossings: while counting all but `start` are empty, and ``start[line + 1]`` receives the
             number of hits; while writing `start` has their running sums, and the others receive
             the crossings, and behind each column's last those that are DROPPED.
-        dropped: by band, int64; receives the number of hits that are no crossings.
+        dropped: by group, int64; receives the number of hits that are no crossings.
     """
     start, writing = crossings.start, crossings.z.shape[0] > 0
-    ray, middle = make_ray(), make_hits(2)
-    for band in range(first_band, end):
-        rows = band * BAND, min((band + 1) * BAND, lattice.height)
-        first, last = rows[0] * lattice.width, rows[1] * lattice.width
+    ray, middle, turned = make_ray(), make_hits(2), np.empty((1, 3, 3))
+    num, size, at_points = lines.points.shape[0], GROUP, lines.points.shape[0] > 0
+    if not at_points:
+        num, size = lattice.height * lattice.width, BAND * lattice.width
+    for group in range(first_group, end):
+        first, last = group * size, min((group + 1) * size, num)
         place = np.zeros(last - first, np.int64)
         hits = middle
         if writing:
             hits = hits_of(crossings, start[first], start[last])
             for line in range(last - first):
                 place[line] = start[first + line] - start[first]
-        for p in range(planes.geom.shape[0]):
-            _cast_plane(planes, p, lattice, rows, heights, ray, middle, hits, place, writing)
-        for i in range(items.solid_start[band], items.solid_start[band + 1]):
-            s = items.solid_item[i]
-            _cast_solid(solids, s, lattice, rows, ray, middle, hits, place, writing)
-        here = slice(items.triangle_start[band], items.triangle_start[band + 1])
-        listed, is_crossed = items.triangle_item[here], items.is_crossed[here]
-        raster_triangles(facets, listed, is_crossed, lattice, rows, hits, place, writing)
+        if not at_points:
+            _cast_band(lattice, geometry, items, crossed, group, ray, middle, hits, place, writing)
+        for n in range(first, last if at_points else first):
+            at = place[n - first]
+            found = _cast_at(lattice, geometry, items, lines, n, ray, turned, hits, at, writing)
+            place[n - first] += found
         if writing:
-            dropped[band] = _settle_lines(hits, start[first:last], place, facets, middle)
+            dropped[group] = _settle_lines(hits, start[first:last], place, geometry[1], middle)
             continue
         for line in range(last - first):
             start[first + line + 1] = place[line]
-
-
-@part(inline="always")
-def most_hits(tile, planes, tiles):
-    """The room that the hits of a line over a tile need, scratch for sorting included."""
-    solids = tiles.solid_start[tile + 1] - tiles.solid_start[tile]
-    triangles = tiles.triangle_start[tile + 1] - tiles.triangle_start[tile]
-    return 2 * (solids + planes.geom.shape[0]) + triangles + 1
-
-
-@part(**UNCOUNTED)
-def cast_line(x, y, tile, solids, facets, planes, tiles, heights, ray, hits):
-    """Write the crossings of the line at (x, y) over a tile to the first hits; returns how many."""
-    zero, count = np.int64(0), np.int64(0)
-    for p in range(planes.geom.shape[0]):
-        count += _hit_plane(planes, p, x, y, heights, ray, hits, count)
-    for i in range(tiles.solid_start[tile], tiles.solid_start[tile + 1]):
-        s = tiles.solid_item[i]
-        if not is_beside(solids.bounds, s, x, y):
-            count += _hit_solid(solids, s, x, y, ray, hits, count)
-    for i in range(tiles.triangle_start[tile], tiles.triangle_start[tile + 1]):
-        t = tiles.triangle_item[i]
-        if facets.facing[t] != 0 and not is_beside(facets.bounds, t, x, y):
-            count += hit_triangle(facets, t, x, y, NEVER_FAR, hits, count, True)
-    return count - settle(hits, zero, count, facets, hits, count)
-
-
-@part(inline="always")
-def _with_room(crossings, used, count):
-    """Crossings with room for some more behind the used ones."""
-    if used + count <= crossings.z.shape[0]:
-        return crossings
-    room = max(used + count, 2 * used)
-    z, normal, geom = np.empty(room), np.empty((room, 3), np.float32), np.empty(room, np.int32)
-    closed = np.empty(room, np.uint8)
-    for i in range(used):  # slices take a second to compile: their errors are text
-        z[i], geom[i], closed[i] = crossings.z[i], crossings.geom[i], crossings.closed[i]
-        for axis in range(3):
-            normal[i, axis] = crossings.normal[i, axis]
-    return Crossings(crossings.start, z, normal, geom, closed)
-
-
-@kernel(nogil=True)
-def cast_points_at(points, tile, solids, facets, planes, tiles, heights):
-    """Cross vertical lines at points, (n, 2) [m], over tiles, (n,) int64: `Crossings` by line."""
-    num = points.shape[0]
-    most = np.int64(0)
-    for n in range(num):
-        most = max(most, most_hits(tile[n], planes, tiles))
-    ray, hits = make_ray(), make_hits(most)
-    room = 4 * num
-    found = Crossings(
-        np.zeros(num + 1, np.int64), np.empty(room), np.empty((room, 3), np.float32),
-        np.empty(room, np.int32), np.empty(room, np.uint8),
-    )  # fmt: skip
-    used = np.int64(0)
-    for n in range(num):
-        x, y = points[n, 0], points[n, 1]
-        count = cast_line(x, y, tile[n], solids, facets, planes, tiles, heights, ray, hits)
-        found = _with_room(found, used, count)
-        for i in range(count):
-            found.z[used + i], found.geom[used + i] = hits.z[i], hits.geom[i]
-            found.closed[used + i] = hits.closed[i]
-            for axis in range(3):
-                found.normal[used + i, axis] = hits.normal[i, axis]
-        used += count
-        found.start[n + 1] = used
-    return Crossings(
-        found.start, found.z[:used], found.normal[:used], found.geom[:used], found.closed[:used]
-    )

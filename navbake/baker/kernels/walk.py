@@ -105,7 +105,7 @@ class Here(NamedTuple):
         still, bands: of each volume of a geom, a bit for each cell that it is to be tested in,
             (4,) int64; and the heights of all these volumes, (4, 2) float64 [m].
         box: around a geom over the tile, (1, 6) float64 [m].
-        planes: the numbers of all planes, int32.
+        plane: the number of a plane, (1,) int32.
     """
 
     run: Int
@@ -116,7 +116,7 @@ class Here(NamedTuple):
     still: Int
     bands: Float
     box: Float
-    planes: Int32
+    plane: Int32
     simplex: Simplex
     polygons: Polygons
 
@@ -149,7 +149,7 @@ def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, 
 
     Returns:
         Geom ids, int32, and flags, uint8: each query's list, by geom, from its `first` to the geom
-        -1. Lists begin at 1; place 0 is that of all empty ones.
+        -1; and how much of them is used. Lists begin at 1; place 0 is that of all empty ones.
     """
     here = Here(
         np.zeros((TILE, 2), np.int64),
@@ -160,45 +160,51 @@ def look_near(lattice, crossings, geometry, tiles, footprint, queries, listing, 
         np.empty(4, np.int64),
         np.empty((4, 2)),
         np.empty((1, 6)),
-        np.arange(geometry[2].geom.shape[0]).astype(np.int32),
+        np.empty(1, np.int32),
         make_simplex(),
         make_polygons(),
     )
     solids, facets, planes = geometry
-    geom, flags = np.full(1024, -1, np.int32), np.zeros(1024, np.uint8)
+    geom, flags = np.empty(1024, np.int32), np.empty(1024, np.uint8)
+    geom[0], flags[0] = -1, 0
     used = np.int64(1)  # a plain 1 has a type of its own, and its functions would be compiled twice
-    entries = Entries(np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty(1024, np.uint8))
+    entries = _make_entries(1024)
     tiles_x = (lattice.width + TILE - 1) // TILE
     for tile in range(first * tiles_x, end * tiles_x):
         window = tile_window(lattice, tile)
-        num = _find_queries(lattice, window, queries.cell, here)
+        num = _find_queries(lattice, window, queries.cell, here.run)
         if num == 0:
             continue
         walk = Walk(
             lattice, window, crossings, solids, facets, planes, footprint, queries, listing, here
         )
-        count = _look_at_tile(walk, tiles, tile, entries)
+        count = np.int64(-1)
         while count < 0:
-            size = 4 * entries.geom.shape[0]
-            entries = Entries(
-                np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8)
-            )
             count = _look_at_tile(walk, tiles, tile, entries)
+            if count < 0:
+                entries = _make_entries(4 * entries.geom.shape[0])
         if listing.ceiling.shape[0] == 0:
             continue
         if used + count + num > geom.shape[0]:
             size = 2 * geom.shape[0] + count + num
-            wider, marks = np.full(size, -1, np.int32), np.zeros(size, np.uint8)
-            wider[:used], marks[:used] = geom[:used], flags[:used]
+            wider, marks = np.empty(size, np.int32), np.empty(size, np.uint8)
+            for i in range(used):  # slices take longer to compile: their errors are text
+                wider[i], marks[i] = geom[i], flags[i]
             geom, flags = wider, marks
         used = _write_lists(here.run, entries, count, listing.first, geom, flags, used)
-    return geom[:used].copy(), flags[:used].copy()
+    return geom, flags, used
+
+
+@part
+def _make_entries(size):
+    """Room for some entries."""
+    return Entries(np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8))
 
 
 @part(**UNCOUNTED)
-def _find_queries(lattice, window, cells, here):
+def _find_queries(lattice, window, cells, run):
     """Find the queries of each row of a tile's cells; returns how many there are."""
-    count, run = 0, here.run
+    count = 0
     for row in range(window[0], window[1]):
         r = row - window[0]
         # queries are sorted by cell, so a tile's follow on those of the tile before
@@ -216,7 +222,7 @@ def _find_queries(lattice, window, cells, here):
             n += 1
         run[r, 1] = n
         count += n - run[r, 0]
-    for r in range(window[1] - window[0], TILE):
+    for r in range(window[1] - window[0], run.shape[0]):
         run[r, 0] = run[r, 1]
     return count
 
@@ -226,12 +232,12 @@ def _write_lists(run, entries, count, first, geom, flags, used):
     """Write a tile's entries as lists behind the `used` part; returns the end of the lists."""
     for e in range(count):
         first[entries.query[e]] += 1
-    for r in range(TILE):
+    for r in range(run.shape[0]):  # of a length that the compiler doesn't know, or it unrolls
         for n in range(run[r, 0], run[r, 1]):
             if first[n] > 0:
                 used += first[n] + 1
                 first[n] = used - 1  # past its last entry, from which it is filled
-                geom[first[n]] = -1
+                geom[first[n]], flags[first[n]] = -1, 0
     for e in range(count - 1, -1, -1):
         n = entries.query[e]
         first[n] -= 1
@@ -274,7 +280,7 @@ def _ask_lines(walk):
     footprint, lists = walk.footprint, listing.ceiling.shape[0] > 0
     here.first[:], here.end[:] = 0, 0
     here.open[0], here.span[0], here.span[1] = 0, math.inf, -math.inf
-    for r in range(TILE):
+    for r in range(here.run.shape[0]):
         row = walk.window[0] + r
         for n in range(here.run[r, 0], here.run[r, 1]):
             cell, floor = queries.cell[n], queries.floor[n]
@@ -328,31 +334,38 @@ def _look_at_tile(walk, tiles, tile, entries):
         geom, box = min(plane, solid, facet), here.box
         if geom == NO_GEOM:
             break
-        if geom == plane:
-            box[0, :3], box[0, 3:] = -math.inf, math.inf
-            if planes.mat[p, 2] == 0.0 and planes.mat[p, 5] == 0.0 and planes.mat[p, 8] > 0.0:
-                box[0, 5] = planes.pos[p, 2]  # of level ground
-            count = _ask_geom(walk, PLANE, here.planes[p : p + 1], geom, entries, count)
-            p += 1
-            continue
-        box[0, :3], box[0, 3:] = math.inf, -math.inf
         kind, items, bounds, begin, end = SOLIDS, tiles.solid_item, solids.bounds, s, s + 1
-        if geom == solid:
+        if geom == plane:
+            kind, items, begin, end = PLANE, here.plane, np.int64(0), np.int64(1)
+            here.plane[0] = p
+            p += 1
+        elif geom == solid:
             s += 1
         else:
             kind, items, bounds, begin = TRIANGLES, tiles.triangle_item, facets.bounds, t
             while t < last_t and facets.geom[items[t]] == geom:
                 t += 1
             end = t
-        for i in items[begin:end]:
+        for k in range(3):
+            box[0, k], box[0, 3 + k] = math.inf, -math.inf
+        for i in items[begin : end if kind != PLANE else begin]:
             for k in range(3):
                 box[0, k] = min(box[0, k], bounds[i, k])
                 box[0, 3 + k] = max(box[0, 3 + k], bounds[i, 3 + k])
+        if kind == PLANE:
+            for k in range(3):
+                box[0, k], box[0, 3 + k] = -math.inf, math.inf
+            if (
+                planes.mat[p - 1, 2] == 0.0
+                and planes.mat[p - 1, 5] == 0.0
+                and planes.mat[p - 1, 8] > 0.0
+            ):
+                box[0, 5] = planes.pos[p - 1, 2]  # of level ground
         count = _ask_geom(walk, kind, items[begin:end], geom, entries, count)
     return count
 
 
-@part(**UNCOUNTED)
+@part(inline="always")
 def _ask_geom(walk, kind, items, geom, entries, count):
     """Test a plane, a solid or a geom's triangles for the queries near; see `_look_at_tile`.
 

@@ -150,7 +150,8 @@ def look_at_cells(
     def look(first: int, end: int) -> None:
         geometry = shapes.solids, tiled.facets, shapes.planes
         asked = lattice, columns.crossings, geometry, tiled.tiles, footprint, queries, listing
-        parts[first] = look_near(*asked, first, end)
+        geom, flags, used = look_near(*asked, first, end)
+        parts[first] = geom[:used], flags[:used]
 
     if len(cells):
         rows = cells[[0, -1]] // lattice.width // TILE

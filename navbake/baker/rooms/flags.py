@@ -1,32 +1,38 @@
-"""The input of rooms: flags of each level's cells, and marks."""
+"""The input of rooms: flags of each level's cells, and what geoms, sites and polygons mark."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+import re
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import fields, is_dataclass, replace
+from fnmatch import translate
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns import ColumnSource
+from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.connect import label_parts
 from navbake.baker.contents.contents import Contents
-from navbake.baker.contents.walls import WALL_BAND
+from navbake.baker.contents.kinds import WALL_BAND
 from navbake.baker.floors.levels import Floors, LevelFloor
 from navbake.baker.floors.surfaces import agent_limits
+from navbake.baker.kernels import gaps as kernels
 from navbake.baker.kernels.arrays import Crossings
-from navbake.baker.kernels.constants import BUILDING, WALL
+from navbake.baker.kernels.constants import BUILDING, SAME, WALL
 from navbake.baker.rooms.gaps import WIDEST
-from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.sources import MarkedRooms, mark_rooms
 from navbake.baker.rooms.walls import find_windows
+from navbake.baker.scene.choice import Choice
+from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
-from navbake.baker.scene.shapes import Shapes
-from navbake.config.settings import AgentSettings, RoomSettings
-from navbake.navgrid.lattice import Lattice
+from navbake.baker.scene.shapes import Shapes, Solids, solid_bounds
+from navbake.config.settings import DEFAULT_GEOMS, DEFAULT_SITES, AgentSettings, RoomSettings
+from navbake.errors import ConfigError
+from navbake.navgrid.lattice import Lattice, cover_cells
 from navbake.threads import LEAST_CELLS, run_in_bands
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 # The scene goes on beyond the lattice where it does so by more than this share of a cell
 BEYOND = 0.5
@@ -34,6 +40,31 @@ BEYOND = 0.5
 # edge is so wide [m]
 EDGE_LENGTH = WIDEST
 EVERY_SIDE = np.ones((2, 2), dtype=np.bool_)
+
+# A room's floor geom lies at most this far below the walkable floor, as under a rug [m]
+BELOW = 0.05
+# Or this far above it, as a floor that is only drawn over the one that collides [m]
+ABOVE = 0.005
+# A site's volume may begin this far above the floor [m]
+OFF_FLOOR = 0.05
+# A geom is a floor where at least this share of its upper side is one
+FLOOR_SHARE = 0.5
+# Share of itself, or of the agent, that a site's volume has at least between floor and head
+STANDING_SHARE = 0.5
+DEFAULTS = {"geoms": DEFAULT_GEOMS, "sites": DEFAULT_SITES}
+# What stands before a room's name in that of its floor
+FLOOR_PREFIXES = ("floor|", "floor_")
+
+
+class MarkedRooms(NamedTuple):
+    """The rooms that one source marks, by level; room k + 1 is called ``names[k]``."""
+
+    names: Sequence[str | None]
+    labels: Sequence[Int32]  # the number of each cell's room, shape (height, width), 0 for none
+    warnings: Sequence[str] = ()  # what the user should know, one line each
+    # the same with cells whose floor lies up to a step over the room's, as on a podium, if any
+    covered: Sequence[Int32] = ()
+    outdoors: Set[int] = frozenset()  # the numbers of those that are
 
 
 class LevelFlags(NamedTuple):
@@ -158,3 +189,205 @@ def edge_cells(is_open: Bool, sides: Bool) -> Bool:
     beyond = np.isin(part, outer[outer > 0])
     edge: Bool = beyond[:-2, 1:-1] | beyond[2:, 1:-1] | beyond[1:-1, :-2] | beyond[1:-1, 2:]
     return edge & ~beyond[1:-1, 1:-1]
+
+
+def mark_rooms(
+    scene: Scene,
+    columns: ColumnSource,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> dict[str, MarkedRooms]:
+    """Find the rooms that geoms, sites and polygons mark in a scene, by source."""
+    found = {}
+    if "geoms" in settings.sources:
+        found["geoms"] = _mark_by_geoms(scene, columns, levels, settings, agent)
+    if "sites" in settings.sources:
+        found["sites"] = _mark_by_sites(scene, columns.lattice, levels, settings, agent)
+    if "polygons" in settings.sources:
+        found["polygons"] = _mark_by_polygons(columns.lattice, levels, settings)
+    return found
+
+
+def find_markers(scene: Scene, settings: RoomSettings) -> tuple[Bool, Float]:
+    """The geoms of a scene that may mark rooms, (ngeom,) bool, and the poses of such sites."""
+    model, data = scene.model, scene.data
+    geoms = np.zeros(model.ngeom, dtype=np.bool_)
+    if "geoms" in settings.sources:
+        geoms[_match(all_names(model).own_geoms, tuple(settings.geoms), "geoms")[0]] = True
+    sites, _ = _match(all_names(model).sites, tuple(settings.sites), "sites")
+    placed = data.site_xpos, data.site_xmat, model.site_size, model.site_type[:, None]
+    return geoms, np.hstack(placed)[sites if "sites" in settings.sources else []]
+
+
+def _mark_by_geoms(
+    scene: Scene,
+    columns: ColumnSource,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> MarkedRooms:
+    """Give each cell the room of the matching geom that is its floor.
+
+    Its surface lies highest from 5 cm below (under a rug) to 5 mm above the floor, and of several
+    the first counts. Furniture may be named like a room: so half of its upper side has to be floor,
+    or lie up to a step under one (a carpet, a podium), which then is `covered`.
+    """
+    num = scene.model.ngeom
+    names = all_names(scene.model).own_geoms
+    chosen, warnings = _match(names, tuple(settings.geoms), "geoms")
+    labels, covered = ([np.zeros(columns.lattice.shape, np.int32) for _ in levels] for _ in "ab")
+    if not chosen:
+        return MarkedRooms([], labels, warnings)
+    number = np.zeros(num + 1, dtype=np.int32)
+    number[chosen] = np.arange(1, len(chosen) + 1)
+    cell, z, geom = _upward_surfaces(scene, columns, set(chosen))
+    lowest = -agent.traversable_floor_height - SAME
+    # NaN where there is no floor, which compares as False
+    heights = [z - level.floor.ravel()[cell] for level in levels]
+    at_floor = np.any([(h >= lowest) & (h <= ABOVE + SAME) for h in heights], axis=0)
+    sides = np.bincount(geom, minlength=num)
+    is_floor = np.bincount(geom[at_floor], minlength=num) >= FLOOR_SHARE * sides
+    for found, reach in ((labels, -BELOW - SAME), (covered, lowest)):
+        for label, height in zip(found, heights, strict=True):
+            here = (height >= reach) & (height <= ABOVE + SAME) & is_floor[geom]
+            highest = np.full(label.size, -np.inf)
+            np.maximum.at(highest, cell[here], z[here])
+            here &= z >= highest[cell] - SAME
+            first = np.full(label.size, num, dtype=np.int32)
+            np.minimum.at(first, cell[here], geom[here])
+            label[:] = number[first].reshape(label.shape)
+    called: list[str | None] = []
+    for name in (names[geom] for geom in chosen):
+        without = (name[len(prefix) :] for prefix in FLOOR_PREFIXES if name.startswith(prefix))
+        called.append(next(filter(None, without), name))
+    return MarkedRooms(called, labels, warnings, covered)
+
+
+def _mark_by_sites(
+    scene: Scene,
+    lattice: Lattice,
+    levels: Sequence[LevelFloor],
+    settings: RoomSettings,
+    agent: AgentSettings,
+) -> MarkedRooms:
+    """Give each cell the room of the first site in which an agent stands there, see `_stand_in`.
+
+    A site with less than `rooms.min_area` of floor, on all levels together, is no room.
+    """
+    names = all_names(scene.model).sites
+    chosen, warnings = _match(names, tuple(settings.sites), "sites")
+    labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
+    kept, small = list[str | None](), list[str]()
+    for site in chosen:
+        masks = _stand_in(site, scene, lattice, levels, agent)
+        if sum(int(mask.sum()) for mask in masks) * lattice.cell_size**2 < settings.min_area:
+            small.append(names[site])
+            continue
+        kept.append(names[site])
+        for label, mask in zip(labels, masks, strict=True):
+            label[mask & (label == 0)] = len(kept)
+    if small:
+        listed = ", ".join(small[:5]) + (", …" if len(small) > 5 else "")
+        told = f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`)"
+        warnings = [*warnings, f"{told} are no rooms: {listed}"]
+    return MarkedRooms(kept, labels, warnings)
+
+
+def _stand_in(
+    site: int, scene: Scene, lattice: Lattice, levels: Sequence[LevelFloor], agent: AgentSettings
+) -> list[Bool]:
+    """The cells of each level whose agent stands in a site's volume.
+
+    The cell's line meets the volume over a length, of which at least half, or half of an agent,
+    lies between 5 cm below the floor and the agent's height.
+    """
+    model, data = scene.model, scene.data
+    kind, place = model.site_type[[site]].astype(np.int32), np.zeros(1, dtype=np.int32)
+    pose = data.site_xpos[[site]], data.site_xmat[[site]], model.site_size[[site]]
+    solid = Solids(place, kind, *pose, solid_bounds(kind, *pose))
+    masks = [np.zeros(lattice.shape, dtype=np.bool_) for _ in levels]
+    window = lattice.window(solid.bounds.reshape(2, 3))
+    if window is None:
+        return masks
+    nothing = scene.shapes.only(np.zeros(model.ngeom, dtype=np.bool_))
+    cut = lattice.cut(*window)
+    surfaces = cast_columns(tile_shapes(replace(nothing, solids=solid), cut, 0.0))
+    low, high = np.full((2, *cut.shape), np.nan)
+    hit = np.diff(surfaces.start).reshape(cut.shape) > 1
+    low[hit] = surfaces.z[surfaces.start[:-1][hit.ravel()]]
+    high[hit] = surfaces.z[surfaces.start[1:][hit.ravel()] - 1]
+    for mask, level in zip(masks, levels, strict=True):
+        floor = level.floor[window]
+        inside = np.minimum(high, floor + agent.height) - np.maximum(low, floor - OFF_FLOOR)
+        enough = STANDING_SHARE * np.minimum(high - low, agent.height)
+        mask[window] = inside >= enough - SAME
+    return masks
+
+
+def _mark_by_polygons(
+    lattice: Lattice, levels: Sequence[LevelFloor], settings: RoomSettings
+) -> MarkedRooms:
+    """Give each cell the room in whose polygon its centre lies; of several, the first."""
+    polygons = settings.polygons
+    labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
+    warnings = []
+    for number, polygon in enumerate(polygons):
+        called = f"room {repr(polygon.name) if polygon.name else f'[{number}]'}"
+        on = [k for k, level in enumerate(levels) if polygon.level in (k, level.name)]
+        if not on:
+            listed = ", ".join(f"{k} ({level.name})" for k, level in enumerate(levels))
+            raise ConfigError(
+                f"no level {polygon.level!r} for {called} of `rooms.polygons`: there are {listed}"
+            )
+        level, label = levels[on[0]], labels[on[0]]
+        mask = cover_cells([polygon.points, *polygon.rings], lattice)
+        known = ~np.isnan(level.floor)
+        if not (mask & known).any():
+            rows, cols = np.nonzero(known)
+            x, y = lattice.center_x()[cols], lattice.center_y()[rows]
+            warnings.append(
+                f"{called} of `rooms.polygons` has no floor on {level.name}, whose floor spans "
+                f"x {x.min():.2f} to {x.max():.2f}, y {y.min():.2f} to {y.max():.2f} m"
+            )
+        label[mask & (label == 0)] = number + 1
+    outdoors = {number for number, polygon in enumerate(polygons, 1) if polygon.outdoors}
+    return MarkedRooms([polygon.name for polygon in polygons], labels, warnings, outdoors=outdoors)
+
+
+def _upward_surfaces(
+    scene: Scene, columns: ColumnSource, chosen: set[int]
+) -> tuple[Int, Float, Int32]:
+    """Cells, heights and geoms of surfaces that face up; of hulls, those of their mesh."""
+    num = len(scene.geoms)
+    known = {geom for geom in chosen if scene.geoms[geom].shape not in ("", "hull")}
+    parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
+    if others := chosen - known:
+        choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
+        shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
+        parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
+    found = []
+    for surfaces, geoms in parts:
+        is_meant = np.isin(np.arange(num), list(geoms))
+        for block in surfaces.blocks() if geoms else ():
+            first, end = block.known_rows.cells(block.lattice)
+            at = np.flatnonzero(is_meant[block.geom] & (block.normal[:, 2] > 0))
+            cell = first + np.searchsorted(block.start[first : end + 1], at, side="right") - 1
+            found.append((cell, block.z[at], block.geom[at]))
+    cells, heights, owners = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return cells, heights, owners
+
+
+@lru_cache(maxsize=8)  # each update calls it
+def _match(
+    names: tuple[str, ...], patterns: tuple[str, ...], setting: str
+) -> tuple[list[int], list[str]]:
+    """Ids of what matches, and a warning for each pattern of the user's that matches nothing."""
+    chosen, warnings = set[int](), list[str]()
+    for pattern in patterns:
+        matches = re.compile(translate(pattern)).match
+        found = [k for k, name in enumerate(names) if name and matches(name)]
+        chosen.update(found)
+        if not found and pattern not in DEFAULTS[setting]:
+            warnings.append(warn_unmatched(f"rooms.{setting}", pattern, names))
+    return sorted(chosen), warnings

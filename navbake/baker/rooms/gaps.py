@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.connect import connect, count_cells, label_parts, list_runs
-from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.rooms.kernels.gaps import FAR, Gaps, Scan
+from navbake.baker.kernels import gaps as kernels
+from navbake.baker.kernels.gaps import BOTH, FAR, NARROWER, WIDER, Gaps, Scan
 from navbake.baker.rooms.walls import FAR_OF_DOORWAY, Direction, WallRays, find_directions, turned
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
@@ -29,17 +29,11 @@ DRIFT = 2
 ISLAND = 0.1
 # How wide the spaces are is measured so far behind the gap; the widest counts [m]
 DEPTHS = (0.1, 0.25, 0.45)
-# Two spaces are one where the gap between them is at least this share of both, or of the narrower
-BOTH, NARROWER = 0.8, 0.78
-# A passage is a space of its own from this length on, in widths, where the other space is wider by
-# this factor
-LONG, WIDER = 3.0, 1.5
+# A passage is a space of its own from this length on [widths]
+LONG = 3.0
 # A gap was a close call within this of the share that decides, if it is so wide [m] and both spaces
 # are so large [m²]
 CLOSE, CLOSE_WIDTH, CLOSE_AREA = 0.04, 0.8, 4.0
-# Widths are measured on the walls' geometry where so many cells could decide
-WAVERING = 2.0
-DECIDING = np.array([BOTH, NARROWER, 1 / WIDER])
 # Of the widest gap [m]
 ROUNDING = 1e-9
 
@@ -276,7 +270,7 @@ class Spaces:
             direction, scan, listed = self._found[number]
             start = int(self._start[number])
             chosen = gaps[numbers == number] - start
-            asked = self.whole, self._walls[number], DECIDING, WAVERING
+            asked = self.whole, self._walls[number]
             lines, shares, waits, met = kernels.measure_gaps(scan, listed, chosen, *asked)
             for k, space in met:
                 self._met_by[space].add(start + k)

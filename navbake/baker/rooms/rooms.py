@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from navbake.baker.connect import connect, count_cells, list_runs, touching
 from navbake.baker.kernels.constants import SLACK
 from navbake.baker.lattice import list_differing
-from navbake.baker.rooms.flags import RoomFlags
+from navbake.baker.rooms.flags import MarkedRooms, RoomFlags
 from navbake.baker.rooms.gaps import CloseCall
 from navbake.baker.rooms.segmentation import (
     find_cavities,
@@ -25,7 +25,6 @@ from navbake.baker.rooms.segmentation import (
     segment_by_gaps,
     share_rest,
 )
-from navbake.baker.rooms.sources import MarkedRooms
 from navbake.config.settings import RoomSettings
 from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice

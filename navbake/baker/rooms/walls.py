@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -10,10 +11,10 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.connect import list_runs
-from navbake.baker.kernels.arrays import Crossings, Facets
-from navbake.baker.kernels.constants import OPEN_SURFACE
-from navbake.baker.rooms.kernels import gaps as kernels
-from navbake.baker.scene.shapes import Shapes, turn_facets
+from navbake.baker.kernels import gaps as kernels
+from navbake.baker.kernels.arrays import Facets
+from navbake.baker.kernels.gaps import FAR
+from navbake.baker.scene.shapes import Shapes
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -21,6 +22,7 @@ from navbake.types import Bool, Float, Int, Int32
 T = TypeVar("T", bound=np.generic)
 
 STRIP = 64  # columns that are worth a thread's while
+NO_ROWS = np.empty((0, 0), dtype=np.int32)
 # Directions of walls are taken from their geometry, at points about so far apart [m], in bins of so
 # many degrees and lines so wide [m], if this share of the points lies on walls with a direction
 SPACING, FINE_BIN, FINE_LINE, MOST_POINTS = 0.1, 1.0, 0.01, 0.5
@@ -42,29 +44,36 @@ OFF_STEPS = 5
 PADDING = 2
 
 RAY_HEIGHT = 0.6  # at which walls are measured over the floor, below the sills of windows [m]
-CHUNK = 4096  # triangles that are looked at together
+HEIGHT_BIN = 0.01  # to which the heights of rays are told [m]
+CHUNK = 1 << 14  # triangles that are looked at together
+# Rays begin over a cell's width, as a thin wall lies beside the centres of cells that it is in
+OVER_CELL = np.array([-0.5, 0.0, 0.5])
+NOWHERE = -1e9  # the height of rays from cells without a floor, which meet nothing [m]
+# Most rays end within so many cells; of many, the others are cast once more, as far as needed
+NEAR_CELLS, MANY_RAYS, FAR_DIAGONAL = 2.5, 200, math.sqrt(2) * FAR
 # Walls farther from the centres of doorways' end cells are ignored [m]; farther than those of other
-# gaps, `kernels.FAR`, as they lean in the lattice where they are at an angle to it
+# gaps, `FAR`, as they lean in the lattice where they are at an angle to it
 FAR_OF_DOORWAY = 0.6
 # A sill is at most this thick [m]; it fills every cell it touches, one more on each side
 SILL_THICKNESS = 0.5
+# By how much geometry is widened, so that rays between two tiles find it in both [m]
+HAIR = 1e-6
 
 
 def squared_distances(target: Bool, reach: int) -> Int32:
     """Squared distance of each node to the nearest target, ``(reach + 1) ** 2`` beyond `reach`."""
-    along, far = np.empty(target.shape, dtype=np.int16), np.int16(reach + 1)
-    target = np.ascontiguousarray(target)
-    run_in_bands(kernels.sweep_columns, target.shape[1], target, far, along, least=STRIP)
-    answer = np.empty(target.shape, dtype=np.int32)
-    run_in_bands(kernels.sweep_rows, len(target), along, reach, answer)
-    return answer
+    target, along = np.ascontiguousarray(target), np.empty(target.shape, dtype=np.int16)
+    run_in_bands(kernels.sweep, target.shape[1], target, reach, along, NO_ROWS, least=STRIP)
+    squared = np.empty(target.shape, dtype=np.int32)
+    run_in_bands(kernels.sweep, len(target), target, reach, along, squared)
+    return squared
 
 
 def distances_at(open_cells: Bool, reach: int, row: Int, col: Int) -> Int:
     """The `squared_distances` of some nodes to marked ones, see `wall_nodes`."""
     closed = np.pad(~open_cells, 1, constant_values=True)
-    along, far = np.empty(closed.shape, dtype=np.int16), np.int16(reach // 2 + 2)
-    run_in_bands(kernels.sweep_columns, closed.shape[1], closed, far, along, least=STRIP)
+    along, far = np.empty(closed.shape, dtype=np.int16), reach // 2 + 1
+    run_in_bands(kernels.sweep, closed.shape[1], closed, far, along, NO_ROWS, least=STRIP)
     nearest = np.full(len(row), (reach + 1) ** 2)
     over, under, last = (row + 1) // 2, (row + 2) // 2, closed.shape[1] - 1
     for shift in range(-(reach // 2) - 1, reach // 2 + 3):
@@ -245,26 +254,28 @@ class WallRays:
     """Level rays from cells to the walls' geometry, `RAY_HEIGHT` over the floor."""
 
     def __init__(self, walls: Shapes, lattice: Lattice, floor: Float) -> None:
-        self._lattice, self._floor = lattice, floor
-        low, high = np.nanmin(floor) + RAY_HEIGHT, np.nanmax(floor) + RAY_HEIGHT
-        corners, kept = walls.triangles.corners, np.empty(len(walls.triangles.geom), dtype=np.bool_)
+        self._lattice, self._heights = lattice, floor + RAY_HEIGHT
+        # a triangle is met at no heights but those of the floor's rays, told to a HEIGHT_BIN
+        heights = self._heights[~np.isnan(floor)]
+        low, high = heights.min(), heights.max()
+        bins = np.zeros(int((high - low) / HEIGHT_BIN) + 1, dtype=np.int64)
+        bins[((heights - low) / HEIGHT_BIN).astype(np.int64)] = 1
+        before = np.append(0, np.cumsum(bins))  # of each bin, those with a ray
+        bounds, parts = walls.triangles.bounds, dict[int, Int]()
 
         def choose(first: int, end: int) -> None:
             for begin in range(first * CHUNK, end * CHUNK, CHUNK):  # which caches hold
-                some = slice(begin, begin + CHUNK)
-                one, two, three = np.ascontiguousarray(corners[some, :, 2].T)
-                kept[some] = np.minimum(np.minimum(one, two), three) <= high
-                kept[some] &= np.maximum(np.maximum(one, two), three) >= low
+                bottom, top = bounds[begin : begin + CHUNK, 2], bounds[begin : begin + CHUNK, 5]
+                some = np.flatnonzero((bottom <= high) & (top >= low))
+                ends = np.stack([bottom[some] - HAIR, top[some] + HAIR]) - low
+                one, other = (ends / HEIGHT_BIN).astype(np.int64).clip(0, len(bins) - 1)
+                parts[begin] = begin + some[before[other + 1] > before[one]]
 
-        run_in_bands(choose, -(-len(kept) // CHUNK))
-        chosen = np.flatnonzero(kept)  # in an eighth of the time that the mask takes
-        triangles = Facets._make(array[chosen] for array in walls.triangles)
-        # rays meet what is near to their cells alone, so that nothing is left as often as entered
-        self._triangles = triangles._replace(closed=np.full_like(triangles.closed, OPEN_SURFACE))
-        self._reach = max(kernels.FAR * lattice.cell_size, FAR_OF_DOORWAY)
-        # by tiles as seen from above, whatever the rays' direction
-        reach = self._reach + lattice.cell_size
-        self._tiled = tile_shapes(walls, lattice, reach, self._triangles)
+        run_in_bands(choose, -(-len(bounds) // CHUNK))
+        chosen = np.concatenate([np.empty(0, np.int64), *(parts[k] for k in sorted(parts))])
+        triangles = Facets._make(array.take(chosen, axis=0) for array in walls.triangles)
+        self._heights[np.isnan(floor)] = NOWHERE
+        self._tiled = tile_shapes(walls, lattice, HAIR, triangles)
         self._turned: dict[tuple[bool, float], tuple[Float, TiledShapes, Float]] = {}
 
     def look(self, direction: Direction, cells: Int) -> Float:
@@ -279,9 +290,9 @@ class WallRays:
         new = known[cell, way] == 0.0
         cell, way = cell[new], way[new]
         if len(cell):
-            row, col = np.divmod(cell, self._floor.shape[0 if direction.swapped else 1])
+            row, col = np.divmod(cell, self._heights.shape[0 if direction.swapped else 1])
             row, col = (col, row) if direction.swapped else (row, col)
-            away, *_ = self._cast(axes, tiled, row, col, way == 1, (-0.5, 0.0, 0.5))
+            away, _ = self._cast(axes, tiled, row, col, way == 1, OVER_CELL)
             known[cell, way] = away / (direction.stretch * self._lattice.cell_size) + 1.0
         return known
 
@@ -291,7 +302,7 @@ class WallRays:
         Rays along the lattice's axes meet them.
         """
         closed, size = np.pad(~open_cells, 1, mode="edge"), self._lattice.cell_size
-        has_floor, every = open_cells & ~np.isnan(self._floor), max(1, int(SPACING / size))
+        has_floor, every = open_cells & (self._heights > NOWHERE), max(1, int(SPACING / size))
         rows, cols = open_cells.shape
         places, angles, asked = list[Float](), list[Float](), 0
         for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -301,9 +312,7 @@ class WallRays:
             row, col = row[some], col[some]
             axes, tiled, _ = self._turn(direction_of(90.0 * abs(down), open_cells.shape))
             is_after = np.full(len(row), down + right > 0)
-            away, crossings, line, ahead = self._cast(axes, tiled, row, col, is_after, (0.0,))
-            normal, first = np.zeros((len(row), 3)), np.isfinite(ahead) & (ahead == away[line])
-            normal[line[first]] = crossings.normal[first]
+            away, normal = self._cast(axes, tiled, row, col, is_after, np.zeros(1))
             # what is steeper to the ray is met by those along the other axis
             own = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
             met, asked = own & np.isfinite(away), asked + int(own.sum())
@@ -315,33 +324,42 @@ class WallRays:
         return WallPoints(*found, every * size, FINE_BIN, FINE_LINE / size), asked
 
     def _cast(
-        self,
-        axes: Float,
-        tiled: TiledShapes,
-        row: Int,
-        col: Int,
-        is_after: Bool,
-        offsets: tuple[float, ...],
-    ) -> tuple[Float, Crossings, Int, Float]:
+        self, axes: Float, tiled: TiledShapes, row: Int, col: Int, is_after: Bool, offsets: Float
+    ) -> tuple[Float, Float]:
         """Cast rays on or back from cells, at some offsets across them [cells].
 
-        Returns how far walls are [m], inf for none; and what the rays cross, its cells' numbers,
-        and how far ahead of these it is, inf for what is behind.
+        Returns how far walls are [m], inf for none, and the normal there in the rays' frame, (n, 3)
+        of 0 for none.
         """
-        lattice = self._lattice
-        centers = np.column_stack([lattice.positions(row, col), self._floor[row, col] + RAY_HEIGHT])
-        centers = centers @ axes.T
-        # over a cell's width, as a thin wall lies beside the centres of cells that it is in
-        across = np.array(offsets) * lattice.cell_size
-        points = np.repeat(np.nan_to_num(centers[:, :2]), len(across), axis=0)
-        points.reshape(len(row), len(across), 2)[..., 0] += across
-        crossings = cast_points(tiled, np.repeat(row * lattice.width + col, len(across)), points)
-        line = np.repeat(np.arange(len(points)) // len(across), np.diff(crossings.start))
-        ahead = np.where(is_after[line], 1.0, -1.0) * (crossings.z - centers[line, 2])
-        ahead[~(ahead >= 0.0)] = np.inf
-        nearest = np.full(len(row), np.inf)
-        np.minimum.at(nearest, line, ahead)
-        return nearest, crossings, line, ahead
+        lattice, count = self._lattice, len(offsets)
+        centers = np.column_stack([lattice.positions(row, col), self._heights[row, col]]) @ axes.T
+        places, way = np.stack([row, col]) + 0.5, np.where(is_after, 1.0, -1.0)
+        # how a step across a ray and one along it change the row and the column
+        aside, along = axes[[0, 2]][:, [1, 0]] * (-1.0, 1.0)
+        last = np.array(lattice.shape)[:, None, None] - 1
+        away, normal = np.full(len(row), np.inf), np.zeros((len(row), 3))
+        left = np.arange(len(row))
+        reaches = NEAR_CELLS, max(FAR_DIAGONAL, FAR_OF_DOORWAY / lattice.cell_size)
+        # most rays end near their cells, where there is little to look at
+        for reach in reaches[len(row) < MANY_RAYS :]:
+            ray, offset = left.repeat(count), np.tile(offsets, len(left))
+            points = centers[ray, :2]
+            points[:, 0] += offset * lattice.cell_size
+            ends = np.empty((2, len(ray), 2))
+            ends[..., 0] = places[:, ray] + aside[:, None] * offset
+            ends[..., 1] = ends[..., 0] + along[:, None] * (way[ray] * reach)
+            rows, cols = ends.astype(np.int64).clip(0, last)
+            crossings = cast_points(tiled, rows * lattice.width + cols, points, axes)
+            line = np.repeat(ray, np.diff(crossings.start))
+            ahead = way[line] * (crossings.z - centers[line, 2])
+            ahead[~(ahead >= 0.0)] = np.inf
+            np.minimum.at(away, line, ahead)
+            is_first = np.isfinite(ahead) & (ahead == away[line])
+            normal[line[is_first]] = crossings.normal[is_first]
+            left = left[away[left] > reach * lattice.cell_size]
+            if not len(left):
+                break
+        return away, normal
 
     def _turn(self, direction: Direction) -> tuple[Float, TiledShapes, Float]:
         """A frame in which the direction is up, its axes as rows; the walls in it; see `look`."""
@@ -350,9 +368,8 @@ class WallRays:
             way = np.array([1.0, -direction.slope]) / direction.stretch
             x, y = -way[::-1] if direction.swapped else way
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
-            facets = turn_facets(self._triangles, axes)
-            tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes), facets=facets)
-            known = np.zeros((self._floor.size, 2))
+            tiled = replace(self._tiled, shapes=self._tiled.shapes.turned(axes))
+            known = np.zeros((self._heights.size, 2))
             self._turned[key] = axes, tiled, known
         return self._turned[key]
 

@@ -219,22 +219,6 @@ def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
     return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
 
 
-def turn_facets(facets: Facets, axes: Float) -> Facets:
-    """Triangles in a frame with these axes, its rows, shape (3, 3)."""
-    corners = facets.corners.reshape(-1, 3)
-    vertices = np.empty_like(corners)
-
-    def turn(first: int, end: int) -> None:
-        np.einsum("ij,kj->ik", corners[first:end], axes, out=vertices[first:end])
-
-    run_in_bands(turn, len(vertices), least=4096)
-    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    mesh = GeomTriangles(vertices, faces, facets.part, facets.closed, "")
-    geoms = np.zeros(1, dtype=np.int32)
-    turned = Meshes(geoms, [mesh], np.empty((1, 6))).expand()
-    return turned._replace(geom=facets.geom)
-
-
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     """Exact boxes of solids from the fields of `Solids`: lower and upper corners, (n, 6) [m]."""
     axes = mat.reshape(-1, 3, 3)

@@ -23,8 +23,7 @@ from navbake.baker.floors.levels import FloorFinder
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, TOUCH, WALL
 from navbake.baker.lattice import cells_near, cut_cells, lay_lattice
-from navbake.baker.rooms.flags import RoomFlags, are_equal
-from navbake.baker.rooms.sources import find_markers
+from navbake.baker.rooms.flags import RoomFlags, are_equal, find_markers
 from navbake.baker.stages import Stages
 from navbake.baker.update.following import FullBake, Moved, boxes_of
 from navbake.threads import LEAST_CELLS, limit_threads

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from box_worlds import FLOOR, box, stages_of_xml, world
-from navbake.baker.contents.contents import Contents
-from navbake.baker.contents.walls import WALL_BAND
-from navbake.baker.kernels.contents import LevelContents, take_entries
+from navbake.baker.contents.contents import Contents, take_entries
+from navbake.baker.contents.kinds import WALL_BAND
+from navbake.baker.kernels.contents import LevelContents
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
 from navbake.baker.stages import Stages, bake_stages
 from navbake.config.settings import load_config

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from navbake.baker.contents.contents import count_taken
+from navbake.baker.contents.contents import count_taken, take_entries
 from navbake.baker.kernels.constants import BUILDING, OBJECT, WALL
-from navbake.baker.kernels.contents import LevelContents, mark_walls, take_entries
+from navbake.baker.kernels.contents import LevelContents, mark_walls
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
 from navbake.navgrid.lattice import Lattice
 

@@ -16,10 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import Generator
 
-from navbake.baker.contents.contents import OPEN_ABOVE
-from navbake.baker.contents.walls import WALL_BAND, wall_candidates
+from navbake.baker.contents.contents import OPEN_ABOVE, take_entries
+from navbake.baker.contents.kinds import WALL_BAND, wall_candidates
 from navbake.baker.kernels.constants import MEETS, SAME, TOUCH, UNDECIDED
-from navbake.baker.kernels.contents import take_entries
 from navbake.baker.kernels.tiles import TILE, cell_bits, cells_near
 from navbake.baker.kernels.walk import BLOCKS, PROBED, STANDS
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from navbake.baker.rooms.gaps import DECIDING, GROWTH, WAVERING, Spaces, find_gaps
-from navbake.baker.rooms.kernels import gaps as kernels
+from navbake.baker.kernels import gaps as kernels
+from navbake.baker.rooms.gaps import GROWTH, Spaces, find_gaps
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,
     WallRays,
@@ -254,15 +254,17 @@ def test_the_share_that_a_gap_has(angle):
             chosen = np.arange(len(gaps.first))
             walls = np.full((len(chosen), 2), 0.5), np.full(len(chosen), kernels.FAR)
             known = np.full((scan.label.size, 2), 1.5)
-            asked = scan, gaps, chosen, whole, (*walls, known), DECIDING, WAVERING
+            asked = scan, gaps, chosen, whole, (*walls, known)
             lines, shares, waits, met = kernels.measure_gaps(*asked)
             assert not waits.any()
-            nothing = *asked[:4], (*walls, np.zeros_like(known)), *asked[5:]
+            nothing = *asked[:4], (*walls, np.zeros_like(known))
             waits = kernels.measure_gaps(*nothing)[2]
             ended, through = ((lines[..., k : k + 2] >= 0).any(axis=(1, 2, 3)) for k in (4, 6))
-            far = np.abs(shares[..., None] - DECIDING).min(axis=2) * lines[..., 0].min(axis=2)
+            far = np.abs(shares[..., None] - kernels.DECIDING).min(axis=2) * lines[..., 0].min(
+                axis=2
+            )
             is_apart = whole[gaps.above] != whole[gaps.below]
-            wavers = (far <= WAVERING).any(axis=1)
+            wavers = (far <= kernels.WAVERING).any(axis=1)
             assert (waits == (wavers & ended | through))[is_apart].all()
             for k in chosen:
                 listed = {space for gap, space in met if gap == k}

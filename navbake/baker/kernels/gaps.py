@@ -20,6 +20,11 @@ from navbake.types import Bool, Int, Int32
 FAR = 4.0
 # How far on either side of a gap the spaces behind it are measured [widths of the gap]
 REACH = 2
+# Two spaces are one where the gap between them is at least this share of both, or of the narrower;
+# but a passage is a space of its own where the other one is wider by this factor
+BOTH, NARROWER, WIDER = 0.8, 0.78, 1.5
+# Widths are measured on the walls' geometry where so many cells could decide about these shares
+WAVERING, DECIDING = 2.0, (BOTH, NARROWER, 1 / WIDER)
 # A doorway's lines differ by so many columns, as its jambs waver in the lattice
 JITTER = 2.0
 # The bit of a way that follows its line exactly, see `_hold`
@@ -224,7 +229,7 @@ def _hold(low, wall, to_next, next_wall, held, found):
 
 
 @kernel
-def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
+def measure_gaps(scan, gaps, chosen, whole, walls):
     """Measure lines behind some gaps, parallel to them, in the regions above and below.
 
     At each depth a line runs as far as the region reaches, but beyond the gap's ends at most
@@ -232,8 +237,8 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
     A region that ends before the first depth is measured where it ends. `whole` is the current
     region of each label.
 
-    Widths are measured up to walls; lengths in cells, or up to walls where at most `wavering` cells
-    keep the least share from one of the `deciding` ones. `walls`: how far they are from the centres
+    Widths are measured up to walls; lengths in cells, or up to walls where at most `WAVERING` cells
+    keep the least share from one of the `DECIDING` ones. `walls`: how far they are from the centres
     of gaps' end cells, (gaps, 2), and at most from those of openings, (gaps,) [columns]; and what
     is known of them by cell and end, see `WallRays.look`.
 
@@ -248,14 +253,19 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
         lines change.
     """
     beside, far, known = walls
-    lines = np.full((len(chosen), 2, len(scan.depths), 8), -1, dtype=np.int64)
-    shares, waits = np.ones((len(chosen), 2)), np.zeros(len(chosen), dtype=np.bool_)
-    openings = np.zeros((2, len(scan.depths)))
+    lines = np.empty((len(chosen), 2, len(scan.depths), 8), np.int64)
+    shares, waits = np.empty((len(chosen), 2)), np.empty(len(chosen), np.bool_)
+    openings = np.empty((2, len(scan.depths)))
     met = [(np.int64(-1), np.int64(-1))]
     for i in range(len(chosen)):
         k = chosen[i]
         above, below = np.int64(whole[gaps.above[k]]), np.int64(whole[gaps.below[k]])
-        wavers = False
+        wavers, waits[i] = False, False
+        for side in range(2):
+            shares[i, side] = 1.0
+            for depth in range(len(scan.depths)):
+                for number in range(lines.shape[3]):
+                    lines[i, side, depth, number] = -1
         for side in range(0 if above == below else 2):
             own, other = (above, below) if side == 0 else (below, above)
             # how many open rows lie behind the gap in its middle, up to the first depth
@@ -285,8 +295,8 @@ def measure_gaps(scan, gaps, chosen, whole, walls, deciding, wavering):
                 openings[side, depth] = measured[1] - 1 + width
                 shares[i, side] = min(shares[i, side], openings[side, depth] / measured[0])
                 shortest = min(shortest, measured[0])
-            for share in deciding:
-                wavers |= abs(shares[i, side] - share) * shortest <= wavering
+            for share in DECIDING:
+                wavers |= abs(shares[i, side] - share) * shortest <= WAVERING
         # for others it makes no difference where in the last cells the walls begin
         for side in range(2 if wavers else 0):
             shares[i, side] = 1.0
@@ -394,10 +404,25 @@ def _measure_line(scan, gaps, k, line, whole, met, measured):
 
 
 @kernel(nogil=True)
-def sweep_columns(target, far, along, col0, end):
-    """Write into `along` distances to a target within columns ``range(col0, end)``, up to `far`."""
-    target, along = target[:, col0:end], along[:, col0:end]  # loops from 0 vectorize
-    rows, cols = target.shape
+def sweep(target, reach, along, squared, first, end):
+    """Find distances to a target, in two calls: within columns, and then across them.
+
+    Args:
+        target: where it is, bool.
+        reach: how far distances matter; beyond they are ``reach + 1``.
+        along: receives distances within the columns ``range(first, end)``, int16.
+        squared: receives squared distances in the rows ``range(first, end)``, from those in the
+            columns, int32; empty for the first call.
+    """
+    if squared.shape[0] == 0:
+        _sweep_columns(target[:, first:end], np.int16(reach + 1), along[:, first:end])
+    else:
+        _sweep_rows(along, reach, squared, first, end)
+
+
+@part
+def _sweep_columns(target, far, along):
+    rows, cols = target.shape  # of some columns: loops from 0 vectorize
     for col in range(cols):
         along[0, col] = 0 if target[0, col] else far
     for row in range(1, rows):
@@ -409,21 +434,19 @@ def sweep_columns(target, far, along, col0, end):
             along[row, col] = min(along[row, col], along[row + 1, col] + np.int16(1))
 
 
-@kernel(nogil=True)
-def sweep_rows(along, reach, answer, row0, end):
-    """Write into `answer` squared distances in rows ``range(row0, end)``, from those in columns.
-
-    They are ``(reach + 1) ** 2`` where no target is within reach.
-    """
+@part
+def _sweep_rows(along, reach, squared, first, end):
     cols = along.shape[1]
     beyond = np.int32((reach + 1) ** 2)
-    squares = np.full(cols + 2 * reach, beyond, dtype=np.int32)
-    for row in range(row0, end):
+    squares = np.empty(cols + 2 * reach, np.int32)
+    for col in range(reach):
+        squares[col] = squares[cols + reach + col] = beyond
+    for row in range(first, end):
+        nearest = squared[row]
         for col in range(cols):
             value = np.int32(along[row, col])
             squares[col + reach] = value * value
-        nearest = answer[row]
-        nearest[:] = beyond
+            nearest[col] = beyond
         for shift in range(2 * reach + 1):
             add, shifted = np.int32((shift - reach) ** 2), squares[shift : shift + cols]
             for col in range(cols):
