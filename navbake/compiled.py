@@ -38,9 +38,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numba
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import AnalysisPass, register_pass
-from numba.core.typed_passes import AnnotateTypes
 
 from navbake.lazy import lazy
 
@@ -67,32 +64,6 @@ part: Any = partial(numba.njit, no_cpython_wrapper=True, **OPTIONS)
 _config_lock = threading.Lock()
 
 
-@register_pass(mutates_CFG=False, analysis_only=True)
-class ForgetTypes(AnalysisPass):
-    """Drops the text of a kernel's types, a quarter of what would be kept on disk."""
-
-    _name = "forget_types"
-
-    def __init__(self) -> None:
-        super().__init__()
-
-    def run_pass(self, state: Any) -> bool:
-        """Drop it; the code stays as it is."""
-        state.type_annotation = ""
-        return False
-
-
-class Compiler(CompilerBase):
-    """numba's own compiler, and `ForgetTypes`."""
-
-    def define_pipelines(self) -> list[Any]:
-        """The passes."""
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(ForgetTypes, AnnotateTypes)
-        passes.finalize()
-        return [passes]
-
-
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
     """Compile a function that Python calls, and kernels may; `options` are those of `njit`."""
     if function is None:
@@ -102,9 +73,7 @@ def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any
     with _config_lock:  # numba reads where its cache is when a function is made
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, own
         try:
-            made = numba.njit(
-                cache=place is not None, pipeline_class=Compiler, **OPTIONS, **options
-            )(function)
+            made = numba.njit(cache=place is not None, **OPTIONS, **options)(function)
         finally:
             numba.config.CACHE_DIR = before
     KERNELS.append(made)

@@ -29,7 +29,7 @@ sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests")]
 
 from sweep_moves import sweep  # noqa: E402
 
-BYTES_PER_SECOND = 85_000  # of code that numba makes on one core, of functions of this size
+BYTES_PER_SECOND = 120_000  # of code that numba makes on one core, of functions of this size
 SAMPLES: dict[str, dict[str, Any]] = {
     "house": {"attributes": ["island", "clearance"]},
     "apartment": {"agent": {"radius": 0.2}, "rooms": {"sources": ["auto"]}},
