@@ -71,8 +71,7 @@ def count_mesh(
     if mode == "shell":
         return _one_part(vertices, faces, constants.OPEN_SURFACE, "shell")
     split = split_mesh(vertices, faces)
-    faces = np.asarray(split.faces, dtype=np.int32)
-    return GeomTriangles(vertices, faces, split.part, split.closed, split.kind)
+    return GeomTriangles(vertices, split.faces, split.part, split.closed, split.kind)
 
 
 class Collected(NamedTuple):

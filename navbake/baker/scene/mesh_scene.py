@@ -22,12 +22,14 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.kernels.triangles import measure_areas
+from navbake.baker.scene.kernels.triangles import mark_used
 from navbake.baker.scene.names import unique_name
+from navbake.baker.scene.parts import find_areas, find_box
 from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
+from navbake.threads import num_threads, run_in_bands
 from navbake.types import Float, Int32
 
 trimesh = lazy("trimesh")
@@ -107,10 +109,8 @@ def take_mesh_parts(
 
 def box_of(parts: Collection[MeshPart]) -> Float:
     """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
-    # axis by axis: numpy takes ten times as long along the rows of a narrow array
-    axes = [[part.vertices[:, axis] for part in parts] for axis in range(3)]
-    ends = [(min(a.min() for a in axis), max(a.max() for a in axis)) for axis in axes]
-    return np.array(ends).T
+    boxes = np.array([find_box(part.vertices) for part in parts])
+    return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
 def _read_parts(path: Path) -> list[MeshPart]:
@@ -120,9 +120,9 @@ def _read_parts(path: Path) -> list[MeshPart]:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    data = PREPARE[suffix](path) if suffix in PREPARE else b""
-    if (plain := read_plain(data, suffix)) is not None:
+    if (plain := read_plain(path)) is not None:
         return [MeshPart("", *plain)]
+    data = PREPARE[suffix](path) if suffix in PREPARE else b""
     source: Any = io.BytesIO(data) if suffix in PREPARE else path
     options = {"file_type": suffix[1:], "process": False, **OPTIONS.get(suffix, {})}
     try:
@@ -240,7 +240,7 @@ def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
         size = int(corners.max()) + 1
         edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
         piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-        area = np.bincount(piece, measure_areas(part.vertices, part.faces))
+        area = np.bincount(piece, find_areas(part.vertices, part.faces))
         small = (area > 0.0) & (area < SPECK)
         dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
         vertices, faces = _only_used(part.vertices, part.faces[~small[piece]])
@@ -277,22 +277,22 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
 def check_part(part: MeshPart, path: Path) -> MeshPart:
     """Refuse coordinates that are no places; leave out triangles without area."""
     name, vertices, faces, mode = part
-    # two reductions, where `isfinite` and `abs` make arrays as large; NaN is the least of all
-    low, high = (float(vertices.min()), float(vertices.max())) if len(vertices) else (0.0, 0.0)
-    if not np.isfinite([low, high]).all():
+    box = find_box(vertices) if len(vertices) else np.zeros(6)
+    if not np.isfinite(box).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
-    if max(-low, high) > MAX_COORDINATE:
+    if np.abs(box).max() > MAX_COORDINATE:
         beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         raise SceneError(f"mesh {name!r} in {path} {beyond}")
-    has_area = measure_areas(vertices, faces) > NO_AREA
+    has_area = find_areas(vertices, faces) > NO_AREA
     used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
 
 
 def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
     """The vertices that faces use, and the faces counted in them."""
-    is_used = np.zeros(len(vertices), dtype=np.bool_)
-    is_used[faces] = True
+    marks = np.zeros((num_threads(), len(vertices)), dtype=np.bool_)
+    run_in_bands(mark_used, len(marks), faces, marks)
+    is_used = marks.any(axis=0) if len(marks) > 1 else marks[0]
     if is_used.all():
         return vertices, faces
     return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
@@ -302,6 +302,7 @@ def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
 MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
+LEAST_READ = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
 
 
 def prepare_obj(path: Path) -> bytes:
@@ -368,21 +369,35 @@ PLY_HEADER = re.compile(
 )
 
 
-def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None."""
-    if suffix == ".ply":
-        return _read_plain_ply(data)
-    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
-    is_text = data[:STL_HEADER].lstrip()[:5].lower() in (b"solid", b"")
-    if suffix != ".stl" or is_text or not count or len(data) != STL_HEADER + STL_TRIANGLE * count:
+def read_plain(path: Path) -> tuple[Float, Int32] | None:
+    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None.
+
+    Each thread reads and converts ranges of them.
+    """
+    if path.suffix.lower() == ".ply":
+        return _read_plain_ply(path)
+    if path.suffix.lower() != ".stl":
+        return None
+    with path.open("rb") as file:
+        header = file.read(STL_HEADER)
+    count = int.from_bytes(header[STL_HEADER - 4 :], "little")
+    is_text = header.lstrip()[:5].lower() in (b"solid", b"")
+    if is_text or not count or path.stat().st_size < STL_HEADER + STL_TRIANGLE * count:
         return None
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    corners = np.frombuffer(data, facet, count, STL_HEADER)["corners"].reshape(-1, 3)
-    return _to_float64(list(corners.T)), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    vertices = np.empty((3 * count, 3))
+
+    def read(first: int, end: int) -> None:
+        some = np.fromfile(path, facet, end - first, offset=STL_HEADER + first * STL_TRIANGLE)
+        _to_float64(list(some["corners"].reshape(-1, 3).T), vertices[3 * first : 3 * end])
+
+    run_in_bands(read, count, least=LEAST_READ)
+    return vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
-def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
-    header = PLY_HEADER.match(data)
+def _read_plain_ply(path: Path) -> tuple[Float, Int32] | None:
+    with path.open("rb") as file:
+        header = PLY_HEADER.match(file.read(MOST_HEADER))
     if header is None or header["format"] not in PLY_FORMATS:
         return None
     order = PLY_FORMATS[header["format"]]
@@ -397,23 +412,34 @@ def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     face = np.dtype([("count", count), ("index", index, 3)])
     num_vertices, num_faces = int(header["vertices"]), int(header["faces"])
     middle = header.end() + num_vertices * vertex.itemsize
-    if not num_vertices or not num_faces or len(data) != middle + num_faces * face.itemsize:
+    size = middle + num_faces * face.itemsize
+    if not num_vertices or not num_faces or path.stat().st_size != size:
         return None
-    of_faces = np.frombuffer(data, face, num_faces, middle)
-    of_vertices = np.frombuffer(data, vertex, num_vertices, header.end())
-    faces = of_faces["index"].astype(np.int32)  # one too large for that is negative
-    # the number of a polygon's corners stands before each; it has to be three for all
-    if (of_faces["count"] != 3).any() or not 0 <= faces.min() <= faces.max() < num_vertices:
-        return None
-    return _to_float64([of_vertices[axis] for axis in "xyz"]), faces
+    vertices, faces = np.empty((num_vertices, 3)), np.empty((num_faces, 3), dtype=np.int32)
+    is_odd = np.zeros(num_faces, dtype=np.bool_)
+
+    def read_vertices(first: int, end: int) -> None:
+        offset = header.end() + first * vertex.itemsize
+        some = np.fromfile(path, vertex, end - first, offset=offset)
+        _to_float64([some[axis] for axis in "xyz"], vertices[first:end])
+
+    def read_faces(first: int, end: int) -> None:
+        some = np.fromfile(path, face, end - first, offset=middle + first * face.itemsize)
+        faces[first:end] = some["index"]  # one too large for that is negative
+        # the number of a polygon's corners stands before each; it has to be three for all
+        np.not_equal(some["count"], 3, out=is_odd[first:end])
+        low, high = faces[first:end].min(), faces[first:end].max()
+        is_odd[first] |= low < 0 or high >= num_vertices
+
+    run_in_bands(read_vertices, num_vertices, least=LEAST_READ)
+    run_in_bands(read_faces, num_faces, least=LEAST_READ)
+    return None if is_odd.any() else (vertices, faces)
 
 
-def _to_float64(axes: Sequence[NDArray[np.floating]]) -> Float:
-    vertices = np.empty((len(axes[0]), 3))
+def _to_float64(axes: Sequence[NDArray[np.floating]], out: Float) -> None:
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
         for k, axis in enumerate(axes):
-            np.add(axis, 0.0, out=vertices[:, k], dtype=np.float64)  # no -0.0
-    return vertices
+            np.add(axis, 0.0, out=out[:, k], dtype=np.float64)  # no -0.0
 
 
 JSON_CHUNK = 0x4E4F534A

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.kernels.parts import COPY, SHEET, find_parts
-from navbake.baker.scene.kernels.shells import find_shells, weld_points
-from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
+from navbake.baker.kernels.parts import COPY, find_parts
+from navbake.baker.scene.kernels.shells import (
+    OPEN,
+    chain_edges,
+    filter_points,
+    find_shells,
+    find_twice,
+    number_shells,
+    pair_edges,
+    take_points,
+    weld_points,
+)
+from navbake.baker.scene.kernels.triangles import (
+    bound_parts,
+    bound_points,
+    measure_areas,
+    measure_parts,
+)
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
+MOST_SHARES = 8  # of points or triangles, each with arrays as long as all points
 MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
 class MeshParts(NamedTuple):
     """The triangles of a mesh by what they enclose."""
 
-    faces: NDArray[np.integer[Any]]  # without copies and without those of two corners at one place
+    faces: Int32  # without copies and without those of two corners at one place
     part: Int32  # of each, 0 for what encloses nothing, 1, 2, … for closed parts
     closed: NDArray[np.uint8]  # of each, OPEN_SURFACE or CLOSED_SURFACE
     num_turned: int  # triangles of closed parts that faced in and were turned
@@ -37,7 +53,7 @@ class MeshParts(NamedTuple):
         return f"{kind}, {self.num_turned} turned" if self.num_turned else kind
 
 
-def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
+def split_mesh(vertices: Float, faces: Int | Int32) -> MeshParts:
     """Separate the parts of a mesh that enclose a volume from the sheets in it.
 
     Parts are connected over edges; vertices at one place count as one. A part encloses a volume
@@ -49,67 +65,98 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     Triangles that face to the other side than most of their patch, see
     `navbake.baker.kernels.parts`, are turned in closed parts.
     """
-    bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
-    number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
-    run_in_bands(weld_points, shares, bits, shares, number)
-    point, kept = np.empty(faces.shape, dtype=np.int32), np.empty(len(faces), dtype=np.bool_)
-    run_in_bands(_take_points, len(faces), number, faces, point, kept, least=4096)
+    triangles, point = _weld(vertices, np.ascontiguousarray(faces, dtype=np.int32))
+    part = _find_shells(point, len(vertices))
+    turned, is_open = np.zeros(len(triangles), dtype=np.bool_), part == OPEN
+    if is_open.any():
+        rest = np.flatnonzero(is_open)  # these hang together with no shell
+        found, turned[rest] = find_parts(
+            point[rest], find_areas(vertices, triangles[rest]), len(vertices)
+        )
+        part[rest] = np.where(found >= 0, rest[found], found)
+    del point, is_open
+    kept = part != COPY
+    num = number_shells(part)
     if not kept.all():
-        faces, point = faces[kept], point[kept]
-    parts, is_shell = np.empty((shares, len(faces)), np.int32), np.ones(len(faces), np.bool_)
-    asked = point, len(vertices), parts, is_shell
-    run_in_bands(find_shells, shares, *asked)
-    find_shells(*asked, shares, shares + 1)
-    found = parts[0]
-    turned = np.zeros(len(faces), dtype=np.bool_)
-    if not is_shell.all():
-        rest = np.flatnonzero(~is_shell)  # these hang together with no shell
-        area = measure_areas(vertices, faces[rest])
-        part, turned[rest] = find_parts(point[rest], area, len(vertices))
-        found[rest] = np.where(part >= 0, rest[part], part)
-    del point, is_shell, parts
-    kept = found != COPY
-    if not kept.all():
-        faces, found, turned = faces[kept], found[kept], turned[kept]
-    # closed parts are numbered from 1 by their lowest triangles; sheets are 0
-    is_first = np.zeros(int(found.max(initial=0)) + 1, dtype=np.bool_)
-    is_first[found[found != SHEET]] = True
-    number = np.cumsum(is_first, dtype=np.int32)
-    part = np.where(found == SHEET, np.int32(0), number[found])
-    encloses = _find_enclosing(vertices, faces, turned, part, int(number[-1]))
-    part = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)[part]
-    closed = np.where(part > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+        triangles, part, turned = triangles[kept], part[kept], turned[kept]
+    encloses = _find_enclosing(vertices, triangles, turned, part, num)
+    number = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)
+    closed = np.empty(len(triangles), dtype=np.uint8)
+    codes = np.where(encloses, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+
+    def settle(first: int, end: int) -> None:
+        np.take(codes, part[first:end], out=closed[first:end], mode="clip")
+        np.take(number, part[first:end], out=part[first:end], mode="clip")
+
+    run_in_bands(settle, len(triangles), least=4096)
     turned &= part > 0
     if turned.any():
-        faces = np.where(turned[:, None], faces[:, ::-1], faces)
-    return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
+        triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    return MeshParts(triangles, part, closed, int(np.count_nonzero(turned)))
 
 
-def _take_points(
-    number: Int32, faces: NDArray[np.integer[Any]], point: Int32, kept: Bool, first: int, end: int
-) -> None:
-    """Write the points of some triangles, and which have three."""
-    np.take(number, faces[first:end], out=point[first:end], mode="clip")
-    one, two, three = np.ascontiguousarray(point[first:end].T)
-    kept[first:end] = (one != two) & (two != three) & (three != one)
+def _weld(vertices: Float, faces: Int32) -> tuple[Int32, Int32]:
+    """The triangles that have three different points, and their points by the first at a place."""
+    bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
+    shares, size = min(num_threads(), MOST_SHARES), 16
+    while size < len(bits):  # 8 bits a point
+        size *= 2
+    once, twice = np.zeros((2, shares, size), dtype=np.uint8)
+    run_in_bands(filter_points, shares, bits, once, twice)
+    for share in range(1, shares):
+        twice[0] |= twice[share] | (once[0] & once[share])
+        once[0] |= once[share]
+    number = np.arange(len(bits), dtype=np.int32)
+    is_twice = np.empty(len(bits), dtype=np.bool_)
+    run_in_bands(find_twice, len(bits), bits, twice[0], is_twice, least=4096)
+    run_in_bands(weld_points, shares, bits, np.flatnonzero(is_twice), shares, number)
+    point, kept = np.empty(faces.shape, dtype=np.int32), np.empty(len(faces), dtype=np.bool_)
+    run_in_bands(take_points, len(faces), number, faces, point, kept, least=4096)
+    return (faces, point) if kept.all() else (faces[kept], point[kept])
 
 
-def _find_enclosing(
-    vertices: Float, faces: NDArray[np.integer[Any]], turned: Bool, part: Int32, num: int
-) -> Bool:
+def _find_shells(point: Int32, num_points: int) -> Int32:
+    """The lowest triangle of the shell that each triangle belongs to, or OPEN."""
+    shares = min(num_threads(), MOST_SHARES)
+    last = np.full((shares, num_points), -1, dtype=np.int32)
+    mate = np.empty(3 * len(point), dtype=np.int32)
+    run_in_bands(chain_edges, shares, point, last, mate)
+    run_in_bands(pair_edges, num_points, point.reshape(-1), last, mate, least=4096)
+    found: Int32 = find_shells(mate)
+    return found
+
+
+def find_areas(vertices: Float, faces: Int32) -> Float:
+    """The areas of triangles, (m,) float64 [m²]."""
+    area = np.empty(len(faces))
+    run_in_bands(measure_areas, len(faces), vertices, faces, area, least=4096)
+    return area
+
+
+def find_box(points: Float) -> Float:
+    """The box round points, (n, 3): lower corner, upper corner, (6,) [m]."""
+    boxes = np.empty((num_threads(), 6))
+    run_in_bands(bound_points, len(boxes), points, boxes)
+    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+
+
+def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, num: int) -> Bool:
     """Mark the closed parts, numbered from 1, that enclose a volume; index 0 stands for sheets."""
     encloses = np.zeros(num + 1, dtype=np.bool_)
     if num == 0:
         return encloses
-    volume, area = sums = np.zeros((2, num + 1))
-    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
-    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
-    measure_parts(vertices, faces, turned, part, sums, box, best, largest)
+    mesh = vertices, faces, turned, part
+    volume, area = np.zeros((2, num + 1))
+    share = -(-num // num_threads())  # each looks at all triangles
+    run_in_bands(measure_parts, num, *mesh, volume, area, least=share, begin=1)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     inner = np.flatnonzero(volume < -THICKNESS * area)
-    some = np.flatnonzero(encloses[part])
-    if not len(some) or not len(inner := inner[inner > 0]):
+    if not len(inner) or not encloses.any():
         return encloses
+    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
+    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
+    bound_parts(*mesh, box, best, largest)
+    some = np.flatnonzero(encloses[part])
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
     origin = vertices[faces[0, 0]]
     point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
+from navbake.baker.scene.kernels.shells import MOST_EDGES, OPEN
 from navbake.baker.scene.parts import MeshParts, split_mesh
 from navbake.threads import limit_threads
 
@@ -323,7 +324,7 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     soup = draw_soup(np.random.default_rng(seed))
     fast = split(soup)
     found = "navbake.baker.scene.parts.find_shells"
-    monkeypatch.setattr(found, lambda *asked: asked[3].fill(False))  # none
+    monkeypatch.setattr(found, lambda mate: np.full(len(mate) // 3, OPEN))
     general = split(soup)
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
@@ -352,6 +353,22 @@ def test_many_points_on_several_threads(seed):
     np.testing.assert_array_equal(found.part, (order < len(faces)).astype(np.int32))
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+
+
+@pytest.mark.parametrize("sides", [MOST_EDGES - 1, MOST_EDGES, MOST_EDGES + 1, 5000])
+def test_a_point_with_many_edges(sides):
+    """Two cones, base to base; the top comes first, and so all its edges are its own."""
+    angle = np.arange(sides) * (2 * np.pi / sides)
+    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1)
+    vertices = np.concatenate([[[0, 0, 1.0], [0, 0, -1.0]], rim])
+    here, after = 2 + np.arange(sides), 2 + (np.arange(sides) + 1) % sides
+    upper = np.stack([np.zeros(sides, dtype=int), here, after], axis=1)
+    lower = np.stack([np.ones(sides, dtype=int), after, here], axis=1)
+    faces = np.concatenate([upper, lower])
+    found = split_mesh(vertices, faces)
+    assert found.kind == "closed surface"
+    assert (found.part == 1).all()
+    assert not split_mesh(vertices, faces[1:]).part.any()
 
 
 def test_a_fan_of_many_triangles_at_one_edge():

@@ -8,10 +8,14 @@ import pytest
 
 from navbake.baker.scene.extents import DIRECTIONS, find_facing
 from navbake.baker.scene.kernels.triangles import (
-    measure_areas,
+    bound_triangles,
+    describe_triangles,
+    find_nearest,
     measure_spans,
     unit_normal,
 )
+from navbake.baker.scene.parts import find_areas, find_box
+from navbake.baker.scene.upright import NEAR, list_axes
 
 # parts of kernels as functions that Python can call
 unit_normal = numba.njit(unit_normal.py_func)
@@ -41,7 +45,37 @@ def test_normals(mesh):
 
 
 def test_areas(mesh):
-    np.testing.assert_array_equal(measure_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2)
+    np.testing.assert_array_equal(find_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2)
+
+
+def test_descriptions(mesh):
+    center, normal, area = describe_triangles(*mesh)
+    cross, size = cross_of(*mesh), 2 * find_areas(*mesh)
+    np.testing.assert_array_equal(center, mesh[0][mesh[1]].mean(axis=1))
+    np.testing.assert_array_equal(normal, cross / np.maximum(size, 1e-300)[:, None])
+    np.testing.assert_array_equal(area, size / 2)
+
+
+def test_boxes(mesh):
+    vertices, faces = mesh
+    boxes = np.empty((3, 6))
+    bound_triangles(vertices, faces, boxes, 0, 3)
+    used, own = vertices[faces[33:66]], vertices
+    np.testing.assert_array_equal(boxes[1], [*used.min(axis=(0, 1)), *used.max(axis=(0, 1))])
+    np.testing.assert_array_equal(find_box(own), [*own.min(axis=0), *own.max(axis=0)])
+    for value in (np.nan, np.inf, -np.inf):
+        own[7, 1] = value
+        assert np.isnan(find_box(own)).any()
+
+
+def test_nearest_directions():
+    axes = list_axes()
+    normal = np.random.default_rng(0).normal(size=(20_000, 3))
+    normal[:5000, 2] *= 0.01  # of walls
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    nearest = np.empty(len(normal), dtype=np.int64)
+    find_nearest(normal, axes, NEAR, nearest, 0, len(normal))
+    np.testing.assert_array_equal(nearest, np.abs(normal @ axes.T).argmax(axis=1))
 
 
 def test_facing_and_spans(mesh):
