@@ -13,6 +13,8 @@ from navbake.baker.connect import ranges
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BOX
 from navbake.baker.kernels.hits import RIM
+from navbake.baker.scene.kernels.triangles import drop_thick
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 BESIDE = 1e-6  # lines are cast so far east and north of a seam, well beyond its rims [m]
@@ -41,7 +43,7 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     boxes = solids.bounds[chosen[np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM]]
     bounds = tiled.facets.bounds
     is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
-    is_over &= (bounds[:, 3] - bounds[:, 0] <= RIM) | (bounds[:, 4] - bounds[:, 1] <= RIM)
+    run_in_bands(drop_thick, len(bounds), bounds, RIM, is_over, least=4096)
     corners = tiled.facets.corners[is_over]
     # only in the window round the cells
     row, col = np.arange(*known_rows), np.arange(lattice.width)

@@ -175,6 +175,14 @@ def mark_used(faces, marks, first, end):
 
 
 @kernel(nogil=True, **UNCOUNTED)
+def drop_thick(bounds, limit, chosen, first, end):
+    """Unmark those of boxes ``range(first, end)`` that are wider than a limit along x and y."""
+    for t in range(first, end):
+        wide, deep = bounds[t, 3] - bounds[t, 0], bounds[t, 4] - bounds[t, 1]
+        chosen[t] &= wide <= limit or deep <= limit
+
+
+@kernel(nogil=True, **UNCOUNTED)
 def find_nearest(normal, axes, reach, nearest, first, end):
     """Find which of some axes, of unit length and ascending z, each unit normal is nearest to.
 
