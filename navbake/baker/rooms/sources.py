@@ -12,8 +12,7 @@ import numpy as np
 from navbake.baker.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.floors.levels import LevelFloor
 from navbake.baker.kernels.constants import SAME
-from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Solids, solid_bounds
@@ -221,7 +220,7 @@ def _upward_surfaces(
     parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
     if others := chosen - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
-        shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
+        shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts)
         parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
     found = []
     for surfaces, geoms in parts:

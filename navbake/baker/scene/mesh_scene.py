@@ -38,7 +38,6 @@ MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 AXES = {sign + axis: (np.eye(3)[k] * way).tolist()
         for sign, way in (("", 1.0), ("-", -1.0)) for k, axis in enumerate("xyz")}  # fmt: skip
-SPECK = 0.1  # of a piece of a scan that is left out [m²]
 NO_AREA = 5e-15  # of triangles that are no larger [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
 # How trimesh reads a format
@@ -225,34 +224,6 @@ def _dae_asset(path: Path) -> tuple[float, str | None]:
     return meters, up
 
 
-def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
-    """Leave out connected pieces smaller than `SPECK`, with a warning.
-
-    Scanners see people, reflections and dust as small pieces that stand in mid-air.
-    """
-    from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
-
-    kept, dropped, lost = list[MeshPart](), 0, 0.0
-    for part in parts:
-        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
-        corners = place.reshape(-1)[part.faces]
-        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
-        size = int(corners.max()) + 1
-        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
-        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-        area = np.bincount(piece, find_areas(part.vertices, part.faces))
-        small = (area > 0.0) & (area < SPECK)
-        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
-        vertices, faces = _only_used(part.vertices, part.faces[~small[piece]])
-        if len(faces):
-            kept.append(MeshPart(part.name, vertices, faces))
-    if not kept or not dropped:
-        return parts
-    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
-    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
-    return kept
-
-
 def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
     """Turn parts into the world frame, with unique names."""
     turn = scale * turn_up(up)
@@ -263,7 +234,7 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
         if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
             name = stem_of(path)
         name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-        vertices, faces = _only_used(part.vertices, part.faces)
+        vertices, faces = only_used(part.vertices, part.faces)
         with np.errstate(all="ignore"):
             vertices = _turn(vertices, turn)
         part = check_part(MeshPart(name, vertices, faces), path)
@@ -284,11 +255,11 @@ def check_part(part: MeshPart, path: Path) -> MeshPart:
         beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         raise SceneError(f"mesh {name!r} in {path} {beyond}")
     has_area = find_areas(vertices, faces) > NO_AREA
-    used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
+    used = (vertices, faces) if has_area.all() else only_used(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
 
 
-def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
+def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
     """The vertices that faces use, and the faces counted in them."""
     marks = np.zeros((num_threads(), len(vertices)), dtype=np.bool_)
     run_in_bands(mark_used, len(marks), faces, marks)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import COPY, find_parts
@@ -26,6 +23,7 @@ from navbake.baker.scene.kernels.triangles import (
     measure_areas,
     measure_parts,
 )
+from navbake.baker.scene.shapes import GeomTriangles
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
@@ -35,25 +33,7 @@ MOST_SHARES = 8  # of points or triangles, each with arrays as long as all point
 MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
-class MeshParts(NamedTuple):
-    """The triangles of a mesh by what they enclose."""
-
-    faces: Int32  # without copies and without those of two corners at one place
-    part: Int32  # of each, 0 for what encloses nothing, 1, 2, … for closed parts
-    closed: NDArray[np.uint8]  # of each, OPEN_SURFACE or CLOSED_SURFACE
-    num_turned: int  # triangles of closed parts that faced in and were turned
-
-    @property
-    def kind(self) -> str:
-        """What a report calls it: a closed surface, a surface, or partly closed."""
-        is_closed = self.closed == CLOSED_SURFACE
-        if not is_closed.any():
-            return "surface"
-        kind = "closed surface" if is_closed.all() else "partly closed"
-        return f"{kind}, {self.num_turned} turned" if self.num_turned else kind
-
-
-def split_mesh(vertices: Float, faces: Int | Int32) -> MeshParts:
+def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     """Separate the parts of a mesh that enclose a volume from the sheets in it.
 
     Parts are connected over edges; vertices at one place count as one. A part encloses a volume
@@ -63,7 +43,8 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> MeshParts:
     inside.
 
     Triangles that face to the other side than most of their patch, see
-    `navbake.baker.kernels.parts`, are turned in closed parts.
+    `navbake.baker.kernels.parts`, are turned in closed parts. Copies of triangles are left out, and
+    those with two corners at one place.
     """
     triangles, point = _weld(vertices, np.ascontiguousarray(faces, dtype=np.int32))
     part = _find_shells(point, len(vertices))
@@ -92,7 +73,10 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> MeshParts:
     turned &= part > 0
     if turned.any():
         triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
-    return MeshParts(triangles, part, closed, int(np.count_nonzero(turned)))
+    num_closed, num_turned = np.count_nonzero(part), np.count_nonzero(turned)
+    kind = "closed surface" if num_closed == len(part) else "partly closed"
+    kind += f", {num_turned} turned" if num_turned else ""
+    return GeomTriangles(vertices, triangles, part, closed, kind if num_closed else "surface")
 
 
 def _weld(vertices: Float, faces: Int32) -> tuple[Int32, Int32]:

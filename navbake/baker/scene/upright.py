@@ -14,14 +14,16 @@ from navbake.baker.scene.mesh_scene import (
     Direction,
     MeshPart,
     box_of,
-    drop_specks,
+    only_used,
     stated_up,
     turn_up,
 )
+from navbake.baker.scene.parts import find_areas
 from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float
 
+SPECK = 0.1  # of a piece of a scan that is left out [m²]
 MOST_TRIANGLES = 30_000  # that are used; of more, each second one, or third, …
 # How many times the area of walls of one direction the floors and ceilings have at least of a mesh
 # that lies on its side
@@ -104,6 +106,34 @@ def stand_up(
     return parts
 
 
+def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
+    """Leave out connected pieces smaller than `SPECK`, with a warning.
+
+    Scanners see people, reflections and dust as small pieces that stand in mid-air.
+    """
+    from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
+
+    kept, dropped, lost = list[MeshPart](), 0, 0.0
+    for part in parts:
+        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
+        corners = place.reshape(-1)[part.faces]
+        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
+        size = int(corners.max()) + 1
+        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
+        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+        area = np.bincount(piece, find_areas(part.vertices, part.faces))
+        small = (area > 0.0) & (area < SPECK)
+        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
+        vertices, faces = only_used(part.vertices, part.faces[~small[piece]])
+        if len(faces):
+            kept.append(MeshPart(part.name, vertices, faces))
+    if not kept or not dropped:
+        return parts
+    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
+    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
+    return kept
+
+
 def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
     return [part._replace(vertices=part.vertices @ turn_up(up).T) for part in parts]
 
@@ -167,9 +197,7 @@ def find_up(surface: Surface) -> tuple[list[Upright], bool]:
 def take_surface(parts: Collection[MeshPart]) -> Surface:
     """Take `MOST_TRIANGLES` triangles of parts."""
     step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
-    found = [
-        Surface(*describe_triangles(part.vertices, part.faces[::step].copy())) for part in parts
-    ]
+    found = [describe_triangles(part.vertices, part.faces[::step].copy()) for part in parts]
     center, normal, area = map(np.concatenate, zip(*found, strict=True))
     return Surface(center, normal, area * step)
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.scene.kernels.shells import MOST_EDGES, OPEN
-from navbake.baker.scene.parts import MeshParts, split_mesh
+from navbake.baker.scene.parts import split_mesh
+from navbake.baker.scene.shapes import GeomTriangles
 from navbake.threads import limit_threads
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
@@ -32,7 +33,7 @@ def turned(triangles):
     return triangles[:, ::-1]
 
 
-def split(*pieces) -> MeshParts:
+def split(*pieces) -> GeomTriangles:
     corners = np.concatenate(pieces).reshape(-1, 3)
     return split_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
 
@@ -147,9 +148,10 @@ def test_one_that_faces_in_is_turned():
 def test_the_larger_side_decides_by_area():
     mostly_in = np.concatenate([SOLID[:1], turned(SOLID[1:])])
     found = split(mostly_in)
-    assert found.kind == "surface" and found.num_turned == 0
+    assert found.kind == "surface"
     np.testing.assert_array_equal(found.faces, np.arange(12).reshape(-1, 3))  # nothing encloses
-    assert split(np.concatenate([turned(SOLID[:1]), SOLID[1:]])).num_turned == 1
+    found = split(np.concatenate([turned(SOLID[:1]), SOLID[1:]]))
+    assert found.kind == "closed surface, 1 turned"
 
 
 def test_each_part_is_judged_by_itself():
@@ -328,7 +330,7 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     general = split(soup)
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
-    assert fast.num_turned == general.num_turned
+    assert fast.kind == general.kind
 
 
 @pytest.mark.parametrize("seed", range(3))
