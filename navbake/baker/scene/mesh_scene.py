@@ -22,14 +22,13 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.kernels.triangles import mark_used
 from navbake.baker.scene.names import unique_name
-from navbake.baker.scene.parts import find_areas, find_box
+from navbake.baker.scene.shapes import find_areas, find_box, only_used
 from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
-from navbake.threads import num_threads, run_in_bands
+from navbake.threads import run_in_bands
 from navbake.types import Float, Int32
 
 trimesh = lazy("trimesh")
@@ -257,16 +256,6 @@ def check_part(part: MeshPart, path: Path) -> MeshPart:
     has_area = find_areas(vertices, faces) > NO_AREA
     used = (vertices, faces) if has_area.all() else only_used(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
-
-
-def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
-    """The vertices that faces use, and the faces counted in them."""
-    marks = np.zeros((num_threads(), len(vertices)), dtype=np.bool_)
-    run_in_bands(mark_used, len(marks), faces, marks)
-    is_used = marks.any(axis=0) if len(marks) > 1 else marks[0]
-    if is_used.all():
-        return vertices, faces
-    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
 
 
 # ---------------------------------------------------------------- files

@@ -17,19 +17,13 @@ from navbake.baker.scene.kernels.shells import (
     take_points,
     weld_points,
 )
-from navbake.baker.scene.kernels.triangles import (
-    bound_parts,
-    bound_points,
-    measure_areas,
-    measure_parts,
-)
-from navbake.baker.scene.shapes import GeomTriangles
-from navbake.threads import num_threads, run_in_bands
+from navbake.baker.scene.kernels.triangles import bound_parts, measure_parts
+from navbake.baker.scene.shapes import GeomTriangles, count_shares, find_areas
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
 THICKNESS = 1e-6
-MOST_SHARES = 8  # of points or triangles, each with arrays as long as all points
 MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
@@ -82,7 +76,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
 def _weld(vertices: Float, faces: Int32) -> tuple[Int32, Int32]:
     """The triangles that have three different points, and their points by the first at a place."""
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
-    shares, size = min(num_threads(), MOST_SHARES), 16
+    shares, size = count_shares(len(bits)), 16
     while size < len(bits):  # 8 bits a point
         size *= 2
     once, twice = np.zeros((2, shares, size), dtype=np.uint8)
@@ -101,27 +95,13 @@ def _weld(vertices: Float, faces: Int32) -> tuple[Int32, Int32]:
 
 def _find_shells(point: Int32, num_points: int) -> Int32:
     """The lowest triangle of the shell that each triangle belongs to, or OPEN."""
-    shares = min(num_threads(), MOST_SHARES)
+    shares = count_shares(len(point))
     last = np.full((shares, num_points), -1, dtype=np.int32)
     mate = np.empty(3 * len(point), dtype=np.int32)
     run_in_bands(chain_edges, shares, point, last, mate)
     run_in_bands(pair_edges, num_points, point.reshape(-1), last, mate, least=4096)
     found: Int32 = find_shells(mate)
     return found
-
-
-def find_areas(vertices: Float, faces: Int32) -> Float:
-    """The areas of triangles, (m,) float64 [m²]."""
-    area = np.empty(len(faces))
-    run_in_bands(measure_areas, len(faces), vertices, faces, area, least=4096)
-    return area
-
-
-def find_box(points: Float) -> Float:
-    """The box round points, (n, 3): lower corner, upper corner, (6,) [m]."""
-    boxes = np.empty((num_threads(), 6))
-    run_in_bands(bound_points, len(boxes), points, boxes)
-    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
 def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, num: int) -> Bool:
@@ -131,7 +111,7 @@ def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, nu
         return encloses
     mesh = vertices, faces, turned, part
     volume, area = np.zeros((2, num + 1))
-    share = -(-num // num_threads())  # each looks at all triangles
+    share = -(-num // count_shares(len(faces)))  # each looks at all triangles
     run_in_bands(measure_parts, num, *mesh, volume, area, least=share, begin=1)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     inner = np.flatnonzero(volume < -THICKNESS * area)

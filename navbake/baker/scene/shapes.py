@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from navbake.baker.blocks import join_parts
 from navbake.baker.kernels.arrays import Facets
 from navbake.baker.kernels.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID
-from navbake.baker.scene.kernels.triangles import bound_triangles, expand_mesh
+from navbake.baker.scene.kernels.triangles import (
+    bound_points,
+    expand_mesh,
+    mark_used,
+    measure_areas,
+)
 from navbake.lazy import lazy
 from navbake.threads import num_threads, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -24,6 +29,7 @@ spatial = lazy("scipy.spatial")
 # Half-size in place of the infinite side of a plane with a finite one; heights on a tilted one are
 # off by about 1e-16 FAR^2 [m]
 FAR = 1e4
+LEAST, MOST_SHARES = 4096, 8  # points or triangles of a share; shares, each with arrays of its own
 SIDES = 32  # of a round solid that is drawn by triangles
 
 
@@ -218,9 +224,7 @@ def gather_meshes(triangles: Mapping[int, GeomTriangles]) -> Meshes:
     some = {geom: one for geom, one in triangles.items() if len(one.faces)}
     boxes = np.empty((len(some), 6))
     for box, (vertices, faces, *_) in zip(boxes, some.values(), strict=True):
-        shares = np.empty((min(num_threads(), len(faces)), 6))
-        run_in_bands(bound_triangles, len(shares), vertices, faces, shares)
-        box[:3], box[3:] = shares[:, :3].min(axis=0), shares[:, 3:].max(axis=0)
+        box[:] = find_box(only_used(vertices, faces)[0])
     return Meshes(np.array(list(some), dtype=np.int32), list(some.values()), boxes)
 
 
@@ -302,6 +306,38 @@ def hull_faces(vertices: Float) -> Int32 | None:
     faces: Int32 = hull.simplices.astype(np.int32)
     faces[inward] = faces[inward][:, ::-1]
     return faces
+
+
+# ---------------------------------------------------------------- meshes as arrays
+
+
+def count_shares(count: int) -> int:
+    """Into how many shares so many points or triangles are divided, each worth a thread."""
+    return max(1, min(num_threads(), MOST_SHARES, count // LEAST))
+
+
+def find_areas(vertices: Float, faces: Int32) -> Float:
+    """The areas of triangles, (m,) float64 [m²]."""
+    area = np.empty(len(faces))
+    run_in_bands(measure_areas, len(faces), vertices, faces, area, least=4096)
+    return area
+
+
+def find_box(points: Float) -> Float:
+    """The box round points, (n, 3): lower and upper corner, (6,) [m]; NaN if one isn't finite."""
+    boxes = np.empty((count_shares(len(points)), 6))
+    run_in_bands(bound_points, len(boxes), points, boxes)
+    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+
+
+def only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
+    """The vertices that faces use, and the faces counted in them."""
+    marks = np.zeros((count_shares(len(faces)), len(vertices)), dtype=np.bool_)
+    run_in_bands(mark_used, len(marks), faces, marks)
+    is_used = marks.any(axis=0) if len(marks) > 1 else marks[0]
+    if is_used.all():
+        return vertices, faces
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
 
 
 # ---------------------------------------------------------------- triangles of solids and polygons

@@ -14,11 +14,10 @@ from navbake.baker.scene.mesh_scene import (
     Direction,
     MeshPart,
     box_of,
-    only_used,
     stated_up,
     turn_up,
 )
-from navbake.baker.scene.parts import find_areas
+from navbake.baker.scene.shapes import find_areas, only_used
 from navbake.config.settings import SceneSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float

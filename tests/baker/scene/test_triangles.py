@@ -8,13 +8,12 @@ import pytest
 
 from navbake.baker.scene.extents import DIRECTIONS, find_facing
 from navbake.baker.scene.kernels.triangles import (
-    bound_triangles,
     describe_triangles,
     find_nearest,
     measure_spans,
     unit_normal,
 )
-from navbake.baker.scene.parts import find_areas, find_box
+from navbake.baker.scene.shapes import find_areas, find_box, only_used
 from navbake.baker.scene.upright import NEAR, list_axes
 
 # parts of kernels as functions that Python can call
@@ -57,15 +56,18 @@ def test_descriptions(mesh):
 
 
 def test_boxes(mesh):
-    vertices, faces = mesh
-    boxes = np.empty((3, 6))
-    bound_triangles(vertices, faces, boxes, 0, 3)
-    used, own = vertices[faces[33:66]], vertices
-    np.testing.assert_array_equal(boxes[1], [*used.min(axis=(0, 1)), *used.max(axis=(0, 1))])
+    own = np.tile(mesh[0], (1000, 1))
     np.testing.assert_array_equal(find_box(own), [*own.min(axis=0), *own.max(axis=0)])
     for value in (np.nan, np.inf, -np.inf):
         own[7, 1] = value
         assert np.isnan(find_box(own)).any()
+
+
+def test_used_vertices(mesh):
+    vertices, faces = mesh[0], np.tile(mesh[1], (1000, 1))
+    used, index = only_used(vertices, faces)
+    assert len(used) == len(np.unique(faces)) < len(vertices)
+    np.testing.assert_array_equal(used[index], vertices[faces])
 
 
 def test_nearest_directions():

@@ -148,23 +148,6 @@ def bound_points(points, box, first, end):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def bound_triangles(vertices, faces, box, first, end):
-    """Write the boxes round the triangles of shares ``range(first, end)``, as `bound_points`."""
-    num, shares = faces.shape[0], box.shape[0]
-    for share in range(first, end):
-        low_x = low_y = low_z = np.inf
-        high_x = high_y = high_z = -np.inf
-        for f in range(num * share // shares, num * (share + 1) // shares):
-            for k in range(3):
-                v = faces[f, k]
-                x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-                low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
-                high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
-        box[share, 0], box[share, 1], box[share, 2] = low_x, low_y, low_z
-        box[share, 3], box[share, 4], box[share, 5] = high_x, high_y, high_z
-
-
-@kernel(nogil=True, **UNCOUNTED)
 def mark_used(faces, marks, first, end):
     """Mark the vertices of the triangles of shares ``range(first, end)``, (shares, n) bool."""
     num, shares = faces.shape[0], marks.shape[0]
