@@ -30,7 +30,6 @@ from navbake.baker.kernels.cracks import (
 )
 from navbake.baker.kernels.hits import RIM
 from navbake.baker.kernels.overlap import lines_blocked
-from navbake.baker.scene.kernels.triangles import drop_thick
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -63,7 +62,12 @@ def settle_seams(columns: Columns, tiled: TiledShapes, cells: Int | None = None)
     boxes = solids.bounds[chosen[np.minimum(mat, abs(mat - 1.0)).max(axis=1) < RIM]]
     bounds = tiled.facets.bounds
     is_over = _are_over(over.triangle_start, over.triangle_item, tiles, len(bounds))
-    run_in_bands(drop_thick, len(bounds), bounds, RIM, is_over, least=4096)
+
+    def drop_thick(first: int, end: int) -> None:
+        low, high = bounds[first:end, :2], bounds[first:end, 3:5]
+        is_over[first:end] &= (high - low <= RIM).any(axis=1)
+
+    run_in_bands(drop_thick, len(bounds), least=4096)
     corners = tiled.facets.corners[is_over]
     # only in the window round the cells
     row, col = np.arange(*known_rows), np.arange(lattice.width)

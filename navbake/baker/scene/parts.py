@@ -6,19 +6,9 @@ import numpy as np
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
 from navbake.baker.kernels.parts import COPY, find_parts
-from navbake.baker.scene.kernels.shells import (
-    OPEN,
-    chain_edges,
-    filter_points,
-    find_shells,
-    find_twice,
-    number_shells,
-    pair_edges,
-    take_points,
-    weld_points,
-)
+from navbake.baker.scene.kernels.shells import OPEN, chain_edges, find_shells, weld_points
 from navbake.baker.scene.kernels.triangles import bound_parts, measure_parts
-from navbake.baker.scene.shapes import GeomTriangles, count_shares, find_areas
+from navbake.baker.scene.shapes import LEAST, GeomTriangles, count_shares, find_areas
 from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
@@ -40,8 +30,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     `navbake.baker.kernels.parts`, are turned in closed parts. Copies of triangles are left out, and
     those with two corners at one place.
     """
-    triangles, point = _weld(vertices, np.ascontiguousarray(faces, dtype=np.int32))
-    part = _find_shells(point, len(vertices))
+    triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
     turned, is_open = np.zeros(len(triangles), dtype=np.bool_), part == OPEN
     if is_open.any():
         rest = np.flatnonzero(is_open)  # these hang together with no shell
@@ -51,7 +40,16 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         part[rest] = np.where(found >= 0, rest[found], found)
     del point, is_open
     kept = part != COPY
-    num = number_shells(part)
+    # closed parts are numbered from 1 by their lowest triangles; sheets are 0
+    lowest = np.flatnonzero(part == np.arange(len(part), dtype=np.int32))
+    num, number = len(lowest), np.empty(len(part), dtype=np.int32)
+    number[lowest] = np.arange(1, num + 1)
+
+    def count(first: int, end: int) -> None:
+        some = part[first:end]
+        part[first:end] = np.where(some < 0, 0, number[some])
+
+    run_in_bands(count, len(part), least=LEAST)
     if not kept.all():
         triangles, part, turned = triangles[kept], part[kept], turned[kept]
     encloses = _find_enclosing(vertices, triangles, turned, part, num)
@@ -63,7 +61,7 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
         np.take(codes, part[first:end], out=closed[first:end], mode="clip")
         np.take(number, part[first:end], out=part[first:end], mode="clip")
 
-    run_in_bands(settle, len(triangles), least=4096)
+    run_in_bands(settle, len(triangles), least=LEAST)
     turned &= part > 0
     if turned.any():
         triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
@@ -73,35 +71,26 @@ def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     return GeomTriangles(vertices, triangles, part, closed, kind if num_closed else "surface")
 
 
-def _weld(vertices: Float, faces: Int32) -> tuple[Int32, Int32]:
-    """The triangles that have three different points, and their points by the first at a place."""
+def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
+    """The triangles with three different points, these, and the shell that each belongs to or OPEN.
+
+    Points are numbered by the first one at their place, shells by their lowest triangle.
+    """
     bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
-    shares, size = count_shares(len(bits)), 16
-    while size < len(bits):  # 8 bits a point
-        size *= 2
-    once, twice = np.zeros((2, shares, size), dtype=np.uint8)
-    run_in_bands(filter_points, shares, bits, once, twice)
-    for share in range(1, shares):
-        twice[0] |= twice[share] | (once[0] & once[share])
-        once[0] |= once[share]
-    number = np.arange(len(bits), dtype=np.int32)
-    is_twice = np.empty(len(bits), dtype=np.bool_)
-    run_in_bands(find_twice, len(bits), bits, twice[0], is_twice, least=4096)
-    run_in_bands(weld_points, shares, bits, np.flatnonzero(is_twice), shares, number)
-    point, kept = np.empty(faces.shape, dtype=np.int32), np.empty(len(faces), dtype=np.bool_)
-    run_in_bands(take_points, len(faces), number, faces, point, kept, least=4096)
-    return (faces, point) if kept.all() else (faces[kept], point[kept])
-
-
-def _find_shells(point: Int32, num_points: int) -> Int32:
-    """The lowest triangle of the shell that each triangle belongs to, or OPEN."""
-    shares = count_shares(len(point))
-    last = np.full((shares, num_points), -1, dtype=np.int32)
-    mate = np.empty(3 * len(point), dtype=np.int32)
-    run_in_bands(chain_edges, shares, point, last, mate)
-    run_in_bands(pair_edges, num_points, point.reshape(-1), last, mate, least=4096)
-    found: Int32 = find_shells(mate)
-    return found
+    number, shares = np.empty(len(bits), dtype=np.int32), count_shares(len(bits))
+    run_in_bands(weld_points, shares, bits, shares, number)
+    while True:
+        point, kept = np.empty_like(faces), np.empty(len(faces), dtype=np.bool_)
+        mate, shares = np.empty(3 * len(faces), dtype=np.int32), count_shares(len(faces))
+        last = np.full((shares, len(bits)), -1, dtype=np.int32)
+        run_in_bands(chain_edges, shares, number, faces, point, kept, last, mate)
+        if kept.all():
+            break
+        faces = faces[kept]
+    shell, corners = np.empty(len(faces), dtype=np.int32), point.reshape(-1)
+    run_in_bands(find_shells, len(bits), corners, last, mate, shell, least=LEAST)
+    find_shells(corners, last, mate, shell, len(bits), len(bits) + 1)
+    return faces, point, shell
 
 
 def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, num: int) -> Bool:

@@ -142,14 +142,12 @@ def lies_on_side(parts: Collection[MeshPart], surface: Surface) -> bool:
 
     Its box is lowest along y, and `LYING` times as much area faces within 45° of y as of z.
     """
+    along_y, along_z = np.abs(surface.normal[:, 1:].T) >= np.sqrt(0.5)
+    if surface.area[along_y].sum() <= LYING * surface.area[along_z].sum():
+        return False
     low, high = box_of(parts)
     width, depth, height = np.subtract(high, low)
-    if not depth < min(width, height):
-        return False
-    faces_y, faces_z = (
-        surface.area[np.abs(surface.normal[:, axis]) >= np.sqrt(0.5)].sum() for axis in (1, 2)
-    )
-    return bool(faces_y > LYING * faces_z)
+    return bool(depth < min(width, height))
 
 
 def _name(direction: Float) -> str:

@@ -47,63 +47,47 @@ def _place_of(key, filter_size):
     return np.int64(bit >> np.uint64(3)), np.uint8(1 << np.int64(bit & np.uint64(7)))
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def filter_points(points, once, twice, first, end):
-    """Mark the hashes of points, (n, 3) uint64, the coordinates' bits, which meet once and twice.
-
-    Each share of the points, of ``range(first, end)``, has its own filters, (shares, size) uint8 of
-    0, the size a power of two; so a hash that two shares meet once is met twice.
-    """
-    num, shares, size = points.shape[0], once.shape[0], once.shape[1]
-    for share in range(first, end):
-        for i in range(num * share // shares, num * (share + 1) // shares):
-            place, bit = _place_of(_hash(points, i), size)
-            twice[share, place] |= once[share, place] & bit
-            once[share, place] |= bit
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def find_twice(points, twice, is_twice, first, end):
-    """Write whether the hashes of points ``range(first, end)`` are met twice, (n,) bool."""
-    for i in range(first, end):
-        place, bit = _place_of(_hash(points, i), twice.shape[0])
-        is_twice[i] = twice[place] & bit != 0
-
-
 @kernel(nogil=True)
-def weld_points(points, chosen, num_shares, number, first, end):
-    """Number the chosen points, ascending, by the first one that equals each.
+def weld_points(points, num_shares, number, first, end):
+    """Number points, (n, 3) uint64, the coordinates' bits, by the first one that equals each.
 
-    They are divided into shares by their hashes, each with a hash table with open addressing.
-    Writes the numbers, (n,) int32, of the shares ``range(first, end)``; others stay.
+    Points are divided into shares by their hashes, each with a filter and a hash table with open
+    addressing. Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
     """
+    num, shares = points.shape[0], np.uint64(num_shares)
     for share in range(first, end):
-        own, count = np.empty(chosen.shape[0], np.int32), 0
-        for i in chosen:
-            if np.int64(_hash(points, i) >> np.uint64(40)) % num_shares == share:
-                own[count] = i
-                count += 1
+        own, count = np.empty(num + 1, np.int32), 0
+        for i in range(num):
+            own[count] = i  # without a branch, which nobody could predict
+            count += (
+                1 if (_hash(points, i) >> np.uint64(40)) * shares >> np.uint64(24) == share else 0
+            )
+        size = 16
+        while size < count:  # 8 bits a point
+            size *= 2
+        once, twice = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
+        for i in own[:count]:
+            place, bit = _place_of(_hash(points, i), size)
+            twice[place] |= once[place] & bit
+            once[place] |= bit
+        chosen = 0
+        for i in own[:count]:
+            number[i] = i
+            place, bit = _place_of(_hash(points, i), size)
+            if twice[place] & bit:
+                own[chosen] = i
+                chosen += 1
         room = 16
-        while room < 2 * count:  # at most half full, so that probing stays short
+        while room < 2 * chosen:  # at most half full, so that probing stays short
             room *= 2
         table = np.full(room, np.int32(-1), np.int32)
-        for i in own[:count]:
+        for i in own[:chosen]:
             place = np.int64(_hash(points, i) & np.uint64(room - 1))
             while table[place] >= 0 and not _are_equal(points, table[place], i):
                 place = (place + 1) & (room - 1)
             if table[place] < 0:
                 table[place] = i
             number[i] = table[place]
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def take_points(number, faces, point, kept, first, end):
-    """Write the points of triangles ``range(first, end)``, and which of them have three."""
-    for f in range(first, end):
-        for k in range(3):
-            point[f, k] = number[faces[f, k]]
-        a, b, c = point[f, 0], point[f, 1], point[f, 2]
-        kept[f] = a != b and b != c and c != a
 
 
 @part(inline="always")
@@ -113,34 +97,43 @@ def _next(half):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def chain_edges(faces, last, before, first, end):
+def chain_edges(number, faces, point, kept, last, before, first, end):
     """Chain the half-edges 3 f + k, from corner k of triangle f to the next, by their lower point.
 
     Each share of the triangles, of ``range(first, end)``, has its own chains: ``last[share, low]``
     is the last half-edge of a chain, (shares, points) int32 of -1, and `before` the one before
-    each, -1 if none, (3 m,) int32.
+    each, -1 if none, (3 m,) int32. Writes also the points of each triangle by their numbers,
+    (m, 3) int32, and whether it has three, (m,) bool; those with fewer are in no chain.
     """
     num, shares = faces.shape[0], last.shape[0]
     for share in range(first, end):
         for f in range(num * share // shares, num * (share + 1) // shares):
-            for k in range(3):
-                low = min(faces[f, k], faces[f, (k + 1) % 3])
+            a, b, c = number[faces[f, 0]], number[faces[f, 1]], number[faces[f, 2]]
+            point[f, 0], point[f, 1], point[f, 2] = a, b, c
+            kept[f] = a != b and b != c and c != a
+            for k in range(3 if kept[f] else 0):
+                low = min(point[f, k], point[f, (k + 1) % 3])
                 before[3 * f + k] = last[share, low]
                 last[share, low] = 3 * f + k
 
 
 @kernel(nogil=True)
-def pair_edges(corners, last, mate, first, end):
-    """Find the half-edge that each one is alone with at its edge, as in a shell.
+def find_shells(corners, last, mate, shell, first, end):
+    """Find the half-edge that each one is alone with at its edge, and then the shells.
 
-    Takes the corners of triangles, (3 m,), and the chains of `chain_edges`, of the points
-    ``range(first, end)``. `mate` is its `before`, which becomes the other half-edge; OPEN if there
-    is none or several, if the two run in one direction or belong to triangles back to back, or for
-    edges beyond `MOST_EDGES` of a point.
+    The first are of the points ``range(first, end)``: `mate`, the `before` of `chain_edges`,
+    becomes the other half-edge; OPEN if there is none or several, if the two run in one direction
+    or belong to triangles back to back, or for edges beyond `MOST_EDGES` of a point. The shells are
+    found for the point behind the last one.
+
+    Args:
+        corners: points of the triangles, (3 m,) int32.
+        last: the chains of `chain_edges`.
+        shell: (m,) int32; receives the lowest triangle of each one's shell, or OPEN.
     """
     upper, half = np.empty(MOST_EDGES, np.int32), np.empty(MOST_EDGES, np.int64)
     num = np.empty(MOST_EDGES, np.int64)
-    for low in range(first, end):
+    for low in range(first, min(end, last.shape[1])):
         edges = 0
         for share in range(last.shape[0]):
             following = np.int64(last[share, low])
@@ -163,17 +156,10 @@ def pair_edges(corners, last, mate, first, end):
                         mate[one], mate[h] = h, one
                 elif num[e] == 3 and mate[one] != OPEN:
                     mate[mate[one]], mate[one] = OPEN, OPEN
-
-
-@kernel(nogil=True)
-def find_shells(mate):
-    """The lowest triangle of the shell that each one belongs to, (m,) int32, or OPEN.
-
-    `mate` is of `pair_edges`.
-    """
-    num = mate.shape[0] // 3
-    shell, is_shell = np.empty(num, np.int32), np.ones(num, np.bool_)
-    for f in range(num):
+    if end <= last.shape[1]:
+        return
+    is_shell = np.ones(shell.shape[0], np.bool_)
+    for f in range(shell.shape[0]):
         shell[f] = f
         for k in range(3):
             h = np.int64(mate[3 * f + k])
@@ -181,27 +167,10 @@ def find_shells(mate):
                 is_shell[f] = False
             elif h // 3 < f:
                 unite(shell, np.int64(f), h // 3)
-    for f in range(num):
+    for f in range(shell.shape[0]):
         shell[f] = find_root(shell, np.int64(f))
         if not is_shell[f]:
             is_shell[shell[f]] = False
-    for f in range(num):
+    for f in range(shell.shape[0]):
         if not is_shell[shell[f]]:
             shell[f] = OPEN
-    return shell
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def number_shells(shell):
-    """Number closed parts from 1 by their lowest triangles, in place; what is negative becomes 0.
-
-    Takes the lowest triangle of each one's part, (m,) int32; returns how many parts there are.
-    """
-    count = 0
-    for f in range(shell.shape[0]):
-        if shell[f] == f:
-            count += 1
-            shell[f] = count
-        else:
-            shell[f] = shell[shell[f]] if shell[f] >= 0 else 0
-    return count

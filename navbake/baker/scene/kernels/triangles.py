@@ -128,44 +128,6 @@ def bound_parts(vertices, faces, turned, part, box, best, largest):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def bound_points(points, box, first, end):
-    """Write the boxes round the points of shares ``range(first, end)``, (shares, 6).
-
-    They are lower and upper corners [m]; of coordinates that are not all finite, NaN.
-    """
-    num, shares = points.shape[0], box.shape[0]
-    for share in range(first, end):
-        low_x = low_y = low_z = np.inf
-        high_x = high_y = high_z = -np.inf
-        off = 0.0
-        for i in range(num * share // shares, num * (share + 1) // shares):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
-            high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
-            off += (x - x) + (y - y) + (z - z)  # NaN, of infinity and NaN
-        box[share, 0], box[share, 1], box[share, 2] = low_x + off, low_y + off, low_z + off
-        box[share, 3], box[share, 4], box[share, 5] = high_x + off, high_y + off, high_z + off
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def mark_used(faces, marks, first, end):
-    """Mark the vertices of the triangles of shares ``range(first, end)``, (shares, n) bool."""
-    num, shares = faces.shape[0], marks.shape[0]
-    for share in range(first, end):
-        for f in range(num * share // shares, num * (share + 1) // shares):
-            for k in range(3):
-                marks[share, faces[f, k]] = True
-
-
-@kernel(nogil=True, **UNCOUNTED)
-def drop_thick(bounds, limit, chosen, first, end):
-    """Unmark those of boxes ``range(first, end)`` that are wider than a limit along x and y."""
-    for t in range(first, end):
-        wide, deep = bounds[t, 3] - bounds[t, 0], bounds[t, 4] - bounds[t, 1]
-        chosen[t] &= wide <= limit or deep <= limit
-
-
-@kernel(nogil=True, **UNCOUNTED)
 def find_nearest(normal, axes, reach, nearest, first, end):
     """Find which of some axes, of unit length and ascending z, each unit normal is nearest to.
 
