@@ -24,12 +24,11 @@ from navbake.baker.columns import (
     tile_of,
     tile_shapes,
 )
-from navbake.baker.cracks import close_cracks
 from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.tiles import BAND
 from navbake.baker.lattice import Window
 from navbake.baker.scene.shapes import Shapes
-from navbake.baker.seams import settle_seams
+from navbake.baker.seams import close_cracks, settle_seams
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.processes import give_back_memory

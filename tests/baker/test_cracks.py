@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from floor_scenes import boards
 from navbake.baker.columns import Columns, cast_columns
-from navbake.baker.cracks import close_cracks
-from navbake.baker.seams import settle_seams
+from navbake.baker.seams import close_cracks, settle_seams
 from navbake.baker.stages import bake_stages
 
 GROUND = '<geom type="plane" size="4 4 .1"/>'

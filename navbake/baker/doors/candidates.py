@@ -171,8 +171,8 @@ def pose_doors(scene: Scene, doors: Sequence[DoorCandidate], state: str) -> Shap
         return scene.shapes.only(mask)
     data = data_with_joints(scene.model, scene.data, moved)
     geoms = np.flatnonzero(mask).tolist()
-    collected = collect_shapes(scene.model, data, scene.choices, scene.parts, geoms, scene.meshes)
-    return collected.shapes
+    known = scene.choices, scene.parts, geoms, scene.meshes
+    return collect_shapes(scene.model, data, *known)[0]
 
 
 def largest_side(extents: Extents, geoms: Int) -> int:

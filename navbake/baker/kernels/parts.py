@@ -11,7 +11,6 @@ edges. A part is closed when each edge is met as often in one direction as in th
 import numpy as np
 
 from navbake.baker.kernels.connect import find_root, unite
-from navbake.baker.scene.kernels.shells import list_edges, sort_keys
 from navbake.compiled import kernel, part
 
 # In place of a closed part's number: of a sheet, or a copy of another triangle
@@ -33,6 +32,64 @@ def _direction(faces, turned, half):
 
 
 @part(inline="always")
+def _sort_keys(keys, num):
+    """Sort the first keys, ascending, in place: Shell's sort."""
+    gap = 1
+    while gap < num // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, num):
+            key, j = keys[i], i
+            while j >= gap and keys[j - gap] > key:
+                keys[j] = keys[j - gap]
+                j -= gap
+            keys[j] = key
+        gap //= 3
+
+
+@part
+def _list_edges(faces, num_points):
+    """List the half-edges 3 f + k, from corner k of triangle f to the next one, edge by edge.
+
+    Those with one lower point (counting sort) are sorted by the upper one. Returns `start`,
+    (edges + 1,), and `half`, ragged, ascending, both int32.
+    """
+    stop, half = np.zeros(num_points, np.int32), np.empty(3 * faces.shape[0], np.int32)
+    for writing in (False, True):
+        for f in range(faces.shape[0]):
+            for k in range(3):
+                low = min(faces[f, k], faces[f, (k + 1) % 3])
+                if writing:
+                    half[stop[low]] = 3 * f + k
+                stop[low] += 1
+        if not writing:  # to where each list begins, from where writing takes it to its end
+            total = np.int32(0)
+            for low in range(num_points):
+                count = stop[low]
+                stop[low] = total
+                total += count
+    start, keys = np.empty(half.shape[0] + 1, np.int32), np.empty(16, np.int64)
+    first, edges = np.int32(0), 0
+    for low in range(num_points):
+        count = stop[low] - first
+        if count > keys.shape[0]:
+            keys = np.empty(2 * count, np.int64)
+        for i in range(count):
+            h = half[first + i]
+            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
+            keys[i] = (np.int64(high) << 32) | h
+        _sort_keys(keys, count)
+        for i in range(count):
+            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
+                start[edges] = first + i
+                edges += 1
+            half[first + i] = keys[i] & 0xFFFFFFFF
+        first = stop[low]
+    start[edges] = half.shape[0]
+    return start[: edges + 1], half
+
+
+@part(inline="always")
 def _drop_copies(faces, start, half, part):
     """Mark triangles that have the corners of an earlier one, the same way round."""
     keys = np.empty(16, np.int64)
@@ -48,7 +105,7 @@ def _drop_copies(faces, start, half, part):
                 keys[count] = (np.int64(third) << 32) | f
                 count += 1
         if count > 1:
-            sort_keys(keys, count)
+            _sort_keys(keys, count)
         for i in range(1, count):
             if keys[i] >> 32 == keys[i - 1] >> 32:
                 part[keys[i] & 0xFFFFFFFF] = COPY
@@ -259,7 +316,7 @@ def find_parts(faces, area, num_points):
     part, turned = np.full(num, SHEET, np.int32), np.zeros(num, np.bool_)
     if num == 0:
         return part, turned
-    start, half = list_edges(faces, np.int64(0), num_points)
+    start, half = _list_edges(faces, num_points)
     edge = np.empty(half.shape[0], np.int32)
     for e in range(start.shape[0] - 1):
         for h in half[start[e] : start[e + 1]]:

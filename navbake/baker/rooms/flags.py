@@ -23,8 +23,7 @@ from navbake.baker.kernels.arrays import Crossings
 from navbake.baker.kernels.constants import BUILDING, SAME, WALL
 from navbake.baker.rooms.gaps import WIDEST
 from navbake.baker.rooms.walls import find_windows
-from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
 from navbake.baker.scene.shapes import Shapes, Solids, solid_bounds
@@ -364,7 +363,7 @@ def _upward_surfaces(
     parts: list[tuple[ColumnSource, set[int]]] = [(columns, known)]
     if others := chosen - known:
         choices = [Choice(geom in others, "marks a room", "surface") for geom in range(num)]
-        shapes = collect_shapes(scene.model, scene.data, choices, scene.parts).shapes
+        shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts)
         parts.append((cast_columns(tile_shapes(shapes, columns.lattice, 0.0)), others))
     found = []
     for surfaces, geoms in parts:

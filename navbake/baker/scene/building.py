@@ -21,7 +21,7 @@ import yaml
 from numpy.typing import NDArray
 
 from navbake.baker.scene.pieces import Body, Gathered, Joint, Piece, reading
-from navbake.baker.scene.tessellation import Mesh
+from navbake.baker.scene.shapes import Mesh
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.source import import_extra

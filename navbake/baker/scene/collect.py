@@ -1,18 +1,22 @@
-"""The geometry of a model's counted geoms, gathered into shapes. Does not import mujoco."""
+"""Which geoms of a model count, by the settings, and why; and their geometry, gathered into shapes.
+
+Does not import mujoco.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from navbake.baker.kernels import constants
-from navbake.baker.scene.choice import Choice
 from navbake.baker.scene.mesh_scene import MeshPart
-from navbake.baker.scene.names import all_names, name_at
+from navbake.baker.scene.names import GeomNames, all_names, name_at, warn_unmatched
 from navbake.baker.scene.parts import split_mesh
 from navbake.baker.scene.shapes import (
+    FAR,
     GeomTriangles,
     Planes,
     Shapes,
@@ -20,15 +24,151 @@ from navbake.baker.scene.shapes import (
     gather_meshes,
     height_field_triangles,
     hull_faces,
-    plane_triangles,
     solid_bounds,
+    tessellate,
 )
+from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
-from navbake.types import Float, Int, Int32
+from navbake.types import Bool, Float, Int, Int32
 
 LARGEST = 1e100  # of places and sizes, whose squares have to be numbers, too [m]
 SOLIDS = range(constants.SPHERE, constants.BOX + 1)  # and capsule, ellipsoid, cylinder between
+DRAWN_GROUPS = 3  # MuJoCo's viewers draw the geom groups below this unless told otherwise
 TYPE_NAMES = dict(enumerate("plane hfield sphere capsule ellipsoid cylinder box mesh sdf".split()))  # noqa: SIM905
+
+
+class Choice(NamedTuple):
+    """What becomes of one geom."""
+
+    counted: bool  # whether it takes part in the bake
+    reason: str
+    mesh: str  # as what, if it is a mesh: hull, surface (or auto), or shell, which encloses nothing
+
+
+def choose_geoms(
+    model: Any,
+    settings: SceneSettings,
+    hides_room: Callable[[int], bool],
+    ground: int | None = None,
+    said: Mapping[int, str] | None = None,
+) -> tuple[list[Choice], list[str]]:
+    """Decide for each geom whether it counts, and meshes as what.
+
+    Excluded geoms never count. `collision` counts geoms that can collide (contype or conaffinity
+    not 0). `auto` does the same, but counts all geoms if none of those left can collide. `visual`
+    counts geoms that are drawn (alpha above 0, in a group that MuJoCo's viewers draw), but for
+    those that can collide on a body, not the world, with drawn geoms of another group that can't.
+    `scene.meshes: auto` takes a mesh that collides as its hull, as MuJoCo does, unless that hides
+    room for an agent; or as `said`, by geom id, where the scene's file says it. `ground` always
+    counts.
+
+    Returns a choice for each geom, by its id, and what the user should know.
+    """
+    names = all_names(model).geoms
+    excluded, notes = _find_excluded(model, settings, names)
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    any_collides = any(can and not out for can, out in zip(collides, excluded, strict=True))
+    counts = _rule(model, settings.geoms, collides, any_collides)
+    rules = [(False, out) if out else rule for out, rule in zip(excluded, counts, strict=True)]
+    if ground is not None:
+        rules[ground] = (True, "added by `scene.ground`")
+    by_pattern = settings.meshes
+    if isinstance(by_pattern, str):
+        modes: list[str] = [by_pattern] * len(names)
+    else:
+        pairs = by_pattern.items()
+        modes = [next((mode for p, mode in pairs if _matches(p, name)), "auto") for name in names]
+        of_meshes = np.flatnonzero(np.isin(model.geom_type, (constants.MESH, constants.SDF)))
+        known = [text for geom in of_meshes for text in names[geom]]
+        notes += _unused("scene.meshes", by_pattern, known, "no mesh")
+    for geom, mode in (said or {}).items():
+        modes[geom] = mode if modes[geom] == "auto" else modes[geom]
+    opened = []
+    # MuJoCo collides meshes by their hull, but not signed distance fields
+    for geom in np.flatnonzero(collides & (model.geom_type == constants.MESH)).tolist():
+        if modes[geom] == "auto" and rules[geom][0]:
+            modes[geom] = "surface" if hides_room(geom) else "hull"
+            opened += [names[geom].geom] if modes[geom] == "surface" else []
+    choices = [Choice(*rule, mode) for rule, mode in zip(rules, modes, strict=True)]
+    if opened:
+        more = f", and {len(opened) - 1} more" if opened[1:] else ""
+        because = "because its convex hull hides room to stand in; MuJoCo collides the hull"
+        which = "set `scene.meshes` to surface or hull to say which"
+        notes.append(f"mesh geom {opened[0]!r}{more} counts by its triangles, {because}: {which}")
+    return choices, notes
+
+
+def _rule(model: Any, geoms: str, collides: Bool, any_collides: bool) -> list[tuple[bool, str]]:
+    """For each geom, whether it counts by `scene.geoms`, and why."""
+    if geoms == "all":
+        return [(True, "all geoms count")] * model.ngeom
+    if geoms == "auto" and not any_collides:
+        return [(True, "no geom can collide, so all count")] * model.ngeom
+    if geoms != "visual":
+        no, yes = (False, "can't collide (contype and conaffinity are 0)"), (True, "can collide")
+        return [yes if can else no for can in collides]
+    # a geom's opacity is its material's, unless its own colour was set (as MuJoCo draws it)
+    alpha: Float = model.geom_rgba[:, 3].astype(np.float64)
+    is_default = (model.geom_rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=1)
+    by_material = (model.geom_matid >= 0) & is_default
+    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    groups, bodies = model.geom_group.tolist(), model.geom_bodyid.tolist()
+    drawn = (alpha > 0) & (model.geom_group < DRAWN_GROUPS)
+    visuals: dict[int, set[int]] = {}
+    for visual in np.flatnonzero(drawn & ~collides & (model.geom_bodyid > 0)).tolist():
+        visuals.setdefault(bodies[visual], set()).add(groups[visual])
+    rule = []
+    for geom, (group, body) in enumerate(zip(groups, bodies, strict=True)):
+        if group >= DRAWN_GROUPS:
+            rule.append((False, f"not drawn (group {group})"))
+        elif not drawn[geom]:
+            rule.append((False, "not drawn (alpha 0)"))
+        elif collides[geom] and visuals.get(body, set()) - {group}:
+            rule.append((False, "stands in for its body's visual geoms"))
+        else:
+            rule.append((True, "is drawn"))
+    return rule
+
+
+def _find_excluded(
+    model: Any, settings: SceneSettings, names: list[GeomNames]
+) -> tuple[list[str], list[str]]:
+    """Why each geom is excluded, with its body or one above, or empty; and unmatched patterns."""
+    exclude, parents = settings.exclude, model.body_parentid.tolist()
+    free = set(model.jnt_bodyid[model.jnt_type == constants.FREE].tolist())
+    of_bodies, bodies = [""] * model.nbody, all_names(model).bodies
+    for body in range(1, model.nbody):  # parents come before their children
+        pattern = _first_match(exclude.bodies, bodies[body])
+        if pattern:
+            of_bodies[body] = f"excluded: body {bodies[body]!r} matches {pattern!r}"
+        elif exclude.movable and body in free:
+            of_bodies[body] = f"excluded: body {bodies[body]!r} is movable (free joint)"
+        else:
+            of_bodies[body] = of_bodies[parents[body]]
+    reasons = [of_bodies[body] for body in model.geom_bodyid.tolist()]
+    for geom, name in enumerate(names) if exclude.geoms else ():
+        pattern = _first_match(exclude.geoms, name.geom)
+        reasons[geom] = f"excluded: matches {pattern!r}" if pattern else reasons[geom]
+    notes = _unused("scene.exclude.bodies", exclude.bodies, bodies[1:])
+    return reasons, notes + _unused("scene.exclude.geoms", exclude.geoms, [n.geom for n in names])
+
+
+def _matches(pattern: str, names: Iterable[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for name in names if name)
+
+
+def _first_match(patterns: Iterable[str], name: str) -> str | None:
+    return next((pattern for pattern in patterns if fnmatchcase(name, pattern)), None)
+
+
+def _unused(
+    setting: str, patterns: Iterable[str], names: list[str], found: str = "nothing"
+) -> list[str]:
+    unmatched = [pattern for pattern in patterns if not _matches(pattern, names)]
+    return [warn_unmatched(setting, pattern, names, found) for pattern in unmatched]
+
+
+# ---------------------------------------------------------------- geometry
 
 
 def _one_part(vertices: Float, faces: Int32 | None, closed: int, kind: str) -> GeomTriangles:
@@ -71,16 +211,7 @@ def count_mesh(
     if mode == "shell":
         return _one_part(vertices, faces, constants.OPEN_SURFACE, "shell")
     split = split_mesh(vertices, faces)
-    faces = np.asarray(split.faces, dtype=np.int32)
-    return GeomTriangles(vertices, faces, split.part, split.closed, split.kind)
-
-
-class Collected(NamedTuple):
-    """The geometry of geoms, world frame; their `GeomReport.shape`; and notes for the user."""
-
-    shapes: Shapes
-    kinds: dict[int, str]
-    notes: list[str]
+    return GeomTriangles(vertices, split.faces, split.part, split.closed, split.kind)
 
 
 def collect_shapes(
@@ -90,10 +221,11 @@ def collect_shapes(
     parts: Mapping[int, MeshPart],
     only: Iterable[int] | None = None,
     meshes: MeshTriangles | None = None,
-) -> Collected:
+) -> tuple[Shapes, dict[int, str], list[str]]:
     """Gather the geometry of the geoms that count, of all or of some ids, ascending.
 
-    `parts` are exact meshes by geom id, world frame, in place of the model's.
+    `parts` are exact meshes by geom id, world frame, in place of the model's. Returns also the
+    `GeomReport.shape` of each, and notes for the user.
     """
     meshes = MeshTriangles(model) if meshes is None else meshes
     names, kinds, notes = all_names(model).geoms, dict[int, str](), dict[str, str]()
@@ -122,7 +254,8 @@ def collect_shapes(
                 continue
             endless[geom] = (half <= 0).any()
             what = "strip" if endless[geom] else "rectangle"
-            found = _one_part(plane_triangles(half), None, constants.OPEN_SURFACE, what)
+            sides = tessellate("plane", np.where(half > 0, half, FAR).tolist())
+            found = _one_part(*sides, constants.OPEN_SURFACE, what)
         elif kind not in (constants.HFIELD, constants.MESH, constants.SDF) or shape < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {kind})")
         elif kind == constants.HFIELD:
@@ -150,7 +283,7 @@ def collect_shapes(
         meshes=gather_meshes(triangles),
         endless=endless,
     )
-    return Collected(gathered, kinds, list(notes.values()))
+    return gathered, kinds, list(notes.values())
 
 
 def _height_field(model: Any, hfield: int) -> Float:

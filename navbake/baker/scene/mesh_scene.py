@@ -22,12 +22,13 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.scene.kernels.triangles import measure_areas
 from navbake.baker.scene.names import unique_name
+from navbake.baker.scene.shapes import find_areas, find_box, only_used
 from navbake.config.settings import stem_of
 from navbake.errors import SceneError
 from navbake.formats.allowance import MAX_BYTES
 from navbake.lazy import lazy
+from navbake.threads import run_in_bands
 from navbake.types import Float, Int32
 
 trimesh = lazy("trimesh")
@@ -36,7 +37,6 @@ MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 AXES = {sign + axis: (np.eye(3)[k] * way).tolist()
         for sign, way in (("", 1.0), ("-", -1.0)) for k, axis in enumerate("xyz")}  # fmt: skip
-SPECK = 0.1  # of a piece of a scan that is left out [m²]
 NO_AREA = 5e-15  # of triangles that are no larger [m²]
 MAX_COORDINATE = 1e10  # MuJoCo takes none beyond (its mjMAXVAL) [m]
 # How trimesh reads a format
@@ -107,10 +107,8 @@ def take_mesh_parts(
 
 def box_of(parts: Collection[MeshPart]) -> Float:
     """The lower and the upper corner of the box round parts, shape (2, 3) [m]."""
-    # axis by axis: numpy takes ten times as long along the rows of a narrow array
-    axes = [[part.vertices[:, axis] for part in parts] for axis in range(3)]
-    ends = [(min(a.min() for a in axis), max(a.max() for a in axis)) for axis in axes]
-    return np.array(ends).T
+    boxes = np.array([find_box(part.vertices) for part in parts])
+    return np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
 def _read_parts(path: Path) -> list[MeshPart]:
@@ -120,9 +118,9 @@ def _read_parts(path: Path) -> list[MeshPart]:
         raise SceneError(f"{path} is too large: expected a mesh of {MAX_BYTES >> 20} MiB at most")
     if suffix in (".glb", ".gltf"):
         check_gltf(path)
-    data = PREPARE[suffix](path) if suffix in PREPARE else b""
-    if (plain := read_plain(data, suffix)) is not None:
+    if (plain := read_plain(path)) is not None:
         return [MeshPart("", *plain)]
+    data = PREPARE[suffix](path) if suffix in PREPARE else b""
     source: Any = io.BytesIO(data) if suffix in PREPARE else path
     options = {"file_type": suffix[1:], "process": False, **OPTIONS.get(suffix, {})}
     try:
@@ -225,34 +223,6 @@ def _dae_asset(path: Path) -> tuple[float, str | None]:
     return meters, up
 
 
-def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
-    """Leave out connected pieces smaller than `SPECK`, with a warning.
-
-    Scanners see people, reflections and dust as small pieces that stand in mid-air.
-    """
-    from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
-
-    kept, dropped, lost = list[MeshPart](), 0, 0.0
-    for part in parts:
-        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
-        corners = place.reshape(-1)[part.faces]
-        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
-        size = int(corners.max()) + 1
-        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
-        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
-        area = np.bincount(piece, measure_areas(part.vertices, part.faces))
-        small = (area > 0.0) & (area < SPECK)
-        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
-        vertices, faces = _only_used(part.vertices, part.faces[~small[piece]])
-        if len(faces):
-            kept.append(MeshPart(part.name, vertices, faces))
-    if not kept or not dropped:
-        return parts
-    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
-    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
-    return kept
-
-
 def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) -> list[MeshPart]:
     """Turn parts into the world frame, with unique names."""
     turn = scale * turn_up(up)
@@ -263,7 +233,7 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
         if re.fullmatch(r"geometry(_\d+)?", name):  # trimesh made it up
             name = stem_of(path)
         name = name.removeprefix(path.name).removeprefix("_") or stem_of(path)
-        vertices, faces = _only_used(part.vertices, part.faces)
+        vertices, faces = only_used(part.vertices, part.faces)
         with np.errstate(all="ignore"):
             vertices = _turn(vertices, turn)
         part = check_part(MeshPart(name, vertices, faces), path)
@@ -277,31 +247,22 @@ def _to_world(found: list[MeshPart], path: Path, up: Direction, scale: float) ->
 def check_part(part: MeshPart, path: Path) -> MeshPart:
     """Refuse coordinates that are no places; leave out triangles without area."""
     name, vertices, faces, mode = part
-    # two reductions, where `isfinite` and `abs` make arrays as large; NaN is the least of all
-    low, high = (float(vertices.min()), float(vertices.max())) if len(vertices) else (0.0, 0.0)
-    if not np.isfinite([low, high]).all():
+    box = find_box(vertices) if len(vertices) else np.zeros(6)
+    if not np.isfinite(box).all():
         raise SceneError(f"mesh {name!r} in {path} has coordinates that are no numbers")
-    if max(-low, high) > MAX_COORDINATE:
+    if np.abs(box).max() > MAX_COORDINATE:
         beyond = f"reaches beyond {MAX_COORDINATE:g} m: check `scene.unit`"
         raise SceneError(f"mesh {name!r} in {path} {beyond}")
-    has_area = measure_areas(vertices, faces) > NO_AREA
-    used = (vertices, faces) if has_area.all() else _only_used(vertices, faces[has_area])
+    has_area = find_areas(vertices, faces) > NO_AREA
+    used = (vertices, faces) if has_area.all() else only_used(vertices, faces[has_area])
     return MeshPart(name, *used, mode)
-
-
-def _only_used(vertices: Float, faces: Int32) -> tuple[Float, Int32]:
-    """The vertices that faces use, and the faces counted in them."""
-    is_used = np.zeros(len(vertices), dtype=np.bool_)
-    is_used[faces] = True
-    if is_used.all():
-        return vertices, faces
-    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
 
 
 # ---------------------------------------------------------------- files
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # [bytes]
 MOST_HEADER = 1 << 20  # of a PLY; what counts stands before that [bytes]
+LEAST_READ = 1 << 16  # vertices or triangles of a plain file that a thread reads at once
 
 
 def prepare_obj(path: Path) -> bytes:
@@ -368,21 +329,35 @@ PLY_HEADER = re.compile(
 )
 
 
-def read_plain(data: bytes, suffix: str) -> tuple[Float, Int32] | None:
-    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None."""
-    if suffix == ".ply":
-        return _read_plain_ply(data)
-    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
-    is_text = data[:STL_HEADER].lstrip()[:5].lower() in (b"solid", b"")
-    if suffix != ".stl" or is_text or not count or len(data) != STL_HEADER + STL_TRIANGLE * count:
+def read_plain(path: Path) -> tuple[Float, Int32] | None:
+    """The vertices and triangles of a binary PLY or STL that holds nothing but these, else None.
+
+    Each thread reads and converts ranges of them.
+    """
+    if path.suffix.lower() == ".ply":
+        return _read_plain_ply(path)
+    if path.suffix.lower() != ".stl":
+        return None
+    with path.open("rb") as file:
+        header = file.read(STL_HEADER)
+    count = int.from_bytes(header[STL_HEADER - 4 :], "little")
+    is_text = header.lstrip()[:5].lower() in (b"solid", b"")
+    if is_text or not count or path.stat().st_size < STL_HEADER + STL_TRIANGLE * count:
         return None
     facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    corners = np.frombuffer(data, facet, count, STL_HEADER)["corners"].reshape(-1, 3)
-    return _to_float64(list(corners.T)), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    vertices = np.empty((3 * count, 3))
+
+    def read(first: int, end: int) -> None:
+        some = np.fromfile(path, facet, end - first, offset=STL_HEADER + first * STL_TRIANGLE)
+        _to_float64(list(some["corners"].reshape(-1, 3).T), vertices[3 * first : 3 * end])
+
+    run_in_bands(read, count, least=LEAST_READ)
+    return vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
-def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
-    header = PLY_HEADER.match(data)
+def _read_plain_ply(path: Path) -> tuple[Float, Int32] | None:
+    with path.open("rb") as file:
+        header = PLY_HEADER.match(file.read(MOST_HEADER))
     if header is None or header["format"] not in PLY_FORMATS:
         return None
     order = PLY_FORMATS[header["format"]]
@@ -397,23 +372,34 @@ def _read_plain_ply(data: bytes) -> tuple[Float, Int32] | None:
     face = np.dtype([("count", count), ("index", index, 3)])
     num_vertices, num_faces = int(header["vertices"]), int(header["faces"])
     middle = header.end() + num_vertices * vertex.itemsize
-    if not num_vertices or not num_faces or len(data) != middle + num_faces * face.itemsize:
+    size = middle + num_faces * face.itemsize
+    if not num_vertices or not num_faces or path.stat().st_size != size:
         return None
-    of_faces = np.frombuffer(data, face, num_faces, middle)
-    of_vertices = np.frombuffer(data, vertex, num_vertices, header.end())
-    faces = of_faces["index"].astype(np.int32)  # one too large for that is negative
-    # the number of a polygon's corners stands before each; it has to be three for all
-    if (of_faces["count"] != 3).any() or not 0 <= faces.min() <= faces.max() < num_vertices:
-        return None
-    return _to_float64([of_vertices[axis] for axis in "xyz"]), faces
+    vertices, faces = np.empty((num_vertices, 3)), np.empty((num_faces, 3), dtype=np.int32)
+    is_odd = np.zeros(num_faces, dtype=np.bool_)
+
+    def read_vertices(first: int, end: int) -> None:
+        offset = header.end() + first * vertex.itemsize
+        some = np.fromfile(path, vertex, end - first, offset=offset)
+        _to_float64([some[axis] for axis in "xyz"], vertices[first:end])
+
+    def read_faces(first: int, end: int) -> None:
+        some = np.fromfile(path, face, end - first, offset=middle + first * face.itemsize)
+        faces[first:end] = some["index"]  # one too large for that is negative
+        # the number of a polygon's corners stands before each; it has to be three for all
+        np.not_equal(some["count"], 3, out=is_odd[first:end])
+        low, high = faces[first:end].min(), faces[first:end].max()
+        is_odd[first] |= low < 0 or high >= num_vertices
+
+    run_in_bands(read_vertices, num_vertices, least=LEAST_READ)
+    run_in_bands(read_faces, num_faces, least=LEAST_READ)
+    return None if is_odd.any() else (vertices, faces)
 
 
-def _to_float64(axes: Sequence[NDArray[np.floating]]) -> Float:
-    vertices = np.empty((len(axes[0]), 3))
+def _to_float64(axes: Sequence[NDArray[np.floating]], out: Float) -> None:
     with np.errstate(invalid="ignore"):  # of NaNs that signal; all NaNs are refused later
         for k, axis in enumerate(axes):
-            np.add(axis, 0.0, out=vertices[:, k], dtype=np.float64)  # no -0.0
-    return vertices
+            np.add(axis, 0.0, out=out[:, k], dtype=np.float64)  # no -0.0
 
 
 JSON_CHUNK = 0x4E4F534A

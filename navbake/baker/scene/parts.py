@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.kernels.parts import COPY, SHEET, find_parts
-from navbake.baker.scene.kernels.shells import find_shells, weld_points
-from navbake.baker.scene.kernels.triangles import measure_areas, measure_parts
-from navbake.threads import num_threads, run_in_bands
+from navbake.baker.kernels.parts import COPY, find_parts
+from navbake.baker.scene.kernels.shells import OPEN, chain_edges, find_shells, weld_points
+from navbake.baker.scene.kernels.triangles import bound_parts, measure_parts
+from navbake.baker.scene.shapes import LEAST, GeomTriangles, count_shares, find_areas
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
 # A part that encloses less than this times its area is a sheet with two sides [m]
@@ -19,25 +17,7 @@ THICKNESS = 1e-6
 MOST_PAIRS = 1 << 20  # of a triangle and a point that are looked at at once
 
 
-class MeshParts(NamedTuple):
-    """The triangles of a mesh by what they enclose."""
-
-    faces: NDArray[np.integer[Any]]  # without copies and without those of two corners at one place
-    part: Int32  # of each, 0 for what encloses nothing, 1, 2, … for closed parts
-    closed: NDArray[np.uint8]  # of each, OPEN_SURFACE or CLOSED_SURFACE
-    num_turned: int  # triangles of closed parts that faced in and were turned
-
-    @property
-    def kind(self) -> str:
-        """What a report calls it: a closed surface, a surface, or partly closed."""
-        is_closed = self.closed == CLOSED_SURFACE
-        if not is_closed.any():
-            return "surface"
-        kind = "closed surface" if is_closed.all() else "partly closed"
-        return f"{kind}, {self.num_turned} turned" if self.num_turned else kind
-
-
-def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
+def split_mesh(vertices: Float, faces: Int | Int32) -> GeomTriangles:
     """Separate the parts of a mesh that enclose a volume from the sheets in it.
 
     Parts are connected over edges; vertices at one place count as one. A part encloses a volume
@@ -47,69 +27,89 @@ def split_mesh(vertices: Float, faces: NDArray[np.integer[Any]]) -> MeshParts:
     inside.
 
     Triangles that face to the other side than most of their patch, see
-    `navbake.baker.kernels.parts`, are turned in closed parts.
+    `navbake.baker.kernels.parts`, are turned in closed parts. Copies of triangles are left out, and
+    those with two corners at one place.
     """
-    bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
-    number, shares = np.empty(len(vertices), dtype=np.int32), num_threads()
-    run_in_bands(weld_points, shares, bits, shares, number)
-    point, kept = np.empty(faces.shape, dtype=np.int32), np.empty(len(faces), dtype=np.bool_)
-    run_in_bands(_take_points, len(faces), number, faces, point, kept, least=4096)
-    if not kept.all():
-        faces, point = faces[kept], point[kept]
-    parts, is_shell = np.empty((shares, len(faces)), np.int32), np.ones(len(faces), np.bool_)
-    asked = point, len(vertices), parts, is_shell
-    run_in_bands(find_shells, shares, *asked)
-    find_shells(*asked, shares, shares + 1)
-    found = parts[0]
-    turned = np.zeros(len(faces), dtype=np.bool_)
-    if not is_shell.all():
-        rest = np.flatnonzero(~is_shell)  # these hang together with no shell
-        area = measure_areas(vertices, faces[rest])
-        part, turned[rest] = find_parts(point[rest], area, len(vertices))
-        found[rest] = np.where(part >= 0, rest[part], part)
-    del point, is_shell, parts
-    kept = found != COPY
-    if not kept.all():
-        faces, found, turned = faces[kept], found[kept], turned[kept]
+    triangles, point, part = _find_shells(vertices, np.ascontiguousarray(faces, dtype=np.int32))
+    turned, is_open = np.zeros(len(triangles), dtype=np.bool_), part == OPEN
+    if is_open.any():
+        rest = np.flatnonzero(is_open)  # these hang together with no shell
+        found, turned[rest] = find_parts(
+            point[rest], find_areas(vertices, triangles[rest]), len(vertices)
+        )
+        part[rest] = np.where(found >= 0, rest[found], found)
+    del point, is_open
+    kept = part != COPY
     # closed parts are numbered from 1 by their lowest triangles; sheets are 0
-    is_first = np.zeros(int(found.max(initial=0)) + 1, dtype=np.bool_)
-    is_first[found[found != SHEET]] = True
-    number = np.cumsum(is_first, dtype=np.int32)
-    part = np.where(found == SHEET, np.int32(0), number[found])
-    encloses = _find_enclosing(vertices, faces, turned, part, int(number[-1]))
-    part = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)[part]
-    closed = np.where(part > 0, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+    lowest = np.flatnonzero(part == np.arange(len(part), dtype=np.int32))
+    num, number = len(lowest), np.empty(len(part), dtype=np.int32)
+    number[lowest] = np.arange(1, num + 1)
+
+    def count(first: int, end: int) -> None:
+        some = part[first:end]
+        part[first:end] = np.where(some < 0, 0, number[some])
+
+    run_in_bands(count, len(part), least=LEAST)
+    if not kept.all():
+        triangles, part, turned = triangles[kept], part[kept], turned[kept]
+    encloses = _find_enclosing(vertices, triangles, turned, part, num)
+    number = np.where(encloses, np.cumsum(encloses), 0).astype(np.int32)
+    closed = np.empty(len(triangles), dtype=np.uint8)
+    codes = np.where(encloses, CLOSED_SURFACE, OPEN_SURFACE).astype(np.uint8)
+
+    def settle(first: int, end: int) -> None:
+        np.take(codes, part[first:end], out=closed[first:end], mode="clip")
+        np.take(number, part[first:end], out=part[first:end], mode="clip")
+
+    run_in_bands(settle, len(triangles), least=LEAST)
     turned &= part > 0
     if turned.any():
-        faces = np.where(turned[:, None], faces[:, ::-1], faces)
-    return MeshParts(faces, part, closed, int(np.count_nonzero(turned)))
+        triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    num_closed, num_turned = np.count_nonzero(part), np.count_nonzero(turned)
+    kind = "closed surface" if num_closed == len(part) else "partly closed"
+    kind += f", {num_turned} turned" if num_turned else ""
+    return GeomTriangles(vertices, triangles, part, closed, kind if num_closed else "surface")
 
 
-def _take_points(
-    number: Int32, faces: NDArray[np.integer[Any]], point: Int32, kept: Bool, first: int, end: int
-) -> None:
-    """Write the points of some triangles, and which have three."""
-    np.take(number, faces[first:end], out=point[first:end], mode="clip")
-    one, two, three = np.ascontiguousarray(point[first:end].T)
-    kept[first:end] = (one != two) & (two != three) & (three != one)
+def _find_shells(vertices: Float, faces: Int32) -> tuple[Int32, Int32, Int32]:
+    """The triangles with three different points, these, and the shell that each belongs to or OPEN.
+
+    Points are numbered by the first one at their place, shells by their lowest triangle.
+    """
+    bits = np.ascontiguousarray(vertices, dtype=np.float64).view(np.uint64)
+    number, shares = np.empty(len(bits), dtype=np.int32), count_shares(len(bits))
+    run_in_bands(weld_points, shares, bits, shares, number)
+    while True:
+        point, kept = np.empty_like(faces), np.empty(len(faces), dtype=np.bool_)
+        mate, shares = np.empty(3 * len(faces), dtype=np.int32), count_shares(len(faces))
+        last = np.full((shares, len(bits)), -1, dtype=np.int32)
+        run_in_bands(chain_edges, shares, number, faces, point, kept, last, mate)
+        if kept.all():
+            break
+        faces = faces[kept]
+    shell, corners = np.empty(len(faces), dtype=np.int32), point.reshape(-1)
+    run_in_bands(find_shells, len(bits), corners, last, mate, shell, least=LEAST)
+    find_shells(corners, last, mate, shell, len(bits), len(bits) + 1)
+    return faces, point, shell
 
 
-def _find_enclosing(
-    vertices: Float, faces: NDArray[np.integer[Any]], turned: Bool, part: Int32, num: int
-) -> Bool:
+def _find_enclosing(vertices: Float, faces: Int32, turned: Bool, part: Int32, num: int) -> Bool:
     """Mark the closed parts, numbered from 1, that enclose a volume; index 0 stands for sheets."""
     encloses = np.zeros(num + 1, dtype=np.bool_)
     if num == 0:
         return encloses
-    volume, area = sums = np.zeros((2, num + 1))
-    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
-    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
-    measure_parts(vertices, faces, turned, part, sums, box, best, largest)
+    mesh = vertices, faces, turned, part
+    volume, area = np.zeros((2, num + 1))
+    share = -(-num // count_shares(len(faces)))  # each looks at all triangles
+    run_in_bands(measure_parts, num, *mesh, volume, area, least=share, begin=1)
     encloses[1:] = volume[1:] > THICKNESS * area[1:]
     inner = np.flatnonzero(volume < -THICKNESS * area)
-    some = np.flatnonzero(encloses[part])
-    if not len(some) or not len(inner := inner[inner > 0]):
+    if not len(inner) or not encloses.any():
         return encloses
+    box = np.repeat([[np.inf] * 3 + [-np.inf] * 3], num + 1, axis=0)
+    best, largest = np.full(num + 1, -1.0), np.zeros(num + 1, dtype=np.int64)
+    bound_parts(*mesh, box, best, largest)
+    some = np.flatnonzero(encloses[part])
     of_part = np.where(turned[some, None], faces[some, ::-1], faces[some])
     origin = vertices[faces[0, 0]]
     point = (vertices[faces[largest[inner]]] - origin).mean(axis=1)

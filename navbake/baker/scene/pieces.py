@@ -25,8 +25,7 @@ import numpy as np
 
 from navbake.baker.scene.mesh_scene import MeshPart, check_part
 from navbake.baker.scene.names import unique_name
-from navbake.baker.scene.shapes import hull_faces
-from navbake.baker.scene.tessellation import Mesh, tessellate
+from navbake.baker.scene.shapes import Mesh, hull_faces, tessellate
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from navbake.processes import lacked_memory
 from navbake.types import Float, Int, Int32

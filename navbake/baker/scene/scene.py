@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 from navbake.baker.columns import Columns, cast_columns, tile_shapes
 from navbake.baker.floors.sheets import is_large
 from navbake.baker.kernels.constants import OPEN_SURFACE, SLACK
-from navbake.baker.scene.choice import Choice, choose_geoms
-from navbake.baker.scene.collect import TYPE_NAMES, MeshTriangles, collect_shapes
+from navbake.baker.scene.collect import (
+    TYPE_NAMES,
+    Choice,
+    MeshTriangles,
+    choose_geoms,
+    collect_shapes,
+)
 from navbake.baker.scene.mesh_scene import MeshPart, box_of
 from navbake.baker.scene.model import CompileLimits, OpenScene, load_isolated, load_model
 from navbake.baker.scene.names import all_names, name_at, names_at
@@ -96,7 +101,7 @@ def load_scene(
     try:
         said = {geom: part.mode for geom, part in parts.items()}
         choices, notes = choose_geoms(model, settings, room.is_in_hull, ground, said)
-        collected = collect_shapes(model, data, choices, parts, meshes=meshes)
+        shapes, kinds, shape_notes = collect_shapes(model, data, choices, parts, meshes=meshes)
     except SceneError as error:
         raise SceneError(f"{error}, in {settings.path}") from error
     own = [choice for geom, choice in enumerate(choices) if geom != ground]
@@ -109,19 +114,19 @@ def load_scene(
     warnings = [" ".join(warning.split()) for warning in [*compiled, *warned]]
     warnings += warn_out_of_range(model, settings)
     hints = [text for text in warnings if parts and "`scene.up" in text]
-    size = _warn_size(settings, parts, collected.shapes.bounds)
+    size = _warn_size(settings, parts, shapes.bounds)
     hints += size
-    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *collected.notes]
+    warnings += [*_warn_geometry(model, settings, parts), *size, *notes, *shape_notes]
     types = model.geom_type.tolist()
     geoms = [
         GeomReport(
             geom, names.geom, names.body, TYPE_NAMES.get(types[geom], "unknown"), choice.counted,
-            collected.kinds.get(geom, ""), choice.reason,
+            kinds.get(geom, ""), choice.reason,
         )
         for geom, (names, choice) in enumerate(zip(all_names(model).geoms, choices, strict=True))
     ]  # fmt: skip
     return Scene(
-        settings.id or stem_of(settings.path), geoms, collected.shapes, collected.shapes.bounds,
+        settings.id or stem_of(settings.path), geoms, shapes, shapes.bounds,
         digest(), warnings, hints, model, data, choices, parts, meshes,
     )  # fmt: skip
 
@@ -282,8 +287,7 @@ class HiddenRoom:
     def _look(self, geom: int) -> bool:
         chosen = [{geom: Choice(True, "", mode)} for mode in ("surface", "hull")]
         shapes = [
-            collect_shapes(self.model, self.data, one, {}, one, self.meshes).shapes
-            for one in chosen
+            collect_shapes(self.model, self.data, one, {}, one, self.meshes)[0] for one in chosen
         ]
         bounds = shapes[1].bounds
         if bounds is None or not np.isfinite(bounds).all():

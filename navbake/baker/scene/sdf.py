@@ -26,7 +26,7 @@ from navbake.baker.scene.mesh_scene import (
 )
 from navbake.baker.scene.pieces import Gathered, Joint, Piece, Ties, check_count
 from navbake.baker.scene.sdf_frames import WORLD, Element, Scope, is_true, numbers_of, text_of
-from navbake.baker.scene.tessellation import Mesh, tessellate
+from navbake.baker.scene.shapes import Mesh, tessellate
 from navbake.config.settings import SceneSettings
 from navbake.errors import FormatError, SceneError
 from navbake.formats.scene_files import model_file, sdf_places

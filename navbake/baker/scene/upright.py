@@ -8,24 +8,28 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.scene.kernels.triangles import describe_triangles, find_nearest
 from navbake.baker.scene.mesh_scene import (
     AXES,
     Direction,
     MeshPart,
     box_of,
-    drop_specks,
     stated_up,
     turn_up,
 )
+from navbake.baker.scene.shapes import find_areas, only_used
 from navbake.config.settings import SceneSettings
+from navbake.threads import run_in_bands
 from navbake.types import Bool, Float
 
+SPECK = 0.1  # of a piece of a scan that is left out [m²]
 MOST_TRIANGLES = 30_000  # that are used; of more, each second one, or third, …
 # How many times the area of walls of one direction the floors and ceilings have at least of a mesh
 # that lies on its side
 LYING = 1.5
 UNCLEAR = "this floor may be a ceiling: what stands in the mesh doesn't say which way is up"
 NUM_AXES = 400  # of the hemisphere's directions in which surfaces are counted, 7° apart
+NEAR = 0.12  # at most so far are directions from the nearest of these, of unit length
 FACING = np.cos(np.radians(30.0))  # of a triangle, along its plane's normal: scans are noisy
 APART = np.cos(np.radians(40.0))  # of two directions that are looked at
 THICK = 0.08  # of what is one flat surface, on both sides [m]
@@ -46,6 +50,14 @@ class Upright(NamedTuple):
     standing: float  # area of what stands on such ones: of no wall, at heights `STANDING` [m²]
 
 
+class Surface(NamedTuple):
+    """Some triangles of a mesh."""
+
+    center: Float  # (n, 3) [m]
+    normal: Float  # of unit length, (n, 3)
+    area: Float  # of each, and of those that it stands for [m²]
+
+
 def stand_up(
     read: Callable[..., list[MeshPart]], settings: SceneSettings, warnings: list[str]
 ) -> list[MeshPart]:
@@ -61,7 +73,8 @@ def stand_up(
     parts = read(up=up)
     if settings.scan:
         parts = drop_specks(parts, warnings)
-    ups, is_clear = find_up(parts)
+    surface = take_surface(parts)
+    ups, is_clear = find_up(surface)
     if is_level:
         if not is_clear:
             other = _name(-ups[0].direction)
@@ -69,7 +82,7 @@ def stand_up(
         return _turned(parts, ups[0].direction)
     turn = turn_up(up).T
     best = turn @ ups[0].direction
-    lies = settings.up == "auto" and lies_on_side(parts)
+    lies = settings.up == "auto" and lies_on_side(parts, surface)
     if is_clear and lies and said is None and abs(ups[0].direction[1]) > FACING:
         axis = _name(best)
         warnings.append(
@@ -92,22 +105,49 @@ def stand_up(
     return parts
 
 
+def drop_specks(parts: list[MeshPart], warnings: list[str]) -> list[MeshPart]:
+    """Leave out connected pieces smaller than `SPECK`, with a warning.
+
+    Scanners see people, reflections and dust as small pieces that stand in mid-air.
+    """
+    from scipy.sparse import coo_array, csgraph  # scipy loads slowly, and few bake scans
+
+    kept, dropped, lost = list[MeshPart](), 0, 0.0
+    for part in parts:
+        _, place = np.unique(part.vertices, axis=0, return_inverse=True)
+        corners = place.reshape(-1)[part.faces]
+        ends = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
+        size = int(corners.max()) + 1
+        edges = coo_array((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(size, size))
+        piece = csgraph.connected_components(edges, directed=False)[1][corners[:, 0]]
+        area = np.bincount(piece, find_areas(part.vertices, part.faces))
+        small = (area > 0.0) & (area < SPECK)
+        dropped, lost = dropped + int(small.sum()), lost + float(area[small].sum())
+        vertices, faces = only_used(part.vertices, part.faces[~small[piece]])
+        if len(faces):
+            kept.append(MeshPart(part.name, vertices, faces))
+    if not kept or not dropped:
+        return parts
+    each = f"each smaller than {SPECK} m² and {lost:.2f} m² in all"
+    warnings.append(f"{dropped} pieces of the scan, {each}, are left out (`scene.scan`)")
+    return kept
+
+
 def _turned(parts: list[MeshPart], up: Direction) -> list[MeshPart]:
     return [part._replace(vertices=part.vertices @ turn_up(up).T) for part in parts]
 
 
-def lies_on_side(parts: Collection[MeshPart]) -> bool:
+def lies_on_side(parts: Collection[MeshPart], surface: Surface) -> bool:
     """Whether a mesh in the world frame looks as if its y axis were the vertical one.
 
     Its box is lowest along y, and `LYING` times as much area faces within 45° of y as of z.
     """
+    along_y, along_z = np.abs(surface.normal[:, 1:].T) >= np.sqrt(0.5)
+    if surface.area[along_y].sum() <= LYING * surface.area[along_z].sum():
+        return False
     low, high = box_of(parts)
     width, depth, height = np.subtract(high, low)
-    if not depth < min(width, height):
-        return False
-    _, normal, area = _take_triangles(parts)
-    faces_y, faces_z = (area[np.abs(normal[:, axis]) >= np.sqrt(0.5)].sum() for axis in (1, 2))
-    return bool(faces_y > LYING * faces_z)
+    return bool(depth < min(width, height))
 
 
 def _name(direction: Float) -> str:
@@ -118,15 +158,15 @@ def _name(direction: Float) -> str:
     return "[" + ", ".join(f"{value:.4g}" for value in direction) + "]"
 
 
-def find_up(parts: Collection[MeshPart]) -> tuple[list[Upright], bool]:
+def find_up(surface: Surface) -> tuple[list[Upright], bool]:
     """The directions that may be up, the likeliest first, and whether the first is clearly up.
 
     They are those that large flat surfaces face, and the opposite ones, exact by fitted planes. Up
     is where most stands on these: things gather on floors. It is clear where no other direction has
     as much. Of two that are alike, that nearer to +z comes first.
     """
-    center, normal, area = _take_triangles(parts)
-    found = [_find_planes(axis, center, normal, area) for axis in _find_axes(normal, area)]
+    center, normal, area = surface
+    found = [_find_planes(axis, surface) for axis in _find_axes(normal, area)]
     largest = max((planes[0].size for planes in found if planes), default=0.0)
     rest = np.ones(len(area), dtype=np.bool_)
     for plane in (plane for planes in found for plane in planes if plane.size > WALL * largest):
@@ -151,25 +191,27 @@ def find_up(parts: Collection[MeshPart]) -> tuple[list[Upright], bool]:
     return ups, ups[0].size >= LEAST and ups[0].standing > max(least)
 
 
-def _take_triangles(parts: Collection[MeshPart]) -> tuple[Float, Float, Float]:
-    """Centres, unit normals and areas of `MOST_TRIANGLES` triangles."""
+def take_surface(parts: Collection[MeshPart]) -> Surface:
+    """Take `MOST_TRIANGLES` triangles of parts."""
     step = max(1, -(-sum(len(part.faces) for part in parts) // MOST_TRIANGLES))
-    corners = np.concatenate([part.vertices[part.faces[::step]] for part in parts])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    return corners.mean(axis=1), normal / np.maximum(size, 1e-300)[:, None], size / 2 * step
+    found = [describe_triangles(part.vertices, part.faces[::step].copy()) for part in parts]
+    center, normal, area = map(np.concatenate, zip(*found, strict=True))
+    return Surface(center, normal, area * step)
+
+
+def list_axes() -> Float:
+    """`NUM_AXES` directions of a hemisphere, by ascending z: Fibonacci's lattice."""
+    number = np.arange(NUM_AXES)
+    up = (number + 0.5) / NUM_AXES
+    turn, wide = np.pi * (3.0 - np.sqrt(5.0)) * number, np.sqrt(1.0 - up * up)
+    return np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
 
 
 def _find_axes(normal: Float, area: Float) -> list[Float]:
     """Up to four directions in which most of the surface faces, either way."""
-    number = np.arange(NUM_AXES)
-    up = (number + 0.5) / NUM_AXES  # Fibonacci's lattice on a hemisphere
-    turn, wide = np.pi * (3.0 - np.sqrt(5.0)) * number, np.sqrt(1.0 - up * up)
-    axes = np.stack([wide * np.cos(turn), wide * np.sin(turn), up], axis=1)
-    nearest = np.concatenate([  # few at a time, as they stay in the caches, and BLAS on one thread
-        np.abs(some @ axes.T).argmax(axis=1)
-        for some in np.array_split(normal, max(1, len(normal) // 128))
-    ])  # fmt: skip
+    axes = list_axes()
+    nearest = np.zeros(len(normal), dtype=np.int64)
+    run_in_bands(find_nearest, len(normal), normal, axes, NEAR, nearest, least=1024)
     count = (np.abs(axes @ axes.T) >= FACING) @ np.bincount(nearest, area, NUM_AXES)
     found: list[Float] = []
     for _ in range(4):
@@ -193,16 +235,15 @@ class _Plane(NamedTuple):
     own: Bool  # its triangles
 
 
-def _find_planes(axis: Float, center: Float, normal: Float, area: Float) -> list[_Plane]:
+def _find_planes(axis: Float, surface: Surface) -> list[_Plane]:
     """The largest flat surfaces that face along an axis, the largest first."""
-    every = center, normal, area
-    left, planes, num = np.flatnonzero(np.abs(normal @ axis) >= FACING), list[_Plane](), len(area)
+    left, planes = np.flatnonzero(np.abs(surface.normal @ axis) >= FACING), list[_Plane]()
+    slot, slots = np.unique(np.floor(surface.center[left] @ axis / THICK), return_inverse=True)
     for _ in range(PLANES):
         if not len(left):
             break
-        center, normal, area = (array[left] for array in every)
-        slot, of = np.unique(np.floor(center @ axis / THICK), return_inverse=True)
-        middle = axis * slot[np.bincount(of, area).argmax()] * THICK
+        center, normal, area = (array[left] for array in surface)
+        middle = axis * slot[np.bincount(slots, area).argmax()] * THICK
         best, own = axis, np.abs((center - middle) @ axis) <= 2 * THICK
         for _ in range(4):  # fitted to what lies near it
             total = area[own].sum()
@@ -214,8 +255,8 @@ def _find_planes(axis: Float, center: Float, normal: Float, area: Float) -> list
             near = np.abs((center - middle) @ best) <= THICK
             own = near if near.any() else own
         facing = float(area[own] @ np.sign(normal[own] @ best))
-        mask = np.zeros(num, dtype=np.bool_)
+        mask = np.zeros(len(surface.area), dtype=np.bool_)
         mask[left[own]] = True
         planes.append(_Plane(float(area[own].sum()), facing, middle, best, mask))
-        left = left[~own]
+        left, slots = left[~own], slots[~own]
     return sorted(planes, key=lambda plane: -plane.size)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.scene.mesh_scene import turn_up
 from navbake.baker.scene.pieces import Gathered, Joint, Piece, Ties, check_count, reading
-from navbake.baker.scene.tessellation import Mesh, tessellate, triangulate
+from navbake.baker.scene.shapes import Mesh, tessellate, triangulate
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.source import import_extra

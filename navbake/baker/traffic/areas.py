@@ -16,8 +16,7 @@ from navbake.baker.kernels.overlap import lines_blocked
 from navbake.baker.lattice import Window
 from navbake.baker.occupancy.occupancy import Footprint, look_at_cells
 from navbake.baker.rooms.rooms import Rooms
-from navbake.baker.scene.choice import Choice
-from navbake.baker.scene.collect import collect_shapes
+from navbake.baker.scene.collect import Choice, collect_shapes
 from navbake.baker.scene.extents import measure_geoms
 from navbake.baker.scene.names import all_names, warn_unmatched
 from navbake.baker.scene.scene import Scene
@@ -135,7 +134,7 @@ def _mark_geoms(
     geoms, known = np.flatnonzero(chosen).tolist(), scene.choices
     modes = {geom: known[geom].mesh if known[geom].counted else "surface" for geom in geoms}
     choices = {geom: Choice(True, "marks an area", modes[geom]) for geom in geoms}
-    shapes = collect_shapes(scene.model, scene.data, choices, scene.parts, geoms).shapes
+    shapes, *_ = collect_shapes(scene.model, scene.data, choices, scene.parts, geoms)
     window: Window | None = np.s_[0 : lattice.height], np.s_[0 : lattice.width]
     if not len(shapes.planes.geom) and not shapes.endless.any():
         window = None if shapes.bounds is None else lattice.window(shapes.bounds)

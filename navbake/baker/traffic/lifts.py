@@ -190,7 +190,7 @@ def _space_at(car: Car, height: float, ground: Ground) -> Space:
     kinds = scene.shapes.solids, scene.shapes.planes, scene.shapes.meshes
     known = np.unique(np.concatenate([kind.geom for kind in kinds]))
     chosen = scene.choices, scene.parts, known[car.geoms[known]].tolist(), scene.meshes
-    moved = collect_shapes(model, data, *chosen).shapes
+    moved, *_ = collect_shapes(model, data, *chosen)
     lattice, footprint = ground.lattice.cut(*car.window), ground.space.footprint
     tiled = tile_shapes(scene.shapes.replaced(moved, car.geoms), lattice, footprint.reach)
     return Space(cast_columns(tiled), tiled, footprint, car.window)

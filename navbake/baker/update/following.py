@@ -104,7 +104,7 @@ class FollowedScene:
         shapes, bounds = was.shapes, was.bounds
         if mask.any():
             chosen = was.choices, was.parts, np.flatnonzero(mask).tolist(), was.meshes
-            after = collect_shapes(model, data, *chosen).shapes
+            after, *_ = collect_shapes(model, data, *chosen)
             shapes = was.shapes.replaced(after, mask)
             bounds = shapes.bounds
         scene = replace(was, shapes=shapes, bounds=bounds, digest="", data=data)

@@ -249,7 +249,7 @@ class Voxelizer:
         moved = (pos != first.geom_xpos).any(axis=1) | (flat != first.geom_xmat).any(axis=1)
         moved &= counted
         known = self.scene.choices, self.scene.parts, np.flatnonzero(moved).tolist()
-        shapes = collect_shapes(model, data, *known, self.scene.meshes).shapes
+        shapes, *_ = collect_shapes(model, data, *known, self.scene.meshes)
         self.shapes = base.replaced(shapes, moved)
 
     def _label(self, segments: Segments | None) -> Labels:

@@ -37,7 +37,7 @@ def test_no_shape_is_looked_at_along_too_many_lines(monkeypatch, width, depth):
         raise InterruptedError
 
     bounds = np.array([[0.0, 0.0, 0.0], [width, depth, 3.0]])
-    found = SimpleNamespace(shapes=SimpleNamespace(bounds=bounds))
+    found = SimpleNamespace(bounds=bounds), {}, []
     monkeypatch.setattr(scene, "collect_shapes", lambda *arguments: found)
     monkeypatch.setattr(scene, "tile_shapes", tile)
     box = np.array([[0.0, 0.0, 0.0, 3.0, 3.0, 3.0]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -416,8 +415,10 @@ def test_plain_files_are_read_as_trimesh_reads_them(read, name, content, monkeyp
         ("w.stl", STL[:80] + bytes(4)),
     ],
 )
-def test_what_is_not_plain_is_left_to_trimesh(name, content):
-    assert read_plain(content, Path(name).suffix) is None
+def test_what_is_not_plain_is_left_to_trimesh(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    assert read_plain(path) is None
 
 
 def unplain(monkeypatch, function):

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.kernels.constants import CLOSED_SURFACE, OPEN_SURFACE
-from navbake.baker.scene.parts import MeshParts, split_mesh
+from navbake.baker.scene.kernels.shells import MOST_EDGES, OPEN
+from navbake.baker.scene.parts import split_mesh
+from navbake.baker.scene.shapes import GeomTriangles
 from navbake.threads import limit_threads
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
@@ -31,7 +33,7 @@ def turned(triangles):
     return triangles[:, ::-1]
 
 
-def split(*pieces) -> MeshParts:
+def split(*pieces) -> GeomTriangles:
     corners = np.concatenate(pieces).reshape(-1, 3)
     return split_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
 
@@ -146,9 +148,10 @@ def test_one_that_faces_in_is_turned():
 def test_the_larger_side_decides_by_area():
     mostly_in = np.concatenate([SOLID[:1], turned(SOLID[1:])])
     found = split(mostly_in)
-    assert found.kind == "surface" and found.num_turned == 0
+    assert found.kind == "surface"
     np.testing.assert_array_equal(found.faces, np.arange(12).reshape(-1, 3))  # nothing encloses
-    assert split(np.concatenate([turned(SOLID[:1]), SOLID[1:]])).num_turned == 1
+    found = split(np.concatenate([turned(SOLID[:1]), SOLID[1:]]))
+    assert found.kind == "closed surface, 1 turned"
 
 
 def test_each_part_is_judged_by_itself():
@@ -323,11 +326,11 @@ def test_shells_are_what_the_general_way_finds(seed, monkeypatch):
     soup = draw_soup(np.random.default_rng(seed))
     fast = split(soup)
     found = "navbake.baker.scene.parts.find_shells"
-    monkeypatch.setattr(found, lambda *asked: asked[3].fill(False))  # none
+    monkeypatch.setattr(found, lambda *asked: asked[3].fill(OPEN))
     general = split(soup)
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(general, name))
-    assert fast.num_turned == general.num_turned
+    assert fast.kind == general.kind
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -352,6 +355,22 @@ def test_many_points_on_several_threads(seed):
     np.testing.assert_array_equal(found.part, (order < len(faces)).astype(np.int32))
     for name in ("faces", "part", "closed"):
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+
+
+@pytest.mark.parametrize("sides", [MOST_EDGES - 1, MOST_EDGES, MOST_EDGES + 1, 5000])
+def test_a_point_with_many_edges(sides):
+    """Two cones, base to base; the top comes first, and so all its edges are its own."""
+    angle = np.arange(sides) * (2 * np.pi / sides)
+    rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], axis=1)
+    vertices = np.concatenate([[[0, 0, 1.0], [0, 0, -1.0]], rim])
+    here, after = 2 + np.arange(sides), 2 + (np.arange(sides) + 1) % sides
+    upper = np.stack([np.zeros(sides, dtype=int), here, after], axis=1)
+    lower = np.stack([np.ones(sides, dtype=int), after, here], axis=1)
+    faces = np.concatenate([upper, lower])
+    found = split_mesh(vertices, faces)
+    assert found.kind == "closed surface"
+    assert (found.part == 1).all()
+    assert not split_mesh(vertices, faces[1:]).part.any()
 
 
 def test_a_fan_of_many_triangles_at_one_edge():

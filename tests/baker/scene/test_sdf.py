@@ -415,7 +415,7 @@ def test_a_world_bakes_and_is_verified(tmp_path):
 
 
 def test_trimesh_agrees_on_tessellated_solids():
-    from navbake.baker.scene.tessellation import tessellate
+    from navbake.baker.scene.shapes import tessellate
 
     sizes = {"sphere": (1.0,), "capsule": (0.5, 2.0), "cylinder": (1.0, 2.0), "cone": (1.0, 2.0),
              "ellipsoid": (1.0, 2.0, 3.0), "box": (1.0, 2.0, 3.0)}  # fmt: skip

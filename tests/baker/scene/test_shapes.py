@@ -58,6 +58,12 @@ def test_solid_bounds_touch_the_solid_on_all_sides(kind):
             assert (max(hits) >= 0) == expected, (axis, side)
 
 
+def of_plane(half):
+    """The triangles of a plane; half-sizes of 0 are infinite."""
+    vertices, faces = shapes.tessellate("plane", [size or shapes.FAR for size in half])
+    return vertices[faces]
+
+
 def test_bounds_leave_out_endless_planes():
     def box_of(corners, geom, endless):
         none = np.zeros(0, np.int32)
@@ -73,7 +79,7 @@ def test_bounds_leave_out_endless_planes():
         return shapes.Shapes(solids, planes, meshes, np.array(endless)).bounds
 
     large = TETRAHEDRON[[0, 1, 2]] * 1e5  # finite, however large
-    strip = shapes.plane_triangles(np.array([2.0, 0.0]))
+    strip = of_plane((2.0, 0.0))
     both = np.concatenate([large[None], strip])
     np.testing.assert_array_equal(box_of(both, [0, 1, 1], [False, True])[1], [1e5, 1e5, 0])
     assert box_of(strip, [0, 0], [True]) is None
@@ -119,7 +125,7 @@ def test_height_field_fills_its_box():
 
 @pytest.mark.parametrize("half", [(2.0, 3.0), (2.0, 0.0), (0.0, 3.0)])
 def test_plane_is_what_mujoco_s_rays_see(half):
-    triangles = shapes.plane_triangles(np.array(half))
+    triangles = of_plane(half)
     down, size = np.array([0, 0, -1.0]), np.array([*half, 1.0])
     for x, y in itertools.product((-9e3, -3.1, -2.1, -1.9, 0.1, 2.9, 9e3), repeat=2):
         start = np.array([x, y, 1.0])

@@ -8,10 +8,13 @@ import pytest
 
 from navbake.baker.scene.extents import DIRECTIONS, find_facing
 from navbake.baker.scene.kernels.triangles import (
-    measure_areas,
+    describe_triangles,
+    find_nearest,
     measure_spans,
     unit_normal,
 )
+from navbake.baker.scene.shapes import find_areas, find_box, only_used
+from navbake.baker.scene.upright import NEAR, list_axes
 
 # parts of kernels as functions that Python can call
 unit_normal = numba.njit(unit_normal.py_func)
@@ -41,7 +44,40 @@ def test_normals(mesh):
 
 
 def test_areas(mesh):
-    np.testing.assert_array_equal(measure_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2)
+    np.testing.assert_array_equal(find_areas(*mesh), np.linalg.norm(cross_of(*mesh), axis=1) / 2)
+
+
+def test_descriptions(mesh):
+    center, normal, area = describe_triangles(*mesh)
+    cross, size = cross_of(*mesh), 2 * find_areas(*mesh)
+    np.testing.assert_array_equal(center, mesh[0][mesh[1]].mean(axis=1))
+    np.testing.assert_array_equal(normal, cross / np.maximum(size, 1e-300)[:, None])
+    np.testing.assert_array_equal(area, size / 2)
+
+
+def test_boxes(mesh):
+    own = np.tile(mesh[0], (1000, 1))
+    np.testing.assert_array_equal(find_box(own), [*own.min(axis=0), *own.max(axis=0)])
+    for value in (np.inf, -np.inf, np.nan):
+        own[7, 1] = value
+        assert not np.isfinite(find_box(own)).all()
+
+
+def test_used_vertices(mesh):
+    vertices, faces = mesh[0], np.tile(mesh[1], (1000, 1))
+    used, index = only_used(vertices, faces)
+    assert len(used) == len(np.unique(faces)) < len(vertices)
+    np.testing.assert_array_equal(used[index], vertices[faces])
+
+
+def test_nearest_directions():
+    axes = list_axes()
+    normal = np.random.default_rng(0).normal(size=(20_000, 3))
+    normal[:5000, 2] *= 0.01  # of walls
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    nearest = np.empty(len(normal), dtype=np.int64)
+    find_nearest(normal, axes, NEAR, nearest, 0, len(normal))
+    np.testing.assert_array_equal(nearest, np.abs(normal @ axes.T).argmax(axis=1))
 
 
 def test_facing_and_spans(mesh):

@@ -17,7 +17,7 @@ from navbake.baker.scene import pieces
 from navbake.baker.scene.model import CompileLimits
 from navbake.baker.scene.pieces import MOST_PIECES
 from navbake.baker.scene.scene import Scene, load_scene
-from navbake.baker.scene.tessellation import triangulate
+from navbake.baker.scene.shapes import triangulate
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, MissingDependencyError, SceneError
 

@@ -1,18 +1,20 @@
 """Which triangles of a mesh belong to a shell: a part whose edges are met by two triangles each.
 
-Points at one place are welded by a hash table. Half-edges are sorted by their lower point (counting
-sort) and then by the upper one (Shell's sort, 1959), so that those of one edge are neighbours.
-Triangles at an edge are united (union-find). Parts with an edge that is met by other than two
-triangles, or by two in one direction, are no shells; `navbake.baker.kernels.parts` decides what
-they enclose.
+Points at one place are welded by a hash table; a filter with one hash (Bloom, 1970) first finds the
+few that may have an equal. Half-edges are chained by their lower point, and those of a point
+compared by the upper one. Triangles are united (union-find) over the edges where two meet, in
+opposite directions. A part with any other edge is no shell; `navbake.baker.kernels.parts` decides
+what it encloses.
 """
 
 import numpy as np
 
 from navbake.baker.kernels.connect import find_root, unite
-from navbake.compiled import kernel, part
+from navbake.compiled import UNCOUNTED, kernel, part
 
 MINUS_ZERO = np.uint64(1 << 63)  # its bits
+OPEN = np.int32(-1)  # in place of the number of a shell
+MOST_EDGES = 256  # at a point, of which each is compared with all; others belong to no shell
 
 
 @part(inline="always")
@@ -38,137 +40,137 @@ def _hash(points, i):
     return key
 
 
+@part(inline="always")
+def _place_of(key, filter_size):
+    """The byte of a filter, and the bit in it, that stand for a hash."""
+    bit = key & np.uint64(8 * filter_size - 1)
+    return np.int64(bit >> np.uint64(3)), np.uint8(1 << np.int64(bit & np.uint64(7)))
+
+
 @kernel(nogil=True)
 def weld_points(points, num_shares, number, first, end):
     """Number points, (n, 3) uint64, the coordinates' bits, by the first one that equals each.
 
-    Points are divided into shares by their hashes, each with a hash table with open addressing.
-    Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
+    Points are divided into shares by their hashes, each with a filter and a hash table with open
+    addressing. Writes the numbers, (n,) int32, of the shares ``range(first, end)``.
     """
     num, shares = points.shape[0], np.uint64(num_shares)
     for share in range(first, end):
-        count = 0
+        own, count = np.empty(num + 1, np.int32), 0
         for i in range(num):
-            count += 1 if (_hash(points, i) >> np.uint64(40)) % shares == np.uint64(share) else 0
+            own[count] = i  # without a branch, which nobody could predict
+            count += (
+                1 if (_hash(points, i) >> np.uint64(40)) * shares >> np.uint64(24) == share else 0
+            )
         size = 16
-        while size < 2 * count:  # at most half full, so that probing stays short
+        while size < count:  # 8 bits a point
             size *= 2
-        table = np.full(size, np.int32(-1), np.int32)
-        for i in range(num):
-            key = _hash(points, i)
-            if (key >> np.uint64(40)) % shares != np.uint64(share):
-                continue
-            place = np.int64(key & np.uint64(size - 1))
+        once, twice = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
+        for i in own[:count]:
+            place, bit = _place_of(_hash(points, i), size)
+            twice[place] |= once[place] & bit
+            once[place] |= bit
+        chosen = 0
+        for i in own[:count]:
+            number[i] = i
+            place, bit = _place_of(_hash(points, i), size)
+            if twice[place] & bit:
+                own[chosen] = i
+                chosen += 1
+        room = 16
+        while room < 2 * chosen:  # at most half full, so that probing stays short
+            room *= 2
+        table = np.full(room, np.int32(-1), np.int32)
+        for i in own[:chosen]:
+            place = np.int64(_hash(points, i) & np.uint64(room - 1))
             while table[place] >= 0 and not _are_equal(points, table[place], i):
-                place = (place + 1) & (size - 1)
+                place = (place + 1) & (room - 1)
             if table[place] < 0:
                 table[place] = i
             number[i] = table[place]
 
 
 @part(inline="always")
-def sort_keys(keys, num):
-    """Sort the first keys, ascending, in place: Shell's sort."""
-    gap = 1
-    while gap < num // 3:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for i in range(gap, num):
-            key, j = keys[i], i
-            while j >= gap and keys[j - gap] > key:
-                keys[j] = keys[j - gap]
-                j -= gap
-            keys[j] = key
-        gap //= 3
+def _next(half):
+    """The next half-edge of a triangle."""
+    return half - 2 if half % 3 == 2 else half + 1
 
 
-@part
-def list_edges(faces, low0, low_end):
-    """List the half-edges 3 f + k, from corner k of triangle f to the next one, edge by edge.
+@kernel(nogil=True, **UNCOUNTED)
+def chain_edges(number, faces, point, kept, last, before, first, end):
+    """Chain the half-edges 3 f + k, from corner k of triangle f to the next, by their lower point.
 
-    Of the edges whose lower points are in ``range(low0, low_end)``: `start`, (edges + 1,), and
-    `half`, ragged, ascending, both int32.
+    Each share of the triangles, of ``range(first, end)``, has its own chains: ``last[share, low]``
+    is the last half-edge of a chain, (shares, points) int32 of -1, and `before` the one before
+    each, -1 if none, (3 m,) int32. Writes also the points of each triangle by their numbers,
+    (m, 3) int32, and whether it has three, (m,) bool; those with fewer are in no chain.
     """
-    stop, half = np.zeros(low_end - low0, np.int32), np.empty(0, np.int32)
-    for writing in (False, True):
-        for f in range(faces.shape[0]):
-            for k in range(3):
-                low = min(faces[f, k], faces[f, (k + 1) % 3])
-                if low0 <= low < low_end:
-                    if writing:
-                        half[stop[low - low0]] = 3 * f + k
-                    stop[low - low0] += 1
-        if not writing:  # to where each list begins, from where writing takes it to its end
-            total = np.int32(0)
-            for low in range(low_end - low0):
-                count = stop[low]
-                stop[low] = total
-                total += count
-            half = np.empty(total, np.int32)
-    start, keys = np.empty(half.shape[0] + 1, np.int32), np.empty(16, np.int64)
-    first, edges = np.int32(0), 0
-    for low in range(low_end - low0):
-        count = stop[low] - first
-        if count > keys.shape[0]:
-            keys = np.empty(2 * count, np.int64)
-        for i in range(count):
-            h = half[first + i]
-            high = max(faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3])
-            keys[i] = (np.int64(high) << 32) | h
-        sort_keys(keys, count)
-        for i in range(count):
-            if i == 0 or keys[i] >> 32 != keys[i - 1] >> 32:
-                start[edges] = first + i
-                edges += 1
-            half[first + i] = keys[i] & 0xFFFFFFFF
-        first = stop[low]
-    start[edges] = half.shape[0]
-    return start[: edges + 1], half
-
-
-@part(inline="always")
-def _are_neighbours(faces, h, g):
-    """Whether two half-edges of an edge run in opposite ways, of triangles not back to back."""
-    here, next_ = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
-    other, third = faces[g // 3, g % 3], faces[g // 3, (g % 3 + 2) % 3]
-    return here != other and next_ == other and third != faces[h // 3, (h % 3 + 2) % 3]
+    num, shares = faces.shape[0], last.shape[0]
+    for share in range(first, end):
+        for f in range(num * share // shares, num * (share + 1) // shares):
+            a, b, c = number[faces[f, 0]], number[faces[f, 1]], number[faces[f, 2]]
+            point[f, 0], point[f, 1], point[f, 2] = a, b, c
+            kept[f] = a != b and b != c and c != a
+            for k in range(3 if kept[f] else 0):
+                low = min(point[f, k], point[f, (k + 1) % 3])
+                before[3 * f + k] = last[share, low]
+                last[share, low] = 3 * f + k
 
 
 @kernel(nogil=True)
-def find_shells(faces, num, parts, is_shell, first, end):
-    """Find the parts of a mesh whose edges are all met by two triangles, in either direction once.
+def find_shells(corners, last, mate, shell, first, end):
+    """Find the half-edge that each one is alone with at its edge, and then the shells.
 
-    The points are divided into shares, of which this looks at ``range(first, end)``; and then, for
-    the share behind the last, puts together what was found.
+    The first are of the points ``range(first, end)``: `mate`, the `before` of `chain_edges`,
+    becomes the other half-edge; OPEN if there is none or several, if the two run in one direction
+    or belong to triangles back to back, or for edges beyond `MOST_EDGES` of a point. The shells are
+    found for the point behind the last one.
 
     Args:
-        faces: corners of each triangle, (m, 3) int32, of distinct points below `num`.
-        parts: by share, (shares, m) int32: receives parents of the triangles; ``parts[0]`` at last
-            the lowest triangle of each one's part, connected over edges.
-        is_shell: (m,) bool, all True; becomes whether each one's part is a shell.
+        corners: points of the triangles, (3 m,) int32.
+        last: the chains of `chain_edges`.
+        shell: (m,) int32; receives the lowest triangle of each one's shell, or OPEN.
     """
-    shares, part = parts.shape[0], parts[0]
-    for share in range(first, min(end, shares)):
-        for f in range(faces.shape[0]):
-            parts[share, f] = f
-        low, low_end = num * share // shares, num * (share + 1) // shares
-        start, half = list_edges(faces, low, low_end)
-        for e in range(start.shape[0] - 1):
-            one = np.int64(half[start[e]])
-            for i in range(start[e] + 1, start[e + 1]):
-                unite(parts[share], one // 3, np.int64(half[i]) // 3)
-            is_pair = start[e + 1] - start[e] == 2
-            if not is_pair or not _are_neighbours(faces, one, np.int64(half[start[e] + 1])):
-                is_shell[one // 3] = False
-    if end <= shares:
+    upper, half = np.empty(MOST_EDGES, np.int32), np.empty(MOST_EDGES, np.int64)
+    num = np.empty(MOST_EDGES, np.int64)
+    for low in range(first, min(end, last.shape[1])):
+        edges = 0
+        for share in range(last.shape[0]):
+            following = np.int64(last[share, low])
+            while following >= 0:
+                h = following
+                following = np.int64(mate[h])
+                mate[h] = OPEN
+                high, e = max(corners[h], corners[_next(h)]), 0
+                while e < edges and upper[e] != high:
+                    e += 1
+                if e == MOST_EDGES:
+                    continue
+                if e == edges:
+                    upper[e], half[e], num[e] = high, h, 0
+                    edges += 1
+                one, num[e] = half[e], num[e] + 1
+                if num[e] == 2:
+                    is_opposite = corners[one] != corners[h]
+                    if is_opposite and corners[_next(_next(one))] != corners[_next(_next(h))]:
+                        mate[one], mate[h] = h, one
+                elif num[e] == 3 and mate[one] != OPEN:
+                    mate[mate[one]], mate[one] = OPEN, OPEN
+    if end <= last.shape[1]:
         return
-    for share in range(1, shares):
-        for f in range(part.shape[0]):
-            if parts[share, f] != f:
-                unite(part, np.int64(f), np.int64(parts[share, f]))
-    for f in range(part.shape[0]):
-        part[f] = find_root(part, np.int64(f))
+    is_shell = np.ones(shell.shape[0], np.bool_)
+    for f in range(shell.shape[0]):
+        shell[f] = f
+        for k in range(3):
+            h = np.int64(mate[3 * f + k])
+            if h == OPEN:
+                is_shell[f] = False
+            elif h // 3 < f:
+                unite(shell, np.int64(f), h // 3)
+    for f in range(shell.shape[0]):
+        shell[f] = find_root(shell, np.int64(f))
         if not is_shell[f]:
-            is_shell[part[f]] = False
-    for f in range(part.shape[0]):
-        is_shell[f] = is_shell[part[f]]
+            is_shell[shell[f]] = False
+    for f in range(shell.shape[0]):
+        if not is_shell[shell[f]]:
+            shell[f] = OPEN

@@ -58,41 +58,92 @@ def expand_mesh(vertices, faces, corners, bounds, facing, first, end):
             facing[t] = 1 if up > 0.0 else -1
 
 
-@kernel
-def measure_areas(vertices, faces):
-    """The areas of triangles, (m,) float64 [m²]."""
-    area = np.empty(faces.shape[0])
-    for f in range(faces.shape[0]):
+@kernel(nogil=True, **UNCOUNTED)
+def measure_areas(vertices, faces, area, first, end):
+    """Write the areas of triangles ``range(first, end)``, (m,) float64 [m²]."""
+    for f in range(first, end):
         x, y, z = _cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
         area[f] = _length(x, y, z) / 2.0
-    return area
+
+
+@kernel
+def describe_triangles(vertices, faces):
+    """The centres, (m, 3), unit normals, (m, 3), and areas of triangles, (m,) [m, m²]."""
+    center, normal = np.empty((faces.shape[0], 3)), np.empty((faces.shape[0], 3))
+    area = np.empty(faces.shape[0])
+    for f in range(faces.shape[0]):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        across = _cross(a, b, c)
+        size = _length(across[0], across[1], across[2])
+        area[f] = size / 2
+        for k in range(3):
+            center[f, k] = (a[k] + b[k] + c[k]) / 3
+            normal[f, k] = across[k] / max(size, 1e-300)
+    return center, normal, area
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def measure_parts(vertices, faces, turned, part, sums, box, best, largest):
-    """Measure the parts of a mesh; `part` and `turned` are by triangle.
+def measure_parts(vertices, faces, turned, part, volume, area, first, end):
+    """Add up the volume, positive where it faces out, and the area of parts ``range(first, end)``.
 
-    Writes into `sums` volume, positive where the part faces out, and area, (2, num) of 0; into
-    `box` lower and upper corner, (num, 6) of inf and -inf; into `best` twice the area of the
-    largest triangle, (num,) below 0; into `largest` that triangle, the last one of several.
+    `part` and `turned` are by triangle; the sums (num,) of 0. Triangles are added in their order.
     """
-    volume, area = sums[0], sums[1]
-    origin = vertices[faces[0, 0]]
+    origin, current, cubes, squares = vertices[faces[0, 0]], np.int64(first), 0.0, 0.0
+    for f in range(faces.shape[0]):
+        p = np.int64(part[f])
+        if not first <= p < end:
+            continue
+        if p != current:  # most triangles follow others of their part: its sums are at hand
+            volume[current], area[current] = cubes, squares
+            current, cubes, squares = p, volume[p], area[p]
+        one, other = (2, 0) if turned[f] else (0, 2)
+        a, b, c = vertices[faces[f, one]], vertices[faces[f, 1]], vertices[faces[f, other]]
+        x, y, z = _cross(a, b, c)
+        # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
+        ox, oy, oz = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
+        cubes += (ox * x + oy * y + oz * z) / 6.0
+        squares += _length(x, y, z) / 2.0
+    volume[current], area[current] = cubes, squares
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def bound_parts(vertices, faces, turned, part, box, best, largest):
+    """Find the box and the largest triangle, the last one of several, of each part of a mesh.
+
+    `part` and `turned` are by triangle. Writes into `box` lower and upper corner, (num, 6) of inf
+    and -inf; into `best` twice the area of the largest triangle, (num,) below 0; into `largest`
+    that triangle.
+    """
     for f in range(faces.shape[0]):
         p = part[f]
         one, other = (2, 0) if turned[f] else (0, 2)
         a, b, c = vertices[faces[f, one]], vertices[faces[f, 1]], vertices[faces[f, other]]
         x, y, z = _cross(a, b, c)
         size = _length(x, y, z)
-        # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
-        ox, oy, oz = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
-        volume[p] += (ox * x + oy * y + oz * z) / 6.0
-        area[p] += size / 2.0
         if size >= best[p]:
             best[p], largest[p] = size, f
         for k in range(3):
             box[p, k] = min(box[p, k], a[k], b[k], c[k])
             box[p, 3 + k] = max(box[p, 3 + k], a[k], b[k], c[k])
+
+
+@kernel(nogil=True, **UNCOUNTED)
+def find_nearest(normal, axes, reach, nearest, first, end):
+    """Find which of some axes, of unit length and ascending z, each unit normal is nearest to.
+
+    An axis counts both ways. No normal is farther than `reach` from the nearest one. Writes the
+    axes of normals ``range(first, end)``, int64.
+    """
+    for n in range(first, end):
+        x, y, z = normal[n, 0], normal[n, 1], normal[n, 2]
+        begin = np.searchsorted(axes[:, 2], abs(z) - reach)
+        best = -1.0
+        for k in range(begin, axes.shape[0]):
+            if axes[k, 2] > abs(z) + reach:
+                break
+            along = abs(x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2])
+            if along > best:
+                best, nearest[n] = along, k
 
 
 @kernel(nogil=True, **UNCOUNTED)
