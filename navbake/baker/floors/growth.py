@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from navbake.baker.blocks import Blocks, BlockTable, Seen, list_rows
 from navbake.baker.floors.kernels import growth as kernels
 from navbake.baker.floors.kernels.growth import Growing
+from navbake.baker.floors.kernels.members import Labelled
 from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings
-from navbake.threads import run_in_bands
+from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
 
-NO_OPTIONS = np.empty(0, dtype=np.int16), np.empty(0)
-# So many blocks are worth a call on another thread
-LEAST_BLOCKS = 16
+NO_CELLS = np.empty(0, dtype=np.int64)
 
 
 class FloorGrowth:
@@ -77,6 +74,7 @@ class FloorGrowth:
         growing = Growing(
             sheets.surfaces, placed.level, placed.number, k, agent.height,
             agent.traversable_floor_height, floor, ring,
+            np.empty(len(sheets.surfaces.z), dtype=np.uint8),
         )  # fmt: skip
         asked, region = stale, stale.copy()
         cell = changed = np.empty(0, dtype=np.int64)
@@ -86,9 +84,7 @@ class FloorGrowth:
                 more = blocks.cells(asked)
                 cell, was = np.append(cell, more), np.append(was, floor[more])
                 was_in = np.append(was_in, ring[more])
-            known = sheets.labelled(bars), growing
-            options = list_rows(kernels.list_options, np.flatnonzero(region), NO_OPTIONS, *known)
-            grow_in(blocks, region, options, growing)
+            grow_in(blocks, region, growing, sheets.labelled(bars))
             is_other = was.view(np.int64) != floor[cell].view(np.int64)  # to the last bit
             changed, differs = cell[is_other], cell[is_other | (was_in != ring[cell])]
             row, col = (place % SIZE for place in np.divmod(differs, lattice.width))
@@ -98,23 +94,16 @@ class FloorGrowth:
         return changed
 
 
-def grow_in(blocks: Blocks, region: Bool, options: tuple[Int, list[Any]], growing: Growing) -> None:
-    """Grow a floor in some blocks, ring by ring, from where one can stand and what is around.
-
-    `options` are the blocks' counts and columns, see `list_options`.
-    """
-    counts, (place, height) = options
-    start, floors = np.zeros(blocks.num + 1, dtype=np.int64), (growing.floor, growing.ring)
-    start[1:][region] = counts
-    np.cumsum(start, out=start)
-    left = np.zeros(blocks.num, dtype=np.int64), np.empty(len(place), dtype=np.int32)
-    around = blocks.cells(blocks.around(region) & ~region)
-    last, edge = growing.ring[around].max(initial=-1), blocks.around(~region) & region
-    now, active = 1, region
-    while active.any():
-        chosen, grown = np.flatnonzero(active), np.zeros_like(region)
-        asked = blocks.lattice, floors, now, growing.step, (start, place, height), left
-        run_in_bands(kernels.grow, len(chosen), *asked, chosen, grown, least=LEAST_BLOCKS)
+def grow_in(blocks: Blocks, region: Bool, growing: Growing, labelled: Labelled) -> None:
+    """Grow a floor in some blocks, from where one can stand and from what is around them."""
+    chosen, known, now = np.flatnonzero(region), (blocks.lattice, growing), 1
+    run_in_bands(kernels.stand, len(chosen), labelled, growing, chosen)
+    _, (cells,) = list_rows(kernels.grow_first, chosen, (NO_CELLS,), *known)
+    while region.all() and len(cells) >= LEAST_CELLS:
         now += 1
-        # cells at the region's edge may have neighbours of the next ring outside of it
-        active = blocks.around(grown) & (left[0] > 0) | (edge & (now <= last + 1))
+        asked = kernels.grow_ring, cells, (NO_CELLS,), *known, now
+        _, (cells,) = list_rows(*asked, least=LEAST_CELLS)
+    rim = blocks.rim(region)
+    rim = rim[growing.ring[rim] > 0]
+    rim = rim[np.argsort(growing.ring[rim], kind="stable")]
+    kernels.grow(*known, now, chosen, cells, rim)

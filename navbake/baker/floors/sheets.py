@@ -17,8 +17,8 @@ from navbake.baker.floors.kernels.members import (
     AreaTest,
     Labelled,
     Members,
+    disc_rows,
     find_large,
-    near_offsets,
 )
 from navbake.baker.floors.kernels.surfaces import Surfaces
 from navbake.baker.floors.surfaces import SurfaceStore, slopes_may_join
@@ -215,8 +215,8 @@ def area_test(lattice: Lattice, settings: FloorSettings) -> AreaTest:
     """The test of `min_area` after shrinking, which leaves centres `shrink` from the set's edge."""
     needed = int(np.ceil(max((settings.min_area - SLACK) / lattice.cell_size**2, 0.0)))
     limit = (settings.shrink - SLACK) / lattice.cell_size + 0.5
-    disc = near_offsets(limit, min(lattice.width, lattice.height))
-    return AreaTest(needed, int(np.abs(disc).max(initial=0)), disc)
+    half = disc_rows(limit, min(lattice.width, lattice.height))
+    return AreaTest(needed, len(half) // 2, half)
 
 
 def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
@@ -224,8 +224,9 @@ def is_large(lattice: Lattice, settings: FloorSettings, marked: Bool) -> bool:
     test = area_test(lattice, settings)
     mask = np.pad(marked.reshape(lattice.shape), test.reach)
     left = np.flatnonzero(mask)
-    for row, col in test.disc.tolist():
-        left = left[mask.ravel()[left + row * mask.shape[1] + col]]
+    for row, half in enumerate(test.half.tolist(), start=-test.reach):
+        for col in range(-half, half + 1):
+            left = left[mask.ravel()[left + row * mask.shape[1] + col]]
     return len(left) >= test.needed
 
 

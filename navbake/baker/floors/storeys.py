@@ -39,7 +39,7 @@ TIMES_LARGER = 4
 # Decimals of the grounds that are found
 DECIMALS = 9
 # Shrinks nothing
-UNSHRUNK = AreaTest(0, 0, np.empty((0, 2), dtype=np.int64))
+UNSHRUNK = AreaTest(0, 0, np.empty(0, dtype=np.int64))
 
 
 def given_spans(given: Sequence[LevelSettings]) -> list[tuple[float, float]]:

@@ -125,7 +125,7 @@ def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, n
                     if number == NO_WINDOW:
                         continue
                     if marks:
-                        mask[row - row0 + reach, col - col0 + reach] = True
+                        mask[row - row0 + reach, col - col0 + reach] = 1
                         continue
                     at = note_row(rows, before, num, number, bin_of(z), 0)
                     if at < 0:
@@ -150,7 +150,7 @@ def list_heights(lattice, surfaces, kept, heights, test, blocks, counts, columns
     """
     num, size = np.int64(0), SIZE + 2 * test.reach
     for k in range(begin, end):
-        masks = np.zeros((size, size), np.bool_), np.empty((SIZE, SIZE), np.bool_)
+        masks = np.zeros((size, size), np.int32), np.empty((SIZE, SIZE), np.bool_)
         after = _list_block(lattice, surfaces, kept, heights, test, blocks[k], masks, columns, num)
         if after < 0:
             return k

@@ -86,46 +86,57 @@ class AreaTest(NamedTuple):
 
     Attributes:
         needed: how many cells have to be left.
-        reach: the radius of `disc` [cells].
-        disc: offsets of the cells around one that is left, and its own, all of the set, the
-            farthest first, shape (n, 2), int64.
+        reach: the radius of the disc around a cell that is left, all of the set [cells].
+        half: of each row of the disc, from ``-reach`` to `reach`, how far it reaches to either
+            side, -1 for a row that need not be looked at, int64.
     """
 
     needed: int
     reach: int
-    disc: Int
+    half: Int
 
 
 @lru_cache(maxsize=4)  # several tests of a scene ask for the same, and so do scenes of a batch
-def near_offsets(limit: float, shorter: int) -> Int:
-    """Offsets of the cells nearer than a limit [cells], the farthest first; don't change it.
+def disc_rows(limit: float, shorter: int) -> Int:
+    """`AreaTest.half` of the cells nearer than a limit [cells]; don't change it.
 
-    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, four
-    offsets are enough beside its own, of which one always leads out.
+    Where no cell of the lattice, by its `shorter` side, is as far from outside as the limit, the
+    disc's own row and its last ones are enough, of which one always leads out.
     """
     out = (shorter + 1) // 2
     if limit > out:
-        return np.array([[0, out], [0, -out], [out, 0], [-out, 0], [0, 0]], dtype=np.int64)
-    reach = int(np.ceil(limit))
-    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    squares = (rows**2 + cols**2).ravel()
-    order = np.argsort(-squares, kind="stable")
-    squares = squares[order]
-    chosen = order[np.sqrt(squares) < limit]
-    return np.stack([rows.ravel()[chosen], cols.ravel()[chosen]], axis=1).astype(np.int64)
+        half = np.full(2 * out + 1, -1, dtype=np.int64)
+        half[out], half[[0, -1]] = out, 0
+        return half
+    away = np.arange(-int(np.ceil(limit)), int(np.ceil(limit)) + 1)
+    near = np.sqrt(away[:, None] ** 2 + away**2) < limit
+    half = np.where(near, away, np.int64(-1)).max(axis=1, initial=-1)
+    return np.asarray(half[half >= 0], dtype=np.int64)
 
 
 @part(**UNCOUNTED)
 def shrink(mask, test, left):
-    """Mark the cells that are left of a mask, which has a margin of `reach` around them."""
+    """Mark the cells that are left of a mask, which has a margin of `reach` around them.
+
+    The mask is 1 at its cells and 0 elsewhere, int32. It receives how many of its cells lie in one
+    row from a cell on to the nearer end, so that a disc is compared row by row.
+    """
+    for row in range(mask.shape[0]):
+        here, run = mask[row], np.int32(0)
+        for col in range(mask.shape[1]):
+            run = (run + 1) * here[col]
+            here[col] = run
+        run = np.int32(0)
+        for col in range(mask.shape[1] - 1, -1, -1):
+            run = run + 1 if here[col] > 0 else np.int32(0)
+            here[col] = min(here[col], run)
     left[:] = True
     for r in range(left.shape[0]):
-        here = left[r]
-        for k in range(test.disc.shape[0]):
-            row, col = r + test.reach + test.disc[k, 0], test.reach + test.disc[k, 1]
-            there = mask[row, col : col + left.shape[1]]
+        here_left = left[r]
+        for k in range(test.half.shape[0]):
+            there, half = mask[r + k, test.reach : test.reach + left.shape[1]], test.half[k]
             for c in range(left.shape[1]):
-                here[c] &= there[c]
+                here_left[c] &= there[c] > half
 
 
 @part(inline="always")
@@ -179,12 +190,12 @@ def _surface_below(labelled, row, col, sheet, limit):
 
 @part(**UNCOUNTED)
 def _mark_sheet(labelled, sheet, window, reach, mask):
-    """Mark a sheet's cells in a window and within reach of it, in a mask that is all False."""
+    """Mark a sheet's cells in a window and within reach of it, in a mask that is all 0."""
     (row0, row1, col0, col1), lattice = window, labelled.lattice
     for row in range(max(row0 - reach, 0), min(row1 + reach, lattice.height)):
         for col in range(max(col0 - reach, 0), min(col1 + reach, lattice.width)):
             if _surface_below(labelled, row, col, sheet, -math.inf) == ITSELF:
-                mask[row - row0 + reach, col - col0 + reach] = True
+                mask[row - row0 + reach, col - col0 + reach] = 1
 
 
 @kernel(nogil=True)
@@ -205,7 +216,7 @@ def find_large(labelled, boxes, sheets, start, blocks, test, result, begin, end)
             row0, row1 = max(row0, boxes[sheet, 0]), min(row1, boxes[sheet, 2])
             col0, col1 = max(col0, boxes[sheet, 1]), min(col1, boxes[sheet, 3])
             if row1 > row0 and col1 > col0:
-                mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.bool_)
+                mask = np.zeros((row1 - row0 + 2 * reach, col1 - col0 + 2 * reach), np.int32)
                 _mark_sheet(labelled, sheet, (row0, row1, col0, col1), reach, mask)
                 left = np.empty((row1 - row0, col1 - col0), np.bool_)
                 shrink(mask, test, left)
@@ -221,6 +232,16 @@ def _next(lattice, row, col, way):
     if row >= lattice.height or col < 0 or col >= lattice.width:
         row = -1
     return row, col
+
+
+@part(inline="always")
+def _has_part(labelled, row, col, j):
+    """Whether a cell in the block of the surface j has one of the same part."""
+    cell = row * labelled.lattice.width + col
+    for i in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
+        if labelled.part[i] == labelled.part[j]:
+            return True
+    return False
 
 
 @part(**UNCOUNTED)
@@ -255,6 +276,8 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
                     limit = labelled.z[j] - step - SLACK
                     for way in range(4):
                         r, c = _next(lattice, row, col, way)
+                        if row0 <= r < row1 and col0 <= c < col1 and _has_part(labelled, r, c, j):
+                            continue
                         if r >= 0 and _surface_below(labelled, r, c, sheet, limit) == ITSELF:
                             continue
                         if num == rows.shape[0]:
