@@ -96,7 +96,8 @@ class Site(NamedTuple):
         block, rows = self.edges
         if among is not None:
             blocks = np.flatnonzero(sheets.blocks_of(chosen))
-            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), labelled, step, reach)
+            asked = labelled, float(sheets.low[among].min(initial=np.inf)), step, reach
+            counts, (rows,) = list_rows(list_edges, blocks, (NO_EDGES,), *asked)
             block = np.repeat(blocks, counts)
         sheet = sheets.sheet_at(block, rows[:, 0])
         kept = chosen[sheet]

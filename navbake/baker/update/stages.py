@@ -201,7 +201,7 @@ class LiveStages:
         config, marks = now.config, self._markers[0]
         found = cast_at(now.judged_shapes, config.agent, config.floors.crack, near)
         crossings = take_columns(found.crossings, near)
-        self._finder.replace(near, crossings, now.doorless.shapes.planes)
+        self._finder.replace(near, found, now.doorless.shapes.planes)
         if self._kept is None:
             return not marks.any()
         known = self._kept.take(near)

@@ -115,10 +115,12 @@ def _list_block(lattice, surfaces, kept, heights, test, block, masks, columns, n
                 own, is_lowest = block_of(lattice, row, col) if marks else block, True
                 first = surfaces.first[row * lattice.width + col]
                 for j in range(first, first + surfaces.length[row * lattice.width + col]):
+                    if kept.key[j] < 0:
+                        continue
                     z = surfaces.z[j]
-                    if z >= top:
+                    if z >= top or (ground == -math.inf and not is_lowest):
                         break
-                    if kept.key[j] < 0 or z < ground - SLACK:
+                    if z < ground - SLACK:
                         continue
                     number = _window_of(surfaces, kept, own, j, heights, is_lowest)
                     is_lowest = False

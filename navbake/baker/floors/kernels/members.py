@@ -256,11 +256,12 @@ def _drop_at(labelled, row, col, way, sheet, limit, reach):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
+def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, end):
     """List the edges of sheets in ``blocks[begin:end]``, see `navbake.baker.blocks.list_rows`.
 
     The rows: the part in its block, the cell, the surface's place, the way out, and whether a floor
-    of another sheet lies more than a step below within reach, 1 or 0.
+    of another sheet lies more than a step below within reach, 1 or 0. No sheet is lower than
+    `lowest` [m].
     """
     (rows,), num, lattice = columns, 0, labelled.lattice
     for k in range(begin, end):
@@ -283,7 +284,8 @@ def list_edges(labelled, step, reach, blocks, counts, columns, begin, end):
                         if num == rows.shape[0]:
                             return k
                         rows[num, 0], rows[num, 1], rows[num, 2] = labelled.part[j], cell, j
-                        drops = _drop_at(labelled, row, col, way, sheet, limit, reach)
+                        may_drop = limit > lowest
+                        drops = may_drop and _drop_at(labelled, row, col, way, sheet, limit, reach)
                         rows[num, 3], rows[num, 4] = way, 1 if drops else 0
                         num += 1
         counts[k] = num - before
