@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from navbake.baker.blocks import Blocks, BlockTable, Seen, list_rows
+from navbake.baker.column_blocks import list_once
 from navbake.baker.floors.kernels import growth as kernels
 from navbake.baker.floors.kernels.growth import Growing
 from navbake.baker.floors.kernels.members import Labelled
 from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
-from navbake.baker.kernels.tiles import SIZE
 from navbake.config.settings import AgentSettings
 from navbake.threads import LEAST_CELLS, run_in_bands
 from navbake.types import Bool, Float, Int, Int32
@@ -55,7 +55,7 @@ class FloorGrowth:
             num = sheets.lattice.width * sheets.lattice.height
             self.levels = [(np.empty(num), np.empty(num, np.int32)) for _ in placed.grounds]
         found = [self._grow(k, placed, bars, stale, is_new) for k in range(len(self.levels))]
-        self.changed = None if is_new else np.unique(np.concatenate(found))
+        self.changed = None if is_new else list_once(sheets.lattice, np.concatenate(found))
         self.links = self.links[:0]
         if len(self.levels) > 1 or self._by_slopes:
             near = np.flatnonzero(sheets.blocks.before(stale))
@@ -70,7 +70,7 @@ class FloorGrowth:
         A region grows by the blocks around it until its outermost cells keep floors and rings.
         """
         sheets, agent, (floor, ring) = self._sheets, self._agent, self.levels[k]
-        lattice, blocks = sheets.lattice, sheets.blocks
+        blocks = sheets.blocks
         growing = Growing(
             sheets.surfaces, placed.level, placed.number, k, agent.height,
             agent.traversable_floor_height, floor, ring,
@@ -87,9 +87,7 @@ class FloorGrowth:
             grow_in(blocks, region, growing, sheets.labelled(bars))
             is_other = was.view(np.int64) != floor[cell].view(np.int64)  # to the last bit
             changed, differs = cell[is_other], cell[is_other | (was_in != ring[cell])]
-            row, col = (place % SIZE for place in np.divmod(differs, lattice.width))
-            at_edge = (row == 0) | (row == SIZE - 1) | (col == 0) | (col == SIZE - 1)
-            asked = blocks.around(blocks.holding(differs[at_edge])) & ~region
+            asked = blocks.near(differs, 1) & ~region
             region |= asked
         return changed
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker import column_blocks
-from navbake.baker.column_blocks import cast_at, place_columns
+from navbake.baker.column_blocks import cast_at, list_once, place_columns
 from navbake.baker.columns import Columns, take_columns, take_runs
 from navbake.baker.doors.candidates import DoorCandidate, mark_geoms
 from navbake.baker.doors.doors import Placing, place_doors, pose_leaves
@@ -169,7 +169,8 @@ class LiveStages:
                     self._take_over(now)
                     return "there are other levels"
                 changed = cut_cells(finder.changed, window, lattice.width)[0]
-                touched = np.union1d(cut_cells(near, window, lattice.width)[0], changed)
+                touched = cut_cells(near, window, lattice.width)[0]
+                touched = list_once(was.lattice, np.append(touched, changed))
             now.occupancy, now.contents = was.occupancy, was.contents
             if len(touched):
                 flags_hold &= self._look_again(now, differs, touched, not len(changed))
@@ -204,9 +205,9 @@ class LiveStages:
         self._finder.replace(near, found, now.doorless.shapes.planes)
         if self._kept is None:
             return not marks.any()
-        known = self._kept.take(near)
+        holds = not marks.any() or _same_surfaces(self._kept.take(near), crossings, marks)
         self._kept.put(near, crossings)
-        return _same_surfaces(known, crossings, marks)
+        return holds
 
     def _look_again(self, now: Stages, differs: Bool, touched: Int, floors_hold: bool) -> bool:
         """Find occupancy and contents again in the cells near what moved or with another floor.
