@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from navbake.baker.blocks import BlockAnswers, list_rows
 from navbake.baker.columns import ColumnSource
-from navbake.baker.floors.kernels.members import ITSELF, Edges, Labelled, list_edges, look_below
-from navbake.baker.floors.kernels.rims import mark_holes
+from navbake.baker.floors.kernels.members import (
+    ITSELF,
+    Edges,
+    Labelled,
+    list_edges,
+    look_below,
+    mark_holes,
+)
 from navbake.baker.floors.sheets import SheetFacts, Sheets
 from navbake.baker.floors.surfaces import find_near
 from navbake.baker.kernels.arrays import Band
