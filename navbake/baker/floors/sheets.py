@@ -138,17 +138,16 @@ class Sheets:
         _, (measures, low) = labels.measures.take()
         whole, _ = labels.merge()
         num = int(whole.max(initial=-1)) + 1
-        first = np.full(num, np.iinfo(np.int64).max)
-        np.minimum.at(first, whole, measures[:, 2])
-        order = np.argsort(first)
-        self.of_part, self.key = np.argsort(order).astype(np.int32)[whole], first[order]
-        sums, self.box = np.zeros((num, 4), dtype=np.int64), np.zeros((num, 4), dtype=np.int64)
-        np.add.at(sums, self.of_part, measures[:, :4])
-        self.size, self.tops, _, self.digest = sums.T
-        self.box[:, :2], self.low = np.iinfo(np.int64).max, np.full(num, np.inf)
-        np.minimum.at(self.box[:, :2], self.of_part, measures[:, 4:6])
-        np.maximum.at(self.box[:, 2:], self.of_part, measures[:, 6:])
-        np.minimum.at(self.low, self.of_part, low)
+        together = np.argsort(whole, kind="stable")
+        start, measures = np.searchsorted(whole[together], np.arange(num)), measures[together]
+        sums, least, most = (
+            op.reduceat(measures, start) for op in (np.add, np.minimum, np.maximum)
+        )
+        order = np.argsort(least[:, 2])
+        self.of_part, self.key = np.argsort(order).astype(np.int32)[whole], least[order, 2]
+        self.size, self.tops, _, self.digest = sums[order, :4].T
+        self.box = np.hstack([least[order, 4:6], most[order, 6:]])
+        self.low = np.minimum.reduceat(low[together], start)[order]
 
     def labelled(self, chosen: Bool) -> Labelled:
         """The surfaces with the numbers of their sheets, -1 for those that are not chosen."""
