@@ -13,7 +13,7 @@ from navbake.baker.floors.sheets import Sheets
 from navbake.baker.floors.storeys import Placed
 from navbake.baker.floors.surfaces import slopes_may_join
 from navbake.config.settings import AgentSettings
-from navbake.threads import LEAST_CELLS, run_in_bands
+from navbake.threads import LEAST_CELLS
 from navbake.types import Bool, Float, Int, Int32
 
 NO_CELLS = np.empty(0, dtype=np.int64)
@@ -94,14 +94,15 @@ class FloorGrowth:
 
 def grow_in(blocks: Blocks, region: Bool, growing: Growing, labelled: Labelled) -> None:
     """Grow a floor in some blocks, from where one can stand and from what is around them."""
-    chosen, known, now = np.flatnonzero(region), (blocks.lattice, growing), 1
-    run_in_bands(kernels.stand, len(chosen), labelled, growing, chosen)
-    _, (cells,) = list_rows(kernels.grow_first, chosen, (NO_CELLS,), *known)
+    ring, known, now = growing.ring, (blocks.lattice, growing), 1
+    chosen = np.flatnonzero(region)
+    _, (options,) = list_rows(kernels.stand, chosen, (NO_CELLS,), labelled, growing)
+    cells = options
     while region.all() and len(cells) >= LEAST_CELLS:
+        asked = cells, (NO_CELLS,), *known, now
+        _, (cells,) = list_rows(kernels.grow_ring, *asked, least=LEAST_CELLS)
         now += 1
-        asked = kernels.grow_ring, cells, (NO_CELLS,), *known, now
-        _, (cells,) = list_rows(*asked, least=LEAST_CELLS)
     rim = blocks.rim(region)
-    rim = rim[growing.ring[rim] > 0]
-    rim = rim[np.argsort(growing.ring[rim], kind="stable")]
-    kernels.grow(*known, now, chosen, cells, rim)
+    rim = rim[ring[rim] > 0]
+    kernels.grow(*known, now, cells, rim[np.argsort(ring[rim], kind="stable")])
+    ring[options[ring[options] < -1]] = -1  # what the floor did not reach

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from navbake.baker.floors.kernels.members import sheet_of
 from navbake.baker.floors.kernels.surfaces import Surfaces, slope_joins
 from navbake.baker.kernels.constants import SAME, SLACK
-from navbake.baker.kernels.tiles import SIZE, block_window
+from navbake.baker.kernels.tiles import block_window
 from navbake.compiled import UNCOUNTED, kernel, part
 from navbake.types import Float, Int, Int32
 
@@ -64,17 +64,21 @@ def _is_option(labelled, growing, block, last, j, lowest, highest):
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def stand(labelled, growing, blocks, begin, end):
-    """Write the floors that one can stand on in ``blocks[begin:end]``; mark where they may grow.
+def stand(labelled, growing, blocks, counts, columns, begin, end):
+    """Write the floors that one can stand on in ``blocks[begin:end]``; list where they may grow.
 
     A floor grows at surfaces that have no level and belong to no labelled sheet (a roof, the top of
     furniture), nor lie at most a step below one. Between them and the levels above and below is
     room for an agent. Until the floor has grown, `ring` has -2 less the place of a cell's first
     such surface, -1 where there is none.
+
+    The rows, see `navbake.baker.blocks.list_rows`: a cell with such a surface, int64.
     """
+    (cells,), num = columns, 0
     surfaces, floor, ring = growing.surfaces, growing.floor, growing.ring
     lattice, option = labelled.lattice, growing.option
     for k in range(begin, end):
+        before = num
         row0, row1, col0, col1 = block_window(lattice, blocks[k])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
@@ -102,7 +106,12 @@ def stand(labelled, growing, blocks, begin, end):
                             ring[cell] = -2 - j
                         final = np.int64(j)
                 if final >= 0:
-                    option[final] = LAST_OPTION
+                    if num == cells.shape[0]:
+                        return k
+                    option[final], cells[num] = LAST_OPTION, cell
+                    num += 1
+        counts[k] = num - before
+    return end
 
 
 @part(inline="always")
@@ -119,11 +128,15 @@ def _around(lattice, cell):
 def _grow_into(lattice, growing, cell, now):
     """Write the floor that grows into a cell in a ring, if any does; returns whether one does.
 
-    It is that of the surfaces marked by `stand` that is nearest to the floor of a neighbour, and at
-    most a step from it; the lower one if two are equally near.
+    None does where the cell has a floor already, or no surface for one. Else it is that of the
+    surfaces marked by `stand` that is nearest to the floor of a neighbour, and at most a step from
+    it; the lower one if two are equally near.
     """
     z, floor, ring, option = growing.surfaces.z, growing.floor, growing.ring, growing.option
+    # read once, as others may grow the same floor into the cell
     best, best_gap, first = math.nan, growing.step + SLACK, -2 - ring[cell]
+    if first < 0:
+        return False
     for other in _around(lattice, cell):
         if other < 0 or not 0 <= ring[other] < now:
             continue
@@ -144,99 +157,56 @@ def _grow_into(lattice, growing, cell, now):
     return True
 
 
-@kernel(nogil=True, **UNCOUNTED)
-def grow_first(lattice, growing, blocks, counts, columns, begin, end):
-    """Grow the floor by its first ring into the cells of ``blocks[begin:end]``, and list these.
-
-    The rows, see `navbake.baker.blocks.list_rows`: a cell. Only where one can stand counts, so that
-    the order of cells and blocks does not matter, nor whether others are at work.
-    """
-    (cells,), num, ring = columns, 0, growing.ring
-    for k in range(begin, end):
-        before = num
-        row0, row1, col0, col1 = block_window(lattice, blocks[k])
-        for row in range(row0, row1):
-            for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                if ring[cell] == 0 or ring[cell] == -1:
-                    continue
-                is_first = ring[cell] == 1  # when the block is looked at once more, for its room
-                if not is_first:
-                    for other in _around(lattice, cell):
-                        if other >= 0 and ring[other] == 0:
-                            is_first = _grow_into(lattice, growing, cell, 1)
-                            break
-                if is_first:
-                    if num == cells.shape[0]:
-                        return k
-                    cells[num] = cell
-                    num += 1
-        counts[k] = num - before
-    return end
+@part(**UNCOUNTED)
+def _list_beside(lattice, ring, cell, cells, num):
+    """List the next cells into which a floor may still grow; returns how many are listed then."""
+    for other in _around(lattice, cell):
+        if other >= 0 and ring[other] < -1:
+            cells[num] = other
+            num += 1
+    return num
 
 
 @kernel(nogil=True, **UNCOUNTED)
-def grow_ring(lattice, growing, now, sources, counts, columns, begin, end):
-    """Grow the floor by the ring `now` beside ``sources[begin:end]``, cells of the ring before.
+def grow_ring(lattice, growing, now, asked, counts, columns, begin, end):
+    """Grow the floor by the ring `now` into ``asked[begin:end]``, and list the cells beside these.
 
-    The rows, see `navbake.baker.blocks.list_rows`: a cell; it may repeat where others are at work.
+    The rows, see `navbake.baker.blocks.list_rows`: a cell, int64; the same may be listed several
+    times. The order of cells does not matter, nor whether others are at work: the floors of a ring
+    count for the next one only.
     """
     (cells,), num, ring = columns, 0, growing.ring
     for k in range(begin, end):
         before = num
         if num + 4 > cells.shape[0]:
             return k
-        for other in _around(lattice, sources[k]):
-            if other >= 0 and ring[other] < -1 and _grow_into(lattice, growing, other, now):
-                cells[num] = other
-                num += 1
+        if _grow_into(lattice, growing, asked[k], now):
+            num = _list_beside(lattice, ring, asked[k], cells, num)
         counts[k] = num - before
     return end
 
 
 @kernel(nogil=True)
-def grow(lattice, growing, now, blocks, cells, rim):
-    """Grow the floor by all rings after `now` in some blocks.
-
-    The floors of a ring count for the next one only, so that the order of its cells does not
-    matter.
+def grow(lattice, growing, now, asked, rim):
+    """Grow the floor by the ring `now` and all later ones.
 
     Args:
-        cells: those of the ring `now`, int64.
-        rim: cells around the blocks with floors of later rings than where one can stand, by
-            their rings, int64.
+        asked: the cells into which it may grow in this ring, int64.
+        rim: cells around those that may grow, with floors of later rings than where one can stand,
+            by their rings, int64.
     """
-    ring, width = growing.ring, lattice.width
-    queue = np.empty(2 * (cells.shape[0] + rim.shape[0]) + SIZE, np.int64)
-    first, end, outer = 0, cells.shape[0], 0
-    queue[:end] = cells
-    while first < end or outer < rim.shape[0]:
-        # the queue goes on with the ring `now`, inside of the blocks and around them
-        while outer < rim.shape[0] and ring[rim[outer]] == now:
-            queue = _push(queue, end, rim[outer])
-            end, outer = end + 1, outer + 1
-        now, last = now + 1, end
-        for place in range(first, last):
-            for other in _around(lattice, queue[place]):
-                if other >= 0 and ring[other] < -1 and _grow_into(lattice, growing, other, now):
-                    queue = _push(queue, end, other)
-                    end += 1
-        first = last
-    for block in blocks:  # what the floor did not reach
-        row0, row1, col0, col1 = block_window(lattice, block)
-        for row in range(row0, row1):
-            for cell in range(row * width + col0, row * width + col1):
-                ring[cell] = max(ring[cell], -1)
-
-
-@part
-def _push(queue, end, cell):
-    """Write a cell behind the others of a queue; returns the queue, a longer one if it was full."""
-    if end == queue.shape[0]:
-        longer = np.empty(2 * end, np.int64)
-        longer[:end] = queue
-        queue = longer
-    queue[end] = cell
-    return queue
+    ring, outer = growing.ring, 0
+    while asked.shape[0] > 0 or outer < rim.shape[0]:
+        last = outer
+        while last < rim.shape[0] and ring[rim[last]] == now:
+            last += 1
+        beside, num = np.empty(4 * (asked.shape[0] + last - outer), np.int64), 0
+        for cell in asked:
+            if _grow_into(lattice, growing, cell, now):
+                num = _list_beside(lattice, ring, cell, beside, num)
+        for place in range(outer, last):
+            num = _list_beside(lattice, ring, rim[place], beside, num)
+        asked, outer, now = beside[:num], last, now + 1
 
 
 @kernel(nogil=True, **UNCOUNTED)

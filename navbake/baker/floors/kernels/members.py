@@ -119,25 +119,20 @@ def disc_rows(limit: float, shorter: int) -> Int:
 def shrink(mask, test, left):
     """Mark the cells that are left of a mask, which has a margin of `reach` around them.
 
-    The mask is 1 at its cells and 0 elsewhere, int32. It receives how many of its cells lie in one
-    row from a cell on to the nearer end, so that a disc is compared row by row.
+    The mask is 1 at its cells and 0 elsewhere, int32. It receives how many cells of it end in a row
+    at each cell, so that a row of the disc is one comparison.
     """
     for row in range(mask.shape[0]):
-        here, run = mask[row], np.int32(0)
-        for col in range(mask.shape[1]):
-            run = (run + 1) * here[col]
-            here[col] = run
-        run = np.int32(0)
-        for col in range(mask.shape[1] - 1, -1, -1):
-            run = run + 1 if here[col] > 0 else np.int32(0)
-            here[col] = min(here[col], run)
-    left[:] = True
+        for col in range(1, mask.shape[1]):
+            mask[row, col] *= mask[row, col - 1] + 1
     for r in range(left.shape[0]):
-        here_left = left[r]
-        for k in range(test.half.shape[0]):
-            there, half = mask[r + k, test.reach : test.reach + left.shape[1]], test.half[k]
-            for c in range(left.shape[1]):
-                here_left[c] &= there[c] > half
+        for c in range(left.shape[1]):
+            left[r, c] = True
+            for k in range(test.half.shape[0]):
+                half = test.half[k]
+                if mask[r + k, c + test.reach + half] <= 2 * half:
+                    left[r, c] = False
+                    break
 
 
 @part(inline="always")
@@ -235,16 +230,6 @@ def _next(lattice, row, col, way):
     return row, col
 
 
-@part(inline="always")
-def _has_part(labelled, row, col, j):
-    """Whether a cell in the block of the surface j has one of the same part."""
-    cell = row * labelled.lattice.width + col
-    for i in range(labelled.first[cell], labelled.first[cell] + labelled.length[cell]):
-        if labelled.part[i] == labelled.part[j]:
-            return True
-    return False
-
-
 @part(**UNCOUNTED)
 def _drop_at(labelled, row, col, way, sheet, limit, reach):
     """Whether another sheet's surface lies below the limit within reach of an edge."""
@@ -278,8 +263,6 @@ def list_edges(labelled, lowest, step, reach, blocks, counts, columns, begin, en
                     limit = labelled.z[j] - step - SLACK
                     for way in range(4):
                         r, c = _next(lattice, row, col, way)
-                        if row0 <= r < row1 and col0 <= c < col1 and _has_part(labelled, r, c, j):
-                            continue
                         if r >= 0 and _surface_below(labelled, r, c, sheet, limit) == ITSELF:
                             continue
                         if num == rows.shape[0]:
